@@ -1,0 +1,21 @@
+"""How loops become machine code: one decorator around numba, with the flags that keep results the same everywhere.
+
+A kernel's compiled form is kept on disk beside its source (or in NUMBA_CACHE_DIR).  numba looks only at that one file's time
+stamp, so a kernel may call other kernels of *its own file* only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_FASTMATH = {"contract", "reassoc", "arcp", "nsz"}  # not nnan/ninf: nan marks holes, and isnan must keep working
+
+
+def kernel(function: Function) -> Function:
+    """Compile `function` at its first call; the compiled form releases the GIL and follows numpy's rules for division by zero."""
+    return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function))

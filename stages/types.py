@@ -1,0 +1,217 @@
+"""What the stages hand to each other: frozen dataclasses of arrays.  Conventions (axes, units, order): the package's docstring."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+Float64s = npt.NDArray[np.float64]
+Float32s = npt.NDArray[np.float32]
+Int32s = npt.NDArray[np.int32]
+Int16s = npt.NDArray[np.int16]
+Uint16s = npt.NDArray[np.uint16]
+Uint8s = npt.NDArray[np.uint8]
+Bools = npt.NDArray[np.bool_]
+
+Pair = tuple[str, str]
+"""Ids of two cameras, in the order of the site file."""
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A stage worked, and found nothing usable.  `figures` are the numbers behind `reason`."""
+
+    reason: str
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One image file as it lies on disk.  data: (n,) uint8, the encoded bytes."""
+
+    name: str
+    data: Uint8s
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics as the site states them, for an image of `width` x `height` pixels (both 0: any size).
+
+    K: (3, 3) float64 pixels, or None when unknown; `hfov_deg`: the horizontal field of view, used where K is None.
+    distortion: (5,) float64 k1 k2 p1 p2 k3 (OpenCV's order and meaning), zeros for none.
+    """
+
+    K: Float64s | None = None
+    distortion: Float64s = field(default_factory=lambda: np.zeros(5))
+    hfov_deg: float | None = None
+    width: int = 0
+    height: int = 0
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a camera is said to be.  R: (3, 3), C: (3,) float64, or None where unknown."""
+
+    R: Float64s | None = None
+    C: Float64s | None = None
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera at working resolution.  K, R: (3, 3) float64; C: (3,) float64."""
+
+    K: Float64s
+    R: Float64s
+    C: Float64s
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed.
+
+    image: (h, w, 3) uint8 RGB; mask: (h, w) bool; K: (3, 3) float64 of this image, None when nothing is known;
+    focal_known: False when K is only a guess (from a field of view); notes: what the operator should know.
+    """
+
+    image: Uint8s
+    mask: Bools
+    K: Float64s | None
+    focal_known: bool = True
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Features:
+    """Keypoints of one frame.
+
+    xy: (n, 2) float64 pixels of the frame; frames: (n, 2, 2) float64, each keypoint's local frame s R(theta) (canonical patch
+    to image; of a tilted view, mapped back into the frame); descriptors: (n, d) float32 of unit length (RootSIFT);
+    responses: (n,) float32; views: (n,) uint8, 0 for the plain view, 1 for the view compressed by 2 in x;
+    size: (width, height) of the frame; K as in `Frame`.
+    """
+
+    xy: Float64s
+    frames: Float64s
+    descriptors: Float32s
+    responses: Float32s
+    views: Uint8s
+    size: tuple[int, int]
+    K: Float64s | None = None
+    focal_known: bool = True
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Point correspondences of a pair, before any geometry.
+
+    x1, x2: (n, 2) float64; i1, i2: (n,) int32 rows in the two `Features`; probability: (n,) float32;
+    affine: (n, 2, 2) float64, the local map of image 1 onto image 2; size1, size2: (width, height).
+    """
+
+    x1: Float64s
+    x2: Float64s
+    i1: Int32s
+    i2: Int32s
+    probability: Float32s
+    affine: Float64s
+    size1: tuple[int, int]
+    size2: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Two-view geometry of a pair and what supports it.
+
+    F: (3, 3) float64; x1, x2, i1, i2, probability: the inliers (guided matches), as in `Matches`; K1, K2: as in `Features`;
+    cam2_R_cam1 (3, 3), cam2_t_cam1 (3,) of unit length: relative pose where both K are known (x_2 ~ R x_1 + t), else None;
+    epipolar_px: median symmetric epipolar distance of the inliers; score and good_probability: is the pair to be believed
+    (algorithms: verdict); warnings: named degenerate cases that did not reject the pair.
+    """
+
+    F: Float64s
+    x1: Float64s
+    x2: Float64s
+    i1: Int32s
+    i2: Int32s
+    probability: Float32s
+    size1: tuple[int, int]
+    size2: tuple[int, int]
+    K1: Float64s | None
+    K2: Float64s | None
+    cam2_R_cam1: Float64s | None
+    cam2_t_cam1: Float64s | None
+    epipolar_px: float
+    matches: int
+    score: float
+    good_probability: float
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Evidence that two views share ground: one row for each pair of cameras, left before right.
+
+    pairs: (m, 2) int32 positions in `cameras`; angle_deg: (m,) float64 convergence angle, nan when poses are unknown;
+    shared: (m,) float64, 0 to 1: share of one view that the other sees (poses), or similarity of appearance;
+    source: "poses" or "appearance".
+    """
+
+    cameras: tuple[str, ...]
+    pairs: Int32s
+    angle_deg: Float64s
+    shared: Float64s
+    source: str
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Cameras in one frame.
+
+    cameras: solved cameras by id; unsolved: reason by id; dropped: reason by "left--right" of pairs that contradict the rest;
+    metric: lengths are metres; source: "calibration" or "solved".
+    """
+
+    cameras: Mapping[str, Camera]
+    unsolved: Mapping[str, str]
+    dropped: Mapping[str, str]
+    metric: bool
+    source: str
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row.
+
+    left: (h, w1) int16, sixteenths of a pixel relative to `offset_px`, on the rectified left image; INVALID where unknown;
+    right: (h, w2) int16, the same on the rectified right image (x1 = x2 + d);
+    confidence_left, confidence_right: uint8, 0 to 255; offset_px: integer; density: share of the common valid area with a value.
+    """
+
+    left: Int16s
+    right: Int16s
+    confidence_left: Uint8s
+    confidence_right: Uint8s
+    offset_px: int
+    density: float
+
+
+INVALID = -32768
+"""The value of `Disparity.left` and `.right` where nothing is known."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """points, normals: (n, 3) float32 (normals of unit length, toward the cameras); colors: (n, 3) uint8 RGB;
+    confidence: (n,) float32, 0 to 1; views: (n,) uint16, cameras that support the point; sigma_mm: (n,) float32."""
+
+    points: Float32s
+    normals: Float32s
+    colors: Uint8s
+    confidence: Float32s
+    views: Uint16s
+    sigma_mm: Float32s
