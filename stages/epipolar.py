@@ -57,7 +57,8 @@ def sampson_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
     l2 = homogeneous(x1) @ F.T
     l1 = homogeneous(x2) @ F
     algebraic = np.einsum("ni,ni->n", homogeneous(x2), l2)
-    return np.asarray(algebraic / np.sqrt(l2[:, 0] ** 2 + l2[:, 1] ** 2 + l1[:, 0] ** 2 + l1[:, 1] ** 2 + 1e-30), dtype=np.float64)
+    gradient = np.sqrt(l2[:, 0] ** 2 + l2[:, 1] ** 2 + l1[:, 0] ** 2 + l1[:, 1] ** 2 + 1e-30)
+    return np.asarray(algebraic / gradient, dtype=np.float64)
 
 
 def symmetric_epipolar_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:

@@ -1,4 +1,4 @@
-"""What the stages hand to each other: frozen dataclasses of arrays.  Conventions (axes, units, order): the package's docstring."""
+"""What the stages hand to each other: frozen dataclasses of arrays.  Axes, units, order: see the package's docstring."""
 
 from __future__ import annotations
 
@@ -71,17 +71,29 @@ class Camera:
 
 
 @dataclass(frozen=True)
+class View:
+    """The pinhole of a frame, without its pixels.
+
+    K: (3, 3) float64 of the frame (working resolution, distortion removed), None when nothing is known;
+    focal_known: False when K is only a guess, from a field of view.
+    """
+
+    width: int
+    height: int
+    K: Float64s | None = None
+    focal_known: bool = True
+
+
+@dataclass(frozen=True)
 class Frame:
     """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed.
 
-    image: (h, w, 3) uint8 RGB; mask: (h, w) bool; K: (3, 3) float64 of this image, None when nothing is known;
-    focal_known: False when K is only a guess (from a field of view); notes: what the operator should know.
+    image: (h, w, 3) uint8 RGB; mask: (h, w) bool; notes: what the operator should know (frames left out, exposure).
     """
 
     image: Uint8s
     mask: Bools
-    K: Float64s | None
-    focal_known: bool = True
+    view: View
     notes: tuple[str, ...] = ()
 
 
@@ -91,18 +103,15 @@ class Features:
 
     xy: (n, 2) float64 pixels of the frame; frames: (n, 2, 2) float64, each keypoint's local frame s R(theta) (canonical patch
     to image; of a tilted view, mapped back into the frame); descriptors: (n, d) float32 of unit length (RootSIFT);
-    responses: (n,) float32; views: (n,) uint8, 0 for the plain view, 1 for the view compressed by 2 in x;
-    size: (width, height) of the frame; K as in `Frame`.
+    responses: (n,) float32; tilts: (n,) uint8, 0 for the plain view, 1 for the view compressed by 2 in x.
     """
 
     xy: Float64s
     frames: Float64s
     descriptors: Float32s
     responses: Float32s
-    views: Uint8s
-    size: tuple[int, int]
-    K: Float64s | None = None
-    focal_known: bool = True
+    tilts: Uint8s
+    view: View
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,7 @@ class Matches:
     """Point correspondences of a pair, before any geometry.
 
     x1, x2: (n, 2) float64; i1, i2: (n,) int32 rows in the two `Features`; probability: (n,) float32;
-    affine: (n, 2, 2) float64, the local map of image 1 onto image 2; size1, size2: (width, height).
+    affine: (n, 2, 2) float64, the local map of image 1 onto image 2.
     """
 
     x1: Float64s
@@ -119,18 +128,19 @@ class Matches:
     i2: Int32s
     probability: Float32s
     affine: Float64s
-    size1: tuple[int, int]
-    size2: tuple[int, int]
+    view1: View
+    view2: View
 
 
 @dataclass(frozen=True)
 class Geometry:
     """Two-view geometry of a pair and what supports it.
 
-    F: (3, 3) float64; x1, x2, i1, i2, probability: the inliers (guided matches), as in `Matches`; K1, K2: as in `Features`;
+    F: (3, 3) float64; x1, x2, i1, i2, probability: the inliers (guided matches), as in `Matches`;
     cam2_R_cam1 (3, 3), cam2_t_cam1 (3,) of unit length: relative pose where both K are known (x_2 ~ R x_1 + t), else None;
-    epipolar_px: median symmetric epipolar distance of the inliers; score and good_probability: is the pair to be believed
-    (algorithms: verdict); warnings: named degenerate cases that did not reject the pair.
+    matches: how many there were before geometry; epipolar_px: median symmetric epipolar distance of the inliers;
+    angle_deg: median angle between the rays of the inliers, nan without relative pose; score and good_probability: is the
+    pair to be believed; warnings: named degenerate cases that did not reject the pair.
     """
 
     F: Float64s
@@ -139,14 +149,13 @@ class Geometry:
     i1: Int32s
     i2: Int32s
     probability: Float32s
-    size1: tuple[int, int]
-    size2: tuple[int, int]
-    K1: Float64s | None
-    K2: Float64s | None
+    view1: View
+    view2: View
     cam2_R_cam1: Float64s | None
     cam2_t_cam1: Float64s | None
-    epipolar_px: float
     matches: int
+    epipolar_px: float
+    angle_deg: float
     score: float
     good_probability: float
     warnings: tuple[str, ...] = ()
@@ -181,6 +190,31 @@ class Poses:
     dropped: Mapping[str, str]
     metric: bool
     source: str
+
+
+@dataclass(frozen=True)
+class Rectification:
+    """How the two images of a pair are resampled so that a point lies on the same row in both.
+
+    method: "congruent", "hartley", "calibrated", "seed" or "polar"; reason: why this method;
+    H1, H2: (3, 3) float64, frame pixels to rectified pixels (None for polar);
+    size1, size2: (width, height) of the rectified images, heights equal;
+    disparity_min_px, disparity_max_px: range to search, with margins;
+    vertical_px, vertical_p95_px: mean and 95 % row difference of the inliers; angle_deg: convergence angle, nan if unknown.
+    Use `rectification.mapping` to move points and images; nothing else asks which method it was.
+    """
+
+    method: str
+    reason: str
+    H1: Float64s | None
+    H2: Float64s | None
+    size1: tuple[int, int]
+    size2: tuple[int, int]
+    disparity_min_px: float
+    disparity_max_px: float
+    vertical_px: float
+    vertical_p95_px: float
+    angle_deg: float
 
 
 @dataclass(frozen=True)
