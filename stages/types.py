@@ -193,6 +193,20 @@ class Poses:
 
 
 @dataclass(frozen=True)
+class PolarRows:
+    """Half epipolar lines of one image as the rows of a rectified image: row k is the ray at `angles[k]` from the epipole.
+
+    epipole: (2,) float64 pixels of the frame, finite; angles: (rows,) float64 radians, strictly monotone;
+    direction: 1 or -1; a point at distance r from the epipole has rectified x = direction * r - start_px.
+    """
+
+    epipole: Float64s
+    angles: Float64s
+    direction: int
+    start_px: float
+
+
+@dataclass(frozen=True)
 class Rectification:
     """How the two images of a pair are resampled so that a point lies on the same row in both.
 
@@ -200,7 +214,11 @@ class Rectification:
     H1, H2: (3, 3) float64, frame pixels to rectified pixels (None for polar);
     size1, size2: (width, height) of the rectified images, heights equal;
     disparity_min_px, disparity_max_px: range to search, with margins;
-    vertical_px, vertical_p95_px: mean and 95 % row difference of the inliers; angle_deg: convergence angle, nan if unknown.
+    vertical_px, vertical_p95_px: mean and 95 % row difference of the inliers; angle_deg: convergence angle, nan if unknown;
+    polar1, polar2: the rows of a polar rectification, else None; scale: rectified pixels for each pixel of the frames (median);
+    anisotropy: longest over shortest side of a resampled pixel, 95 % over both images; kept1, kept2: share of each frame inside
+    its rectified image; depth_resolution: median depth error of one pixel of disparity over depth, nan without cameras;
+    warnings: what weakens the result without making it useless.
     Use `rectification.mapping` to move points and images; nothing else asks which method it was.
     """
 
@@ -215,6 +233,14 @@ class Rectification:
     vertical_px: float
     vertical_p95_px: float
     angle_deg: float
+    polar1: PolarRows | None = None
+    polar2: PolarRows | None = None
+    scale: float = 1.0
+    anisotropy: float = 1.0
+    kept1: float = 1.0
+    kept2: float = 1.0
+    depth_resolution: float = float("nan")
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
