@@ -1,0 +1,117 @@
+"""Which views share ground."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wbflow_stages.overlap import estimate_overlap
+from wbflow_stages.types import Features, Lens, Overlap, Placement, View
+
+K = np.array([[800.0, 0, 511.5], [0, 800.0, 383.5], [0, 0, 1]])
+LENS = Lens(K=K, width=1024, height=768)
+
+
+def looking(position, target) -> Placement:
+    """A camera at `position` that looks at `target`; z is up in the world."""
+    forward = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return Placement(np.stack([right, np.cross(forward, right), forward]), np.asarray(position, float))
+
+
+def ring(degrees, radius=10.0, scale=1.0, shift=(0.0, 0.0, 0.0)) -> dict[str, Placement]:
+    """Cameras on a circle about the origin that look inward."""
+    at = {f"{d}": np.array([radius * np.cos(np.radians(d)), radius * np.sin(np.radians(d)), 1.0]) for d in degrees}
+    return {name: looking(scale * p + shift, np.asarray(shift) * 1.0) for name, p in at.items()}
+
+
+def of(overlap: Overlap, left: str, right: str) -> tuple[float, float]:
+    row = np.flatnonzero((overlap.pairs == [overlap.cameras.index(left), overlap.cameras.index(right)]).all(axis=1))[0]
+    return float(overlap.angle_deg[row]), float(overlap.shared[row])
+
+
+def from_poses(placements) -> Overlap:
+    return estimate_overlap(dict.fromkeys(placements, LENS), placements, {})
+
+
+def test_cameras_on_a_ring_see_the_middle_at_the_angle_between_them():
+    overlap = from_poses(ring([0, 15, 40, 100]))
+    assert overlap.source == "poses" and len(overlap.pairs) == 6
+    for left, right, angle in (("0", "15", 15), ("15", "40", 25), ("0", "100", 100)):
+        assert of(overlap, left, right)[0] == pytest.approx(angle, rel=0.15)
+    assert of(overlap, "0", "15")[1] > of(overlap, "0", "40")[1] > of(overlap, "0", "100")[1] > 0.05
+
+
+def test_views_that_part_share_nothing():
+    placements = ring([0, 15]) | {"away": looking([12.0, 0, 1], [30.0, 0, 1])}
+    overlap = from_poses(placements)
+    assert of(overlap, "0", "15")[1] > 0.5
+    assert of(overlap, "0", "away")[1] < 0.02 and of(overlap, "15", "away")[1] < 0.02
+
+
+@given(scale=st.floats(0.01, 100.0), shift=st.tuples(*[st.floats(-1e3, 1e3)] * 3))
+def test_a_desk_and_a_quarry_are_judged_alike(scale, shift):
+    here, there = from_poses(ring([0, 20, 50])), from_poses(ring([0, 20, 50], scale=scale, shift=shift))
+    assert np.allclose(here.angle_deg, there.angle_deg, atol=0.01)
+    assert np.allclose(here.shared, there.shared, atol=0.02)
+
+
+def test_parallel_cameras_share_less_the_farther_apart_they_stand():
+    placements = {f"{x}": looking([x, 0.0, 1.0], [x, 100.0, 1.0]) for x in (0, 1, 3)}
+    overlap = from_poses(placements)
+    assert of(overlap, "0", "1")[1] > of(overlap, "0", "3")[1] > 0
+    assert 3 < of(overlap, "0", "1")[0] < of(overlap, "0", "3")[0]
+
+
+def features(descriptors: np.ndarray) -> Features:
+    n = len(descriptors)
+    return Features(
+        np.zeros((n, 2)),
+        np.tile(np.eye(2), (n, 1, 1)),
+        (descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)).astype(np.float32),
+        np.ones(n, np.float32),
+        np.zeros(n, np.uint8),
+        View(1024, 768),
+    )
+
+
+def appearance(n: int, cameras: int, step: int) -> dict[str, Features]:
+    """Each camera sees `n` points of a long row of them, `step` further along than the last, with noise of its own."""
+    rng = np.random.default_rng(0)
+    world = rng.normal(size=(n + cameras * step, 128))
+    return {f"c{k}": features(world[k * step : k * step + n] + 0.3 * rng.normal(size=(n, 128))) for k in range(cameras)}
+
+
+def test_without_poses_appearance_ranks_the_pairs():
+    seen = appearance(500, 5, 150)
+    overlap = estimate_overlap({name: Lens() for name in seen}, {}, seen)
+    assert overlap.source == "appearance" and np.isnan(overlap.angle_deg).all()
+    shared = [of(overlap, "c0", f"c{k}")[1] for k in range(1, 5)]
+    assert shared[0] == pytest.approx(350 / 500, abs=0.05) and shared[1] == pytest.approx(200 / 500, abs=0.05)
+    assert shared[3] < 0.02  # nothing in common
+
+
+def test_a_camera_without_a_pose_joins_by_its_looks():
+    seen = appearance(300, 3, 50)
+    placements = {"c0": looking([10, 0, 1], [0, 0, 0]), "c1": looking([9, 3, 1], [0, 0, 0])}
+    overlap = estimate_overlap(dict.fromkeys(seen, LENS), placements, seen)
+    assert overlap.source == "mixed" and len(overlap.pairs) == 3
+    assert of(overlap, "c0", "c1")[0] > 5
+    angle, shared = of(overlap, "c1", "c2")
+    assert np.isnan(angle) and shared > 0.5
+
+
+def test_without_evidence_there_are_no_rows():
+    assert len(estimate_overlap({"a": Lens(), "b": Lens()}, {}, {}).pairs) == 0
+
+
+def test_a_pair_costs_milliseconds():
+    seen = appearance(600, 12, 40)
+    start = time.process_time()
+    overlap = estimate_overlap({name: Lens() for name in seen}, {}, seen)
+    assert (time.process_time() - start) / len(overlap.pairs) < 0.04  # a hundred cameras have 4950 pairs

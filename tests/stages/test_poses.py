@@ -1,0 +1,25 @@
+"""Poses taken from the calibration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbflow_stages.poses import solve_poses
+from wbflow_stages.types import Placement, Poses, Rejected, View
+
+K = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
+
+
+def test_stated_cameras_are_taken_over_and_the_others_say_what_they_lack():
+    views = {name: View(640, 480, K) for name in ("gate", "roof")} | {"mast": View(640, 480)}
+    R, C = np.eye(3), np.array([1.0, 2.0, 3.0])
+    poses = solve_poses(views, {"gate": Placement(R, C), "roof": Placement(R, None), "mast": Placement(R, C)}, {})
+    assert isinstance(poses, Poses)
+    assert list(poses.cameras) == ["gate"]
+    assert np.array_equal(poses.cameras["gate"].C, C) and poses.cameras["gate"].width == 640
+    assert poses.unsolved == {"roof": "no pose given", "mast": "no intrinsics given"}
+    assert poses.metric and poses.source == "calibration"
+
+
+def test_without_any_pose_there_is_nothing_to_give():
+    assert isinstance(solve_poses({"gate": View(640, 480, K)}, {}, {}), Rejected)
