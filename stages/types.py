@@ -103,7 +103,9 @@ class Features:
 
     xy: (n, 2) float64 pixels of the frame; frames: (n, 2, 2) float64, each keypoint's local frame s R(theta) (canonical patch
     to image; of a tilted view, mapped back into the frame); descriptors: (n, d) float32 of unit length (RootSIFT);
-    responses: (n,) float32; tilts: (n,) uint8, 0 for the plain view, 1 for the view compressed by 2 in x.
+    responses: (n,) float32; tilts: (n,) uint8, 0 for the plain view, 1 for the view compressed by 2 in x. Rows of the plain
+    view come first, each view's strongest keypoint first. keypoints: rows of the plain view; light: "plain" or "robust",
+    how the image was prepared.
     """
 
     xy: Float64s
@@ -112,6 +114,8 @@ class Features:
     responses: Float32s
     tilts: Uint8s
     view: View
+    keypoints: int = 0
+    light: str = "plain"
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,8 @@ class Matches:
     """Point correspondences of a pair, before any geometry.
 
     x1, x2: (n, 2) float64; i1, i2: (n,) int32 rows in the two `Features`; probability: (n,) float32;
-    affine: (n, 2, 2) float64, the local map of image 1 onto image 2.
+    affine: (n, 2, 2) float64, the local map of image 1 onto image 2 as the two keypoints' frames tell it;
+    matcher: who found them; tilted: the views compressed in x were used too.
     """
 
     x1: Float64s
@@ -130,6 +135,8 @@ class Matches:
     affine: Float64s
     view1: View
     view2: View
+    matcher: str = ""
+    tilted: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,9 +145,13 @@ class Geometry:
 
     F: (3, 3) float64; x1, x2, i1, i2, probability: the inliers (guided matches), as in `Matches`;
     cam2_R_cam1 (3, 3), cam2_t_cam1 (3,) of unit length: relative pose where both K are known (x_2 ~ R x_1 + t), else None;
-    matches: how many there were before geometry; epipolar_px: median symmetric epipolar distance of the inliers;
-    angle_deg: median angle between the rays of the inliers, nan without relative pose; score and good_probability: is the
-    pair to be believed; warnings: named degenerate cases that did not reject the pair.
+    matches: how many there were before geometry; inliers: how many support F; model: "F" or "E", what was kept;
+    epipolar_px: median symmetric epipolar distance of the inliers; angle_deg: median angle between the rays of the inliers,
+    nan without relative pose; homography_share: share of the inliers that one homography explains too;
+    score and good_probability: is the pair to be believed (see `verdict`), from distinct_cells: cells of a 12x8 grid with
+    distinctive matches, distinct_share: share of the inliers without a look-alike in their own image, half_rotation_deg:
+    difference of the poses of the two halves of the inliers (nan without K), stretch: median log ratio of the axes of the
+    local affine maps; warnings: named degenerate cases that did not reject the pair.
     """
 
     F: Float64s
@@ -154,10 +165,17 @@ class Geometry:
     cam2_R_cam1: Float64s | None
     cam2_t_cam1: Float64s | None
     matches: int
+    inliers: int
+    model: str
     epipolar_px: float
     angle_deg: float
+    homography_share: float
     score: float
     good_probability: float
+    distinct_cells: int = 0
+    distinct_share: float = 0.0
+    half_rotation_deg: float = float("nan")
+    stretch: float = 0.0
     warnings: tuple[str, ...] = ()
 
 

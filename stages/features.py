@@ -1,0 +1,159 @@
+"""Keypoints of a frame: SIFT, spread over the image, with RootSIFT descriptors.
+
+SIFT is Lowe's detector (IJCV 2004); RootSIFT takes the square root of the L1-normalised descriptor, so that Euclidean distance
+compares histograms as Hellinger does (Arandjelovic & Zisserman, CVPR 2012).  A second set of keypoints comes from the frame
+compressed by 2 in x, the one simulated view of ASIFT (Morel & Yu, 2009) that pays between upright cameras far apart: it is
+detected here once, and used only by pairs whose plain views are not enough.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from .types import Bools, Features, Float32s, Float64s, Frame, Rejected, Uint8s, View
+
+Light = Literal["auto", "plain", "robust"]
+
+PLAIN = 0
+TILTED = 1
+MAX_ORIENTATIONS = 2
+"""Keypoints kept at one point and scale: SIFT repeats a keypoint for each strong gradient direction."""
+
+
+def detect(
+    frame: Frame,
+    *,
+    keypoints: int = 4000,
+    tilted_keypoints: int = 2000,
+    contrast_threshold: float = 0.01,
+    grid_columns: int = 24,
+    light: Light = "auto",
+    min_keypoints: int = 50,
+) -> Features | Rejected:
+    """Detect and describe the keypoints of a frame.
+
+    Parameters
+    ----------
+    frame : the clean frame; keypoints on or at the edge of masked pixels are left out.
+    keypoints : how many to keep in the plain view.
+    tilted_keypoints : how many to keep in the view compressed by 2 in x; 0 leaves that view out.
+    contrast_threshold : least contrast of a keypoint, as share of the grey range (OpenCV's meaning).
+    grid_columns : square cells across the image that share the keypoints evenly; 1 keeps the strongest wherever they are.
+    light : "robust" equalises the local contrast first, for dusk, night and lamps; "auto" looks at the image to decide.
+    min_keypoints : fewer than this in the plain view reject the frame.
+
+    Returns
+    -------
+    Features, or Rejected when the frame shows too little.
+    """
+    grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+    robust = light == "robust" or (light == "auto" and _needs_robust_light(grey, frame.mask))
+    if robust:
+        grey, contrast_threshold = _equalised(grey), max(contrast_threshold, 0.02)
+    sift = cv2.SIFT.create(contrastThreshold=contrast_threshold, enable_precise_upscale=True)
+    plain = _detect_view(sift, grey, frame.mask, keypoints, grid_columns)
+    if len(plain[0]) < min_keypoints:
+        reason = f"{len(plain[0])} keypoints, {min_keypoints} needed: the frame is empty, blurred or masked"
+        return Rejected(reason, {"keypoints": len(plain[0]), "usable_share": float(frame.mask.mean())})
+    views = [plain]
+    if tilted_keypoints > 0:
+        views.append(_detect_tilted(sift, grey, frame.mask, tilted_keypoints, grid_columns))
+    return _features(views, frame.view, "robust" if robust else "plain")
+
+
+_View = tuple[Float64s, Float64s, Float32s, Float32s]
+"""xy, frames, descriptors and responses of one view's keypoints."""
+
+
+def _features(views: list[_View], view: View, light: str) -> Features:
+    xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
+    tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
+    return Features(xy, frames, descriptors, responses, tilts, view, keypoints=len(views[0][0]), light=light)
+
+
+def _needs_robust_light(grey: Uint8s, mask: Bools) -> bool:
+    """True for a dark image, or one that lives in a small part of the grey range."""
+    if not mask.any():
+        return False
+    low, median, high = np.percentile(grey[mask], [10, 50, 90])
+    return bool(median < 50 or high - low < 50)
+
+
+def _equalised(grey: Uint8s) -> Uint8s:
+    """Contrast-limited adaptive histogram equalisation; the tiles are 1/8 of the image."""
+    return np.asarray(cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8)).apply(grey), dtype=np.uint8)
+
+
+def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int) -> _View:
+    found = sift.detect(grey, None)
+    rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], dtype=np.float64).reshape(-1, 5)
+    chosen = _spread(rows, _usable(rows, mask), grey.shape, wanted, grid_columns)
+    if len(chosen) == 0:
+        return np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32)
+    _, raw = sift.compute(grey, [found[i] for i in chosen])
+    rows = rows[chosen]
+    return rows[:, :2], _keypoint_frames(rows[:, 2], np.radians(rows[:, 3])), _root(raw), rows[:, 4].astype(np.float32)
+
+
+def _detect_tilted(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int) -> _View:
+    """Keypoints of the frame compressed by 2 in x (smoothed first, so that nothing aliases), mapped back into the frame."""
+    h, w = grey.shape
+    size = (max(w // 2, 1), h)
+    smooth = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.2, sigmaY=1e-3)
+    narrow = np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+    narrow_mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    xy, frames, descriptors, responses = _detect_view(sift, narrow, narrow_mask, wanted, max(grid_columns // 2, 1))
+    stretch = np.array([w / size[0], 1.0])
+    return (xy + 0.5) * stretch - 0.5, stretch[:, None] * frames, descriptors, responses
+
+
+def _usable(rows: Float64s, mask: Bools) -> Bools:
+    """Keypoints whose disc (diameter `size`) touches no masked pixel: the rim of a mask is no structure of the scene."""
+    h, w = mask.shape
+    if mask.all():
+        return np.ones(len(rows), dtype=bool)
+    clearance = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    x = np.clip(np.rint(rows[:, 0]).astype(int), 0, w - 1)
+    y = np.clip(np.rint(rows[:, 1]).astype(int), 0, h - 1)
+    return np.asarray(clearance[y, x] > 0.5 * rows[:, 2])
+
+
+def _spread(rows: Float64s, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int) -> np.ndarray:
+    """Rows of the keypoints to keep, strongest first; each grid cell gives its best before any gives more.
+
+    Cells that have few keypoints give them all, and what they leave over goes to the others.  Keypoints at one point and scale
+    (several orientations) count separately, and at most `MAX_ORIENTATIONS` of them stay.
+    """
+    order = np.lexsort((rows[:, 3], rows[:, 2], rows[:, 1], rows[:, 0], -rows[:, 4]))
+    order = order[usable[order]]
+    order = order[_rank_within(np.unique(rows[order][:, :3], axis=0, return_inverse=True)[1].ravel()) < MAX_ORIENTATIONS]
+    if len(order) <= wanted:
+        return order
+    cell = shape[1] / grid_columns
+    cells = (rows[order, 1] // cell).astype(np.int64) * (grid_columns + 1) + (rows[order, 0] // cell).astype(np.int64)
+    rank = _rank_within(cells)
+    return order[np.sort(np.lexsort((np.arange(len(order)), rank))[:wanted])]
+
+
+def _rank_within(groups: np.ndarray) -> np.ndarray:
+    """(n,) how many earlier entries have the same group."""
+    order = np.argsort(groups, kind="stable")
+    sorted_groups = groups[order]
+    starts = np.flatnonzero(np.r_[True, sorted_groups[1:] != sorted_groups[:-1]])[: len(groups)]
+    rank = np.empty(len(groups), dtype=np.int64)
+    rank[order] = np.arange(len(groups)) - np.repeat(starts, np.diff(np.r_[starts, len(groups)]))
+    return rank
+
+
+def _keypoint_frames(size: Float64s, angle: Float64s) -> Float64s:
+    """(n, 2, 2) scale times rotation."""
+    c, s = size * np.cos(angle), size * np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+
+
+def _root(raw: Float32s) -> Float32s:
+    """RootSIFT: unit length follows from the L1 normalisation."""
+    return np.asarray(np.sqrt(raw / np.maximum(raw.sum(axis=1, keepdims=True), 1e-12)), dtype=np.float32)

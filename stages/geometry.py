@@ -1,0 +1,156 @@
+"""Two-view geometry of a pair: F (or E, where the lenses are known), what supports it, and when it means nothing."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from .epipolar import homogeneous, symmetric_epipolar_distance
+from .robust import (
+    INLIER_FACTOR,
+    TwoView,
+    estimate_essential,
+    estimate_fundamental,
+    homography_support,
+    pose_of_fundamental,
+    rotation_support,
+)
+from .types import Features, Float64s, Geometry, Matches, Rejected, View
+
+ESSENTIAL_SUPPORT = 0.9
+"""E is kept when it has at least this share of the inliers of F, which has two freedoms more and so always a few more."""
+PLANAR_SHARE = 0.95
+"""A model without depth (homography, rotation) that explains this share of the inliers, or all but the fewest that F needs,
+leaves F undetermined: what is left over may be chance."""
+
+
+def estimate_geometry(
+    matches: Matches,
+    left: Features,
+    right: Features,
+    *,
+    threshold_px: float = 1.0,
+    use_intrinsics: bool = True,
+    min_inliers: int = 20,
+    few_inliers: int = 50,
+    min_area: float = 0.005,
+    small_area: float = 0.03,
+    seed: int = 0,
+) -> Geometry | Rejected:
+    """Estimate the epipolar geometry of a pair and say whether it can be used.
+
+    Parameters
+    ----------
+    matches : correspondences before geometry.
+    left, right : the keypoints that were matched.
+    threshold_px : noise of a correct match, pixels.
+    use_intrinsics : try the 5-point E too where both K are known, and keep the better supported.
+    min_inliers : fewer reject the pair (with 15 the error of F reaches tens of pixels).
+    few_inliers : fewer are warned about.
+    min_area : share of the image that the hull of the inliers covers, at least, in both images.
+    small_area : less than this is warned about.
+    seed : of the random samples.
+
+    Returns
+    -------
+    Geometry, or Rejected: too few, too clustered, planar scene, pure rotation; with the figures.
+
+    References
+    ----------
+    Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
+    """
+    found = _solve(matches.x1, matches.x2, matches.view1, matches.view2, threshold_px, use_intrinsics, seed)
+    count = 0 if found is None else int(found.inliers.sum())
+    figures = {"matches": float(len(matches.x1)), "inliers": float(count)}
+    if found is None or count < min_inliers:
+        return Rejected(f"too few: {count} inliers of {len(matches.x1)} matches, {min_inliers} needed", figures)
+    x1, x2 = matches.x1[found.inliers], matches.x2[found.inliers]
+
+    area = min(_hull_share(x1, matches.view1), _hull_share(x2, matches.view2))
+    figures["area_share"] = area
+    if area < min_area:
+        reason = f"too clustered: {count} inliers on {100 * area:.2f} % of the image, {100 * min_area:.2f} needed"
+        return Rejected(reason, figures)
+    plane = homography_support(x1, x2, threshold_px, seed)
+    plane_share = float(plane.mean())
+    figures["homography_share"] = plane_share
+    flat = count - plane.sum() < max(min_inliers, (1 - PLANAR_SHARE) * count)
+    if found.R is not None:
+        turned = rotation_support(x1, x2, matches.view1, matches.view2, found.R, INLIER_FACTOR * threshold_px)
+        figures["rotation_share"] = turned
+        if count * (1 - turned) < max(min_inliers, (1 - PLANAR_SHARE) * count):
+            return Rejected(f"pure rotation: {100 * turned:.0f} % of the inliers need no baseline", figures)
+    elif flat:
+        reason = f"planar scene or pure rotation: a homography explains {100 * plane_share:.0f} % of the inliers, K unknown"
+        return Rejected(reason, figures)
+
+    warnings = []
+    if count < few_inliers:
+        warnings.append(f"few inliers: {count}")
+    if area < small_area:
+        warnings.append(f"clustered: inliers on {100 * area:.1f} % of the image")
+    if flat:
+        warnings.append(f"planar scene: one homography explains {100 * plane_share:.0f} % of the inliers")
+    if found.R is None and _known(matches.view1) and _known(matches.view2) and use_intrinsics:
+        warnings.append("the intrinsics contradict the matches: F kept instead of E")
+    R, t = _pose(found, x1, x2, matches.view1, matches.view2)
+    return Geometry(
+        F=found.F,
+        x1=x1,
+        x2=x2,
+        i1=matches.i1[found.inliers],
+        i2=matches.i2[found.inliers],
+        probability=matches.probability[found.inliers],
+        view1=matches.view1,
+        view2=matches.view2,
+        cam2_R_cam1=R,
+        cam2_t_cam1=t,
+        matches=len(matches.x1),
+        inliers=count,
+        model="F" if found.R is None else "E",
+        epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, x1, x2))),
+        angle_deg=_ray_angle_deg(x1, x2, matches.view1, matches.view2, R),
+        homography_share=plane_share,
+        score=0.0,
+        good_probability=1.0,
+        warnings=tuple(warnings),
+    )
+
+
+def _solve(
+    x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, use_intrinsics: bool, seed: int
+) -> TwoView | None:
+    """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`."""
+    bare = estimate_fundamental(x1, x2, threshold_px, seed)
+    if not (use_intrinsics and _known(view1) and _known(view2)):
+        return bare
+    calibrated = estimate_essential(x1, x2, view1, view2, threshold_px, seed)
+    if bare is None or calibrated is None:
+        return calibrated or bare
+    return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * bare.inliers.sum() else bare
+
+
+def _known(view: View) -> bool:
+    return view.K is not None and view.focal_known
+
+
+def _pose(found: TwoView, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s | None, Float64s | None]:
+    """The relative pose of E, else the one nearest to F where there is some K to read it with."""
+    if found.R is not None:
+        return found.R, found.t
+    nearest = pose_of_fundamental(found.F, x1, x2, view1, view2)
+    return (None, None) if nearest is None else nearest
+
+
+def _hull_share(x: Float64s, view: View) -> float:
+    return float(cv2.contourArea(cv2.convexHull(x.astype(np.float32)))) / (view.width * view.height)
+
+
+def _ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None) -> float:
+    """Median angle between the two rays of each correspondence."""
+    if R is None or view1.K is None or view2.K is None:
+        return float("nan")
+    ray1 = homogeneous(x1) @ np.linalg.inv(view1.K).T @ R.T
+    ray2 = homogeneous(x2) @ np.linalg.inv(view2.K).T
+    cosine = np.einsum("ni,ni->n", ray1, ray2) / (np.linalg.norm(ray1, axis=1) * np.linalg.norm(ray2, axis=1))
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))

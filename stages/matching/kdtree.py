@@ -1,0 +1,26 @@
+"""Rival: Lowe's matching (IJCV 2004, section 7), randomised kd-trees of FLANN and the ratio of the two nearest distances."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..types import Float32s, Int32s
+
+_KDTREE = 1
+_TREES = 4
+_CHECKS = 200
+
+
+def kdtree_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float, seed: int) -> tuple[Int32s, Int32s, Float32s]:
+    """Rows i1, i2 whose first/second distance in set 2 is below `ratio`, and that ratio (n,); several i1 may share an i2."""
+    if len(descriptors1) == 0 or len(descriptors2) < 2:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)
+    cv2.setRNGSeed(seed)  # the trees' random splits
+    matcher = cv2.FlannBasedMatcher({"algorithm": _KDTREE, "trees": _TREES}, {"checks": _CHECKS})
+    pairs = [pair for pair in matcher.knnMatch(descriptors1, descriptors2, 2) if len(pair) == 2]
+    i1 = np.array([a.queryIdx for a, _ in pairs], np.int32)
+    i2 = np.array([a.trainIdx for a, _ in pairs], np.int32)
+    ratios = np.array([a.distance / max(b.distance, 1e-9) for a, b in pairs], np.float32)
+    keep = ratios < ratio
+    return i1[keep], i2[keep], ratios[keep]

@@ -1,0 +1,22 @@
+"""Rival: mutual nearest neighbours whose second neighbour is clearly farther, both ways."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..types import Float32s, Int32s
+from .neighbours import nearest_neighbours
+
+
+def mutual_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float32s]:
+    """Rows i1, i2 of mutual nearest neighbours with first/second distance below `ratio` both ways, and that ratio (n,)."""
+    near = nearest_neighbours(descriptors1, descriptors2, 2)
+    if near.rows.shape[1] < 2:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)
+    i1 = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows))).astype(np.int32)
+    i2 = near.rows[i1, 0]
+    forward = near.row_distance[i1, 0] / np.maximum(near.row_distance[i1, 1], 1e-9)
+    backward = near.column_distance[i2, 0] / np.maximum(near.column_distance[i2, 1], 1e-9)
+    worse = np.maximum(forward, backward)
+    keep = worse < ratio
+    return i1[keep], i2[keep], worse[keep]

@@ -1,0 +1,105 @@
+"""Keypoints are spread over the frame, keep off its mask, come in a fixed order and mean what they say."""
+
+import numpy as np
+import pytest
+
+from wbflow_stages.features import PLAIN, TILTED, detect
+from wbflow_stages.types import Features, Frame, Rejected, View
+
+
+def blobs(seed: int = 0, width: int = 480, height: int = 320) -> np.ndarray:
+    """A grey world of soft blobs: something for SIFT everywhere."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width]
+    image = np.full((height, width), 110.0)
+    for cx, cy, radius, tone in zip(
+        rng.uniform(0, width, 300), rng.uniform(0, height, 300), rng.uniform(2, 7, 300), rng.choice([-130, 130], 300), strict=True
+    ):
+        image += tone * np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / radius**2)
+    return np.clip(image, 0, 255)
+
+
+def frame(grey: np.ndarray, mask: np.ndarray | None = None) -> Frame:
+    image = np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
+    h, w = grey.shape
+    return Frame(image, np.ones((h, w), bool) if mask is None else mask, View(w, h))
+
+
+def features(grey: np.ndarray, mask: np.ndarray | None = None, **options: object) -> Features:
+    found = detect(frame(grey, mask), **options)  # type: ignore[arg-type]
+    assert isinstance(found, Features)
+    return found
+
+
+def test_descriptors_have_unit_length_and_rows_belong_together():
+    found = features(blobs())
+    n = len(found.xy)
+    assert found.frames.shape == (n, 2, 2) and found.responses.shape == (n,) and found.tilts.shape == (n,)
+    np.testing.assert_allclose(np.linalg.norm(found.descriptors, axis=1), 1, atol=1e-5)
+    assert found.keypoints == np.sum(found.tilts == PLAIN)
+
+
+def test_the_same_frame_gives_the_same_bytes():
+    first, second = features(blobs()), features(blobs())
+    for name in ("xy", "frames", "descriptors", "responses", "tilts"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+def test_no_more_keypoints_than_asked_for_and_the_strongest_first():
+    found = features(blobs(), keypoints=120, tilted_keypoints=40)
+    assert np.sum(found.tilts == PLAIN) == 120 and np.sum(found.tilts == TILTED) <= 40
+    assert (np.diff(found.responses[:120]) <= 0).all()
+
+
+def test_a_faint_half_gets_its_share_of_keypoints():
+    grey = blobs()
+    grey[:, 240:] = 110 + 0.25 * (grey[:, 240:] - 110)
+    spread = features(grey, keypoints=150, tilted_keypoints=0)
+    strongest = features(grey, keypoints=150, tilted_keypoints=0, grid_columns=1)
+    assert (spread.xy[:, 0] > 240).sum() >= 50 > (strongest.xy[:, 0] > 240).sum()
+
+
+def test_keypoints_keep_off_the_mask_and_its_rim():
+    mask = np.ones((320, 480), bool)
+    mask[:, 200:280] = False
+    found = features(np.where(mask, blobs(), 0), mask)
+    inside = (found.xy[:, 0] > 199) & (found.xy[:, 0] < 280)
+    assert not inside.any() and len(found.xy) > 100
+
+
+@pytest.mark.parametrize(("view", "elongation"), [(PLAIN, 1.0), (TILTED, 2.0)])
+def test_keypoints_lie_on_the_centres_of_their_blobs(view, elongation):
+    y, x = np.mgrid[:300, :600]
+    rng = np.random.default_rng(0)
+    centres = np.array([(60 + 115 * i, 50 + 50 * j) for i in range(5) for j in range(5)]) + rng.uniform(-0.5, 0.5, (25, 2))
+    sigma = 5.0
+    grey = 60 + sum(120 * np.exp(-0.5 * (((x - cx) / elongation) ** 2 + (y - cy) ** 2) / sigma**2) for cx, cy in centres)
+    found = features(grey, min_keypoints=5)
+    xy = found.xy[found.tilts == view]
+    nearest = np.linalg.norm(centres[:, None] - xy[None], axis=2).argmin(axis=1)
+    offset = xy[nearest] - centres
+    np.testing.assert_allclose(np.median(offset, axis=0), 0, atol=0.1)  # a shift of half a pixel would show
+
+
+def test_turning_the_image_turns_the_frames():
+    grey = blobs(width=320, height=320)
+    upright, turned = features(grey, tilted_keypoints=0), features(np.rot90(grey, -1), tilted_keypoints=0)
+    rotation = np.array([[0.0, -1.0], [1.0, 0.0]])  # clockwise: (x, y) -> (319 - y, x)
+    where = upright.xy @ rotation.T + [319, 0]
+    distance = np.linalg.norm(where[:, None] - turned.xy[None], axis=2)
+    nearest = distance.argmin(axis=1)
+    similarity = np.einsum("nd,nd->n", upright.descriptors, turned.descriptors[nearest])
+    same = (distance.min(axis=1) < 0.3) & (similarity > 0.97)
+    assert same.mean() > 0.6
+    relative = turned.frames[nearest[same]] @ np.linalg.inv(upright.frames[same])
+    assert np.median(np.abs(relative - rotation).max(axis=(1, 2))) < 0.05
+
+
+def test_an_empty_frame_is_rejected_with_its_count():
+    found = detect(frame(np.full((200, 300), 90.0)))
+    assert isinstance(found, Rejected) and found.figures["keypoints"] == 0
+
+
+@pytest.mark.parametrize(("gain", "light"), [(1.0, "plain"), (0.12, "robust")])
+def test_the_image_itself_decides_how_its_light_is_treated(gain, light):
+    assert features(gain * blobs(), min_keypoints=1).light == light
