@@ -74,7 +74,7 @@ def test_keypoints_lie_on_the_centres_of_their_blobs(view, elongation):
     centres = np.array([(60 + 115 * i, 50 + 50 * j) for i in range(5) for j in range(5)]) + rng.uniform(-0.5, 0.5, (25, 2))
     sigma = 5.0
     grey = 60 + sum(120 * np.exp(-0.5 * (((x - cx) / elongation) ** 2 + (y - cy) ** 2) / sigma**2) for cx, cy in centres)
-    found = features(grey, min_keypoints=5)
+    found = features(grey, min_keypoints=5, light="plain")
     xy = found.xy[found.tilts == view]
     nearest = np.linalg.norm(centres[:, None] - xy[None], axis=2).argmin(axis=1)
     offset = xy[nearest] - centres
