@@ -12,6 +12,7 @@ Float64s = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
 Int32s = npt.NDArray[np.int32]
 Int16s = npt.NDArray[np.int16]
+Uint32s = npt.NDArray[np.uint32]
 Uint16s = npt.NDArray[np.uint16]
 Uint8s = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
@@ -280,6 +281,23 @@ class Disparity:
 
 INVALID = -32768
 """The value of `Disparity.left` and `.right` where nothing is known."""
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth of one view, from all its pairs or refined over all views around it.
+
+    depth, sigma: (h, w) float32, along the optical axis, in world lengths; nan where unknown;
+    slope_x, slope_y: (h, w) float32, change of 1 / depth per pixel: the local plane;
+    support: (h, w) uint32, bit k set where the pair with `partners[k]` supports the depth.
+    """
+
+    depth: Float32s
+    sigma: Float32s
+    slope_x: Float32s
+    slope_y: Float32s
+    support: Uint32s
+    partners: tuple[str, ...]
 
 
 @dataclass(frozen=True)

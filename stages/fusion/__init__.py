@@ -1,0 +1,1 @@
+"""The steps of fusion, in the order in which `fuse` takes them."""

@@ -1,0 +1,204 @@
+"""Depth of one view from the disparities of its pairs: triangulation, propagated uncertainty, agreement between pairs.
+
+A pixel's sigma is what `noise_px` in the other image does to its depth, and a relative floor that stands for what no pixel noise
+explains (calibration, low-frequency errors of matching): sigma^2 = (noise_px dz/dpx)^2 + (floor z)^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..epipolar import relative_pose
+from ..kernels import kernel
+from ..rectification.mapping import Side, disparity_px, from_rectified, to_rectified
+from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """noise_px: error of a match in pixels of the other image; floor: relative error of depth that more pixels don't reduce;
+    limit: largest relative sigma at which a hypothesis is still used."""
+
+    noise_px: float = 0.35
+    floor: float = 0.0004
+    limit: float = 0.006
+
+
+def pair_depth(
+    camera: Camera, other: Camera, rectification: Rectification, disparity: Disparity, side: Side
+) -> tuple[Float32s, Float32s]:
+    """Depth (h, w) float32 of each pixel of one view of a pair, nan where unknown, and |dz/dpixel| in the other image.
+
+    Parameters
+    ----------
+    camera, other
+        The view asked for, and its partner.
+    rectification, disparity
+        Of the pair.
+    side
+        1 if `camera` is the pair's left view, 2 if it is its right one.
+    """
+    y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
+    pixels = np.column_stack([x, y]).astype(np.float64)
+    rectified = to_rectified(rectification, side, pixels)
+    d = _sample(disparity_px(disparity, side), rectified)
+    known = np.flatnonzero(np.isfinite(d))
+    shift = -d[known] if side == 1 else d[known]
+    shifted = rectified[known] + np.column_stack([shift, np.zeros(len(shift))])
+    partner = from_rectified(rectification, 2 if side == 1 else 1, shifted)
+    depth = np.full(camera.height * camera.width, np.nan, np.float32)
+    gain = np.full_like(depth, np.nan)
+    M, b = transfer(camera, other)
+    _triangulate(pixels[known], partner, M, b, known, depth, gain)
+    return depth.reshape(camera.height, camera.width), gain.reshape(camera.height, camera.width)
+
+
+def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
+    """M (3, 3), b (3,): pixel p of `camera` at depth z is seen by `other` at z M p + b, whose third entry is the depth there."""
+    R, t = relative_pose(camera, other)
+    return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
+
+
+@kernel
+def _sample(disparity: Float32s, at: Float64s) -> Float64s:
+    """Disparity at fractional positions: bilinear on a smooth surface, else the nearest pixel's, so that no edge is smeared."""
+    h, w = disparity.shape
+    out = np.full(len(at), np.nan)
+    for n in range(len(at)):
+        x, y = at[n, 0], at[n, 1]
+        if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
+            continue
+        x0, y0 = int(x), int(y)
+        fx, fy = x - x0, y - y0
+        a, b = disparity[y0, x0], disparity[y0, x0 + 1]
+        c, d = disparity[y0 + 1, x0], disparity[y0 + 1, x0 + 1]
+        if max(a, b, c, d) - min(a, b, c, d) <= 2.5 and not np.isnan(a + b + c + d):
+            out[n] = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+        else:
+            out[n] = disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)]
+    return out
+
+
+@kernel
+def _triangulate(
+    pixels: Float64s, partner: Float64s, M: Float64s, b: Float64s, index: np.ndarray, depth: Float32s, gain: Float32s
+) -> None:
+    """Closed-form least squares on the two linear equations of each partner; writes depth and |dz/dpixel| at `index`."""
+    for n in range(len(pixels)):
+        x, y = pixels[n, 0], pixels[n, 1]
+        u, v = partner[n, 0], partner[n, 1]
+        m0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
+        m1 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
+        m2 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
+        a1, b1 = m0 - u * m2, b[0] - u * b[2]
+        a2, b2 = m1 - v * m2, b[1] - v * b[2]
+        z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
+        w = z * m2 + b[2]
+        if z > 0 and w > 0:
+            du = (m0 * b[2] - b[0] * m2) / (w * w)
+            dv = (m1 * b[2] - b[1] * m2) / (w * w)
+            depth[index[n]] = z
+            gain[index[n]] = 1.0 / np.sqrt(du * du + dv * dv)
+
+
+def fuse_pairs(
+    camera: Camera, depths: Sequence[Float32s], gains: Sequence[Float32s], partners: Sequence[str], noise: NoiseModel
+) -> DepthMap:
+    """Agreement between the pairs of one view: per pixel the hypothesis with most supporters, averaged over them by 1 / sigma^2.
+
+    Parameters
+    ----------
+    depths, gains
+        (h, w) float32 of each pair, as `pair_depth` gives them; at most 32.
+    partners
+        The other camera of each pair, in the same order.
+    """
+    if len(depths) > 32:
+        raise ValueError(f"{len(depths)} pairs of one view, at most 32 can be fused")
+    Z, G = np.stack(depths), np.stack(gains)
+    h, w = Z.shape[1:]
+    depth, sigma = np.full((h, w), np.nan, np.float32), np.full((h, w), np.nan, np.float32)
+    support = np.zeros((h, w), np.uint32)
+    _agree(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
+    slope_x, slope_y = inverse_depth_slopes(depth, camera.K[0, 0])
+    return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners))
+
+
+@kernel
+def _agree(
+    Z: Float32s, G: Float32s, noise: float, floor: float, limit: float, depth: Float32s, sigma: Float32s, support: Uint32s
+) -> None:
+    n, h, w = Z.shape
+    s = np.empty(n)
+    for y in range(h):
+        for x in range(w):
+            for k in range(n):
+                s[k] = np.sqrt((noise * G[k, y, x]) ** 2 + (floor * Z[k, y, x]) ** 2)
+                if not s[k] <= limit * Z[k, y, x]:
+                    s[k] = np.nan
+            best = 0.0
+            for k in range(n):
+                if np.isnan(s[k]):
+                    continue
+                z = Z[k, y, x]
+                score, total, weights, mask = 0.0, 0.0, 0.0, np.uint32(0)
+                for m in range(n):
+                    tolerance = min(3.0 * np.sqrt(s[k] ** 2 + s[m] ** 2), 0.016 * z)
+                    if abs(Z[m, y, x] - z) <= tolerance:  # never true where s[m] is nan
+                        weight = 1.0 / s[m] ** 2
+                        total += weight * Z[m, y, x]
+                        weights += weight
+                        score += 1.0 + 0.1 * floor * z / s[m]  # among equals, the more exact
+                        mask |= np.uint32(1) << np.uint32(m)
+                if score > best:
+                    best = score
+                    depth[y, x] = total / weights
+                    sigma[y, x] = max(1.0 / np.sqrt(weights), floor * z)
+                    support[y, x] = mask
+
+
+def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tuple[Float32s, Float32s]:
+    """(h, w) float32 each: how 1/z changes per pixel in x and in y, from a robust local plane; 0 where depth is unknown."""
+    slope_x, slope_y = np.zeros_like(depth), np.zeros_like(depth)
+    steepest = 2.75 / focal  # a surface turned 70 degrees away changes its depth by tan(70) / focal per pixel
+    _slopes((1.0 / depth).astype(np.float32), radius, steepest, slope_x, slope_y)
+    return slope_x, slope_y
+
+
+@kernel
+def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_y: Float32s) -> None:
+    """Least squares through the centre over neighbours on the same surface."""
+    h, w = q.shape
+    for y in range(h):
+        for x in range(w):
+            c = q[y, x]
+            if np.isnan(c):
+                continue
+            xx, yy, xy, xq, yq = 1.0, 1.0, 0.0, 0.0, 0.0
+            for j in range(max(0, y - radius), min(h, y + radius + 1)):
+                for i in range(max(0, x - radius), min(w, x + radius + 1)):
+                    dx, dy = i - x, j - y
+                    e = q[j, i] - c
+                    if abs(e) <= steepest * c * max(abs(dx), abs(dy)):
+                        xx += dx * dx
+                        yy += dy * dy
+                        xy += dx * dy
+                        xq += dx * e
+                        yq += dy * e
+            det = xx * yy - xy * xy
+            slope_x[y, x] = (xq * yy - yq * xy) / det
+            slope_y[y, x] = (yq * xx - xq * xy) / det
+
+
+def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np.ndarray) -> Float64s:
+    """(n, 3) unit normals of the local planes at pixels of a view, turned toward the camera.
+
+    A plane is linear in inverse depth, 1/z = (A, B, c) (x, y, 1), hence (A, B, c) K X = 1 for its points X in camera axes.
+    """
+    A, B = depth.slope_x[rows, columns].astype(np.float64), depth.slope_y[rows, columns].astype(np.float64)
+    c = 1.0 / depth.depth[rows, columns].astype(np.float64) - A * columns - B * rows
+    normals = -np.column_stack([A, B, c]) @ camera.K @ camera.R
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True), dtype=np.float64)

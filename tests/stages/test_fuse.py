@@ -1,0 +1,149 @@
+"""From disparities of pairs to one cloud."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pytest
+from exact_scene import make_yard, true_depth
+
+from wbflow_stages.fuse import fuse
+from wbflow_stages.types import Cloud, Frame, Rejected
+
+
+def fused(yard, **parameters) -> Cloud:
+    cloud = fuse(yard.frames, yard.cameras, yard.rectifications, yard.disparities, **parameters)
+    assert isinstance(cloud, Cloud)
+    return cloud
+
+
+def test_exact_disparities_give_points_on_the_surfaces():
+    yard = make_yard()
+    cloud = fused(yard)
+    assert len(cloud.points) > 8000
+    distance = yard.distance(cloud.points)
+    assert np.percentile(distance, 95) < 0.01  # at 9 m, where a pixel covers 3.4 cm and disparities are stored to 1/16 px
+    assert np.median(distance) < 0.004
+
+
+def test_normals_have_unit_length_face_the_cameras_and_stand_on_their_surface():
+    yard = make_yard()
+    cloud = fused(yard)
+    assert np.allclose(np.linalg.norm(cloud.normals, axis=1), 1, atol=1e-5)
+    toward = np.mean([camera.C for camera in yard.cameras.values()], axis=0) - cloud.points
+    assert (np.einsum("ni,ni->n", toward, cloud.normals) > 0).mean() > 0.99
+    ground = (np.abs(cloud.points[:, 2]) < 0.02) & (cloud.points[:, 1] < 3.0)
+    assert np.median(cloud.normals[ground] @ [0, 0, 1]) > 0.995
+
+
+@pytest.mark.parametrize("exposures", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.1)])
+def test_a_surface_has_one_colour_whatever_the_exposures(exposures):
+    """Without balance a stop's difference would show as patches: here colours follow the true ones by one common factor."""
+    yard = make_yard(exposures=exposures)
+    cloud = fused(yard)
+    truth, seen = yard.colour(cloud.points), cloud.colors.astype(float)
+    factor = np.median(seen / truth)
+    assert min(exposures) <= factor + 0.01 and factor <= max(exposures)
+    assert np.abs(seen - factor * truth).mean() < 4
+
+
+def test_wrong_matches_are_outvoted():
+    yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.2, wrong=0.15)
+    lenient, strict = fused(yard), fused(yard, strict=3)
+    share = [(yard.distance(cloud.points) > 0.15).mean() for cloud in (lenient, strict)]
+    assert share[0] < 0.15 and share[1] < 0.01
+    assert len(strict.points) > 0.5 * len(lenient.points)
+
+
+def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error():
+    yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.1)
+    cloud = fused(yard)
+    distance = yard.distance(cloud.points)
+    sure = cloud.confidence >= np.median(cloud.confidence)
+    assert (distance[sure] > 0.1).mean() < 0.3 * (distance[~sure] > 0.1).mean()
+    assert cloud.confidence.min() >= 0 and cloud.confidence.max() <= 1
+    good = distance < 0.1
+    assert 0.2 < np.median(distance[good]) / np.median(cloud.sigma_mm[good] / 1000) < 2
+    assert cloud.views.max() <= 5 and cloud.views.min() >= 2
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(0.05, (0, 0, 0)), (100.0, (0, 0, 0)), (1.0, (3000.0, -2000.0, 500.0))])
+def test_a_desk_and_a_quarry_give_the_same_cloud(scale, shift):
+    here, there = fused(make_yard()), fused(make_yard(scale=scale, shift=shift))
+    assert len(there.points) == pytest.approx(len(here.points), rel=0.03)
+    assert np.median(there.sigma_mm) == pytest.approx(scale * np.median(here.sigma_mm), rel=0.03)
+    yard = make_yard(scale=scale, shift=shift)
+    assert np.percentile(yard.distance(there.points), 95) < 0.011
+
+
+def test_the_voxel_can_be_set():
+    cloud = fused(make_yard(), voxel_m=0.2)
+    assert len(np.unique(np.floor(cloud.points / 0.2), axis=0)) > 0.5 * len(cloud.points)
+    assert len(cloud.points) < 5000
+
+
+def test_masked_pixels_give_no_points():
+    yard = make_yard()
+    frames = {name: Frame(f.image, np.zeros_like(f.mask), f.view) for name, f in yard.frames.items()}
+    assert isinstance(fuse(frames, yard.cameras, yard.rectifications, yard.disparities), Rejected)
+
+
+def test_without_pairs_the_reason_is_given():
+    yard = make_yard()
+    answer = fuse(yard.frames, yard.cameras, {}, {})
+    assert isinstance(answer, Rejected) and "no pair" in answer.reason
+
+
+def test_pairs_of_unsolved_cameras_are_passed_over():
+    yard = make_yard()
+    cameras = {name: yard.cameras[name] for name in list(yard.cameras)[:2]}
+    cloud = fuse(yard.frames, cameras, yard.rectifications, yard.disparities)
+    assert isinstance(cloud, Cloud) and cloud.views.max() == 2
+
+
+def test_the_same_inputs_give_the_same_bytes():
+    clouds = [fused(make_yard(noise_px=0.3)) for _ in range(2)]
+    for name in ("points", "normals", "colors", "confidence", "views", "sigma_mm"):
+        assert getattr(clouds[0], name).tobytes() == getattr(clouds[1], name).tobytes()
+
+
+class Counting(Mapping):
+    """A lazy mapping that notes how often an item is loaded."""
+
+    def __init__(self, items) -> None:
+        self.items_, self.loads = dict(items), 0
+
+    def __getitem__(self, key):
+        self.loads += 1
+        return self.items_[key]
+
+    def __iter__(self) -> Iterator:
+        return iter(self.items_)
+
+    def __len__(self) -> int:
+        return len(self.items_)
+
+
+def test_each_disparity_is_loaded_once_for_each_of_its_views():
+    yard = make_yard()
+    lazy = Counting(yard.disparities)
+    fuse(yard.frames, yard.cameras, yard.rectifications, lazy)
+    assert lazy.loads == 2 * len(yard.disparities)
+
+
+def test_a_refined_depth_takes_the_place_of_the_pairs():
+    from wbflow_stages.fusion.depth import inverse_depth_slopes
+    from wbflow_stages.types import DepthMap
+
+    yard = make_yard()
+    refined = {}
+    for name, camera in yard.cameras.items():
+        depth = true_depth(camera).astype(np.float32)
+        partners = tuple(other for other in yard.cameras if other != name)
+        support = np.full(depth.shape, 1, np.uint32)
+        refined[name] = DepthMap(depth, 0.001 * depth, *inverse_depth_slopes(depth, camera.K[0, 0]), support, partners)
+    lazy = Counting(yard.disparities)
+    cloud = fuse(yard.frames, yard.cameras, yard.rectifications, lazy, refined)
+    assert isinstance(cloud, Cloud) and lazy.loads == 0
+    assert np.percentile(yard.distance(cloud.points), 95) < 0.001
