@@ -1,0 +1,177 @@
+"""How a dataclass of arrays becomes bytes and back: a JSON header, then one zstd frame for each array.  No pickle, ever.
+
+Layout: b"WBF1", length of the header (uint32, little-endian), header (JSON), array frames.  Equal objects give equal bytes.
+The header alone rebuilds an object that holds no arrays, so small artifacts are read without importing numpy.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+MAGIC = b"WBF1"
+
+
+class ArtifactError(ValueError):
+    """The bytes are not an intact artifact."""
+
+
+def encode(value: Any) -> bytes:
+    """Bytes of a dataclass whose fields are arrays, scalars, strings, tuples, mappings or further dataclasses.
+
+    Raises
+    ------
+    TypeError
+        A field holds something else.
+    """
+    frames: list[bytes] = []
+    tree = _tree(value, frames)
+    header = json.dumps(tree, separators=(",", ":"), sort_keys=False).encode()
+    return b"".join([MAGIC, len(header).to_bytes(4, "little"), header, *frames])
+
+
+def decode(data: bytes) -> Any:
+    """The object that `encode` was given (arrays are writable copies).
+
+    Raises
+    ------
+    ArtifactError
+        The bytes are cut short or not an artifact.
+    """
+    if data[:4] != MAGIC or len(data) < 8:
+        raise ArtifactError("not a wbflow artifact")
+    end = 8 + int.from_bytes(data[4:8], "little")
+    try:
+        tree = json.loads(data[8:end])
+    except ValueError as error:
+        raise ArtifactError(f"unreadable header: {error}") from error
+    return _untree(tree, memoryview(data), end)
+
+
+def digest(data: bytes) -> str:
+    """The content digest by which artifacts are compared: 32 hexadecimal digits of SHA-256."""
+    return hashlib.sha256(data).hexdigest()[:32]
+
+
+def file_digest(path: Path) -> str:
+    """`digest` of a file, read in pieces.  Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+
+
+def parts(value: Any) -> dict[str, str]:
+    """Digests of what can be needed on its own: each dataclass field, and each dataclass entry of a mapping field.
+
+    A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when something else in there changes.
+    """
+    found: dict[str, str] = {}
+    for name in (f.name for f in dataclasses.fields(value)):
+        field = getattr(value, name)
+        if dataclasses.is_dataclass(field):
+            found[name] = digest(encode(field))
+        elif isinstance(field, Mapping):
+            found |= {f"{name}[{key}]": digest(encode(entry)) for key, entry in field.items() if dataclasses.is_dataclass(entry)}
+            found[name] = digest(json.dumps([(_key(k), found.get(f"{name}[{k}]", "")) for k in field]).encode())
+    return found
+
+
+def figures(value: Any) -> dict[str, Any]:
+    """Fields of a dataclass that are scalars, or tuples of them, by name; the number of rows of its arrays as `<field>_count`."""
+    found: dict[str, Any] = {}
+    for name in (f.name for f in dataclasses.fields(value)):
+        field = getattr(value, name)
+        if _is_plain(field):
+            found[name] = field
+        elif hasattr(field, "shape") and field.shape:
+            found[f"{name}_count"] = int(field.shape[0])
+    return found
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_is_plain, value))
+    return value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))
+
+
+def _tree(value: Any, frames: list[bytes]) -> Any:
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if hasattr(value, "dtype"):
+        return _array_tree(value, frames)
+    if dataclasses.is_dataclass(value):
+        kind = type(value)
+        fields = {f.name: _tree(getattr(value, f.name), frames) for f in dataclasses.fields(value)}
+        return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
+    if isinstance(value, Mapping):
+        return {"map": [[_key(key), _tree(entry, frames)] for key, entry in value.items()]}
+    if isinstance(value, tuple | list):
+        return {"tuple": [_tree(item, frames) for item in value]}
+    raise TypeError(f"{type(value).__name__} cannot be kept in an artifact")
+
+
+def _key(key: Any) -> Any:
+    return list(key) if isinstance(key, tuple) else key
+
+
+def _array_tree(array: Any, frames: list[bytes]) -> Any:
+    import numpy as np
+    import zstandard
+
+    shape = list(array.shape)
+    array = np.ascontiguousarray(array)
+    if array.dtype.byteorder == ">":
+        array = array.astype(array.dtype.newbyteorder("<"))
+    if array.dtype.hasobject:
+        raise TypeError("an array of Python objects cannot be kept in an artifact")
+    frames.append(zstandard.ZstdCompressor(level=1).compress(array.tobytes()))
+    return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
+
+
+def _untree(tree: Any, data: memoryview, start: int) -> Any:
+    """Rebuild depth first; array frames lie in the order in which the header names them."""
+    position = start
+
+    def build(node: Any) -> Any:
+        nonlocal position
+        if not isinstance(node, dict):
+            return node
+        if "array" in node:
+            frame = data[position : position + node["bytes"]]
+            position += node["bytes"]
+            return _array(node, frame)
+        if "tuple" in node:
+            return tuple(build(item) for item in node["tuple"])
+        if "map" in node:
+            return {tuple(key) if isinstance(key, list) else key: build(entry) for key, entry in node["map"]}
+        kind = _dataclass(node["type"])
+        known = {f.name for f in dataclasses.fields(kind)}
+        return kind(**{name: build(field) for name, field in node["fields"].items() if name in known})
+
+    return build(tree)
+
+
+def _array(node: dict[str, Any], frame: memoryview) -> Any:
+    import numpy as np
+    import zstandard
+
+    try:
+        raw = zstandard.ZstdDecompressor().decompress(frame)
+        return np.frombuffer(bytearray(raw), dtype=np.dtype(node["array"])).reshape(node["shape"])
+    except (zstandard.ZstdError, ValueError) as error:
+        raise ArtifactError(f"damaged array: {error}") from error
+
+
+def _dataclass(name: str) -> Any:
+    module, _, qualified = name.partition(":")
+    kind: Any = importlib.import_module(module)
+    for attribute in qualified.split("."):
+        kind = getattr(kind, attribute)
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        raise ArtifactError(f"{name} is not a dataclass")
+    return kind

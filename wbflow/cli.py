@@ -1,0 +1,306 @@
+"""The command line: commands, options and exit codes; nothing else.  Imports only what a command needs, when it needs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from . import __version__
+
+if TYPE_CHECKING:
+    import datetime
+
+    from .plan import State
+    from .run import Finished, Options
+    from .site import Site
+
+USAGE = 2
+FAILED = 1
+LOCKED = 4
+
+
+_PATH = click.Path(path_type=Path)
+_site = click.argument("site", metavar="SITE.yaml", type=_PATH)
+_work = click.option(
+    "--work", type=_PATH, metavar="DIR", help="Work folder (default: `work:` of the site, else .wbflow/<site>/ beside it)."
+)
+_date = click.option(
+    "--date", type=click.DateTime(["%Y-%m-%d"]), help="Night to work on (default: the newest that has captures)."
+)
+_verbose = click.option("-v", "--verbose", is_flag=True, help="Every task, and tracebacks.")
+_until = click.option("--until", metavar="STAGE", help="Stop after this stage.")
+_force = click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="wbflow")
+def main() -> None:
+    """A metric, coloured point cloud of a site, every night, from fixed cameras far apart.
+
+    Exit codes: 0 complete; 1 no cloud could be made; 2 wrong usage or site file; 3 a cloud, but something failed;
+    4 another run holds the work folder; 130 interrupted (everything finished is kept).
+    """
+
+
+@main.command()
+@_site
+@_date
+@_work
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, metavar="N", help="Workers (default: all cores)."
+)
+@_until
+@_force
+@click.option("--dry-run", is_flag=True, help="Say what would run, and why; write nothing.")
+@click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
+@click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
+@click.option("--backend", type=click.Choice(["loky", "threading", "dask"]), default="loky", help="Where tasks run.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
+@_verbose
+@click.option("-q", "--quiet", is_flag=True, help="Only what went wrong.")
+def run(
+    site: Path,
+    date: datetime.datetime | None,
+    work: Path | None,
+    jobs: int,
+    until: str | None,
+    force: tuple[str, ...],
+    dry_run: bool,
+    wait: bool,
+    as_json: bool,
+    backend: str,
+    scheduler: str | None,
+    verbose: bool,
+    quiet: bool,
+) -> None:
+    """The night's work: from captures to cloud and report.  What has not changed is taken from the cache."""
+    loaded = _load(site, work)
+    _check_names(loaded, until, force)
+    if backend == "dask" and not scheduler:
+        _stop(USAGE, "--backend dask needs --scheduler ADDRESS, e.g. tcp://host:8786")
+    if dry_run:
+        _explain(loaded, date, until, force)
+        return
+    from .run import Options
+
+    options = Options(_day(date), jobs, until, force, wait, backend, scheduler)
+    finished = _run(loaded, options, verbose, quiet or as_json)
+    if as_json:
+        click.echo(json.dumps(finished.record, indent=1))
+    elif not quiet:
+        _summary(finished)
+    sys.exit(finished.record["exit_code"])
+
+
+@main.command()
+@_site
+@_date
+@_work
+@_until
+def status(site: Path, date: datetime.datetime | None, work: Path | None, until: str | None) -> None:
+    """What is cached, what would run, and why."""
+    loaded = _load(site, work)
+    _check_names(loaded, until, ())
+    _explain(loaded, date, until, ())
+
+
+@main.command()
+@_site
+@_date
+@_work
+def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None:
+    """Site, captures and machine examined without running; every finding, with its remedy."""
+    loaded = _load(site, work)
+    from .check import check as examine
+
+    findings = examine(loaded, _day(date))
+    for finding in findings:
+        click.echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
+    if not findings:
+        click.echo(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
+    sys.exit(min((f.code for f in findings if f.severity == "error"), default=0))
+
+
+@main.command()
+@_site
+@click.argument("run_id", metavar="[RUN]", required=False)
+@_work
+def report(site: Path, run_id: str | None, work: Path | None) -> None:
+    """(Re)build a run's report."""
+    loaded = _load(site, work)
+    from .files import write_atomic
+    from .report.page import build_report
+
+    folder = _run_folder(loaded, run_id)
+    write_atomic(folder / "report.html", build_report(loaded.work, folder).encode())
+    click.echo(folder / "report.html")
+
+
+@main.command()
+@_site
+@_work
+def history(site: Path, work: Path | None) -> None:
+    """Runs: when, how long, cached/ran/failed, cloud size, exit code."""
+    loaded = _load(site, work)
+    if not (loaded.work / "runs").is_dir():
+        _stop(0, f"{loaded.name} has no runs yet: wbflow run {site}")
+    from .ledger import Ledger
+
+    with Ledger(loaded.work) as ledger:
+        runs = ledger.runs()
+    click.echo(
+        f"{'run':17} {'night':10} {'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6} {'points':>11} exit"
+    )
+    for r in runs:
+        points = f"{r['points']:,}" if r["points"] else "-"
+        figures = f"{r['wall']:8.1f} {r['cpu']:8.1f} {r['cached']:6} {r['ran']:5} {r['rejected']:8} {r['failed']:6}"
+        click.echo(f"{r['run']:17} {r['date']:10} {figures} {points:>11} {r['exit_code']:4}")
+
+
+@main.command()
+@_site
+@click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Runs whose artifacts stay.")
+@click.option("--dry-run", is_flag=True, help="Only say how much would go.")
+@_work
+def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
+    """Remove artifacts that the last N runs don't use."""
+    loaded = _load(site, work)
+    from .clean import clean as remove
+    from .lock import Locked, hold
+
+    try:
+        with hold(loaded.work / "lock", wait=False):
+            done = remove(loaded.work, keep, dry_run)
+    except Locked as locked:
+        _stop(LOCKED, str(locked))
+    verb = "would remove" if dry_run else "removed"
+    click.echo(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
+
+
+@main.command()
+@click.argument("folder", metavar="DIR", type=_PATH)
+@click.option("--small", is_flag=True, help="4 cameras at 320x180: rendered in seconds.")
+@click.option("--light", type=click.Choice(["day", "dusk", "night"]), default="day", help="Time of day.")
+def demo(folder: Path, small: bool, light: str) -> None:
+    """Render the demo site (captures, site.yaml, truth) into DIR."""
+    from .demo import write_demo
+
+    try:
+        write_demo(folder, small=small, light=light)
+    except (FileExistsError, ValueError) as error:
+        _stop(USAGE, str(error))
+    click.echo(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
+
+
+@main.command()
+@click.argument("run_a", type=_PATH)
+@click.argument("run_b", type=_PATH)
+def compare(run_a: Path, run_b: Path) -> None:
+    """Two nights side by side: folders of two runs."""
+    from .compare import compare as rows
+    from .compare import read_run
+
+    try:
+        table = rows(read_run(run_a), read_run(run_b))
+    except ValueError as error:
+        _stop(USAGE, str(error))
+    for row in table:
+        click.echo(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
+
+
+def _day(date: datetime.datetime | None) -> datetime.date | None:
+    return date.date() if date else None
+
+
+def _load(path: Path, work: Path | None) -> Site:
+    from .site import load_site
+    from .yamlfile import SiteError
+
+    try:
+        return load_site(path, work.resolve() if work else None)
+    except SiteError as error:
+        count = len(error.problems)
+        _stop(USAGE, f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done")
+
+
+def _check_names(site: Site, until: str | None, force: tuple[str, ...]) -> None:
+    from .pipeline import STAGES
+
+    names = [stage.name for stage in STAGES]
+    if until and until not in names:
+        _stop(USAGE, f"--until {until}: there is no such stage; stages are {', '.join(names)}")
+    for name in force:
+        if name.split(" ")[0] not in names:
+            _stop(USAGE, f"--force {name!r}: name a stage ({', '.join(names)}) or a task such as 'matches gate--roof'")
+
+
+def _run(site: Site, options: Options, verbose: bool, quiet: bool) -> Finished:
+    from .lock import Locked
+    from .run import run as work
+
+    def listen(task: str, state: State, trace: str | None) -> None:
+        if state.outcome in {"failed", "rejected"} or verbose:
+            stream = sys.stderr if quiet or state.outcome == "failed" else sys.stdout
+            stage, _, subject = task.partition(" ")
+            if not quiet or state.outcome == "failed":
+                click.echo(f"{subject or site.name:20} {stage:10} {state.outcome:9} {state.reason or ''}".rstrip(), file=stream)
+        if trace and verbose:
+            click.echo(trace, err=True)
+
+    try:
+        return work(site, options, listen)
+    except Locked as locked:
+        _stop(LOCKED, f"{locked}\n  wait for it (--wait), or stop it")
+    except OSError as error:
+        if verbose:
+            traceback.print_exc()
+        _stop(
+            FAILED,
+            f"{error.filename or site.work}: {error.strerror or error}\n  check the disk and the rights on the work folder",
+        )
+
+
+def _summary(finished: Finished) -> None:
+    record = finished.record
+    tasks = ", ".join(f"{count} {name}" for name, count in record["tasks"].items() if count)
+    click.echo(f"{tasks or 'nothing to do'}; {record['seconds']['wall']:.1f} s, {record['seconds']['cpu']:.1f} CPU s")
+    if record["cloud"]:
+        click.echo(f"cloud   {finished.folder / 'cloud.ply'}  ({record['cloud']['points']:,} points)")
+    elif record["reason"]:
+        click.echo(f"no cloud: {record['reason']}", err=True)
+    click.echo(f"report  {finished.folder / 'report.html'}")
+
+
+def _explain(site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...]) -> None:
+    from .night import open_night
+    from .status import explain
+
+    plan = open_night(site, _day(date), until, force).plan
+    plan.refresh()
+    for line in explain(plan):
+        click.echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
+    if not plan.pairs_known() and any(stage.name == "pairs" for stage in plan.stages()):
+        click.echo("(tasks of pairs are listed once the pair graph is known)")
+
+
+def _run_folder(site: Site, run_id: str | None) -> Path:
+    runs = site.work / "runs"
+    known = sorted(p.name for p in runs.glob("*") if (p / "run.json").is_file() and not p.is_symlink())
+    if not known:
+        _stop(USAGE, f"{site.name} has no runs yet")
+    if run_id in (None, "latest"):
+        return runs / known[-1] if run_id is None else (runs / "latest").resolve()
+    if run_id not in known:
+        _stop(USAGE, f"there is no run {run_id!r}; the last ones are {', '.join(known[-3:])}")
+    return runs / str(run_id)
+
+
+def _stop(code: int, message: str) -> NoReturn:
+    click.echo(message, err=code != 0)
+    sys.exit(code)

@@ -1,0 +1,54 @@
+"""One writer for each work folder: an flock, which the kernel frees when its process dies, however it dies."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import fcntl
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+
+class Locked(Exception):
+    """Another run holds the work folder; the message says who and since when."""
+
+
+@contextlib.contextmanager
+def hold(path: Path, wait: bool) -> Iterator[None]:
+    """Hold the lock file while the block runs.
+
+    Raises
+    ------
+    Locked
+        Another process holds it and `wait` is False.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+") as file:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if not wait:
+                    raise Locked(f"another run holds {path.parent}: {_holder(path)}") from None
+                time.sleep(0.2)
+        file.truncate(0)
+        since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}))
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)
+
+
+def _holder(path: Path) -> str:
+    try:
+        who = json.loads(path.read_text())
+        return f"process {who['pid']} on {who['host']} since {who['since']}"
+    except (OSError, ValueError, KeyError):
+        return "its process has not said who it is"

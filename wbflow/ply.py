@@ -1,0 +1,72 @@
+"""Point clouds as binary little-endian PLY with named columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Columns = Mapping[str, npt.NDArray[Any]]
+
+_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int"}
+
+
+def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes:
+    """A PLY file with one vertex property for each column (1-D arrays of equal length)."""
+    import numpy as np
+
+    count = len(next(iter(columns.values())))
+    table = np.empty(count, dtype=[(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
+    properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
+    return "\n".join([*head, *properties, "end_header", ""]).encode() + table.tobytes()
+
+
+def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Vertex columns of a binary little-endian PLY by name.
+
+    Raises
+    ------
+    ValueError
+        Another PLY format, list properties, or fewer bytes than the header promises.
+    """
+    import numpy as np
+
+    data = path.read_bytes()
+    end = data.find(b"end_header\n")
+    lines = data[:end].decode("ascii", "replace").split("\n") if end >= 0 else []
+    if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise ValueError(f"{path}: not a binary little-endian PLY file")
+    sizes = {kind: code for code, kind in _TYPES.items()}
+    words = [line.split() for line in lines]
+    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
+    dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in words if w and w[0] == "property"])
+    body = data[end + len(b"end_header\n") :]
+    if len(body) < count * dtype.itemsize:
+        raise ValueError(f"{path}: ends after {len(data):,} bytes, {count:,} points were promised")
+    table = np.frombuffer(body, dtype=dtype, count=count)
+    return {name: table[name].copy() for name in dtype.names or ()}
+
+
+def cloud_bytes(cloud: Any) -> bytes:
+    """PLY of a `Cloud` (points, normals, colors, confidence, views, sigma_mm)."""
+    columns = {
+        **{name: cloud.points[:, i] for i, name in enumerate(("x", "y", "z"))},
+        **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
+        **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
+        "confidence": cloud.confidence,
+        "views": cloud.views,
+        "sigma_mm": cloud.sigma_mm,
+    }
+    return ply_bytes(columns, comments=("made by wbflow",))
+
+
+def cloud_figures(cloud: Any) -> dict[str, Any]:
+    """Corners of the box around a `Cloud`, for the records."""
+    return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}

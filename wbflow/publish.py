@@ -1,0 +1,81 @@
+"""A run's folder: put together under another name, then renamed; `runs/latest` never shows half a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from . import artifact
+from .files import sync_folder, write_atomic
+from .night import Night
+from .plan import Plan, State, Task
+
+
+@dataclass(frozen=True)
+class Publication:
+    """The products of a run, read back from the cache and found intact: cloud (PLY bytes) and cameras (JSON text)."""
+
+    cloud: bytes | None = None
+    cameras: str | None = None
+
+    @staticmethod
+    def collect(plan: Plan) -> Publication:
+        """Raises DamagedArtifact."""
+        fuse, poses = plan.states.get(Task("fuse", ())), plan.states.get(Task("poses", ()))
+        cloud = _bytes(plan, Task("fuse", ()), fuse)
+        solved = _bytes(plan, Task("poses", ()), poses)
+        cameras = None if solved is None else cameras_json(artifact.decode(solved))
+        return Publication(cloud, cameras)
+
+
+def cameras_json(poses: Any) -> str:
+    """Cameras in the form that `calibration:` reads."""
+    entries = {
+        name: {
+            "K": camera.K.tolist(),
+            "R": camera.R.tolist(),
+            "C": camera.C.tolist(),
+            "width": camera.width,
+            "height": camera.height,
+        }
+        for name, camera in poses.cameras.items()
+    }
+    return json.dumps(entries, indent=1)
+
+
+def publish(night: Night, record: dict[str, Any], events: list[dict[str, Any]], products: Publication) -> Path:
+    """Write runs/<id>/ and, when there is a cloud, point runs/latest at it."""
+    runs = night.site.work / "runs"
+    name = str(record["run"])
+    folder, final = runs / f".{name}.tmp", runs / name
+    folder.mkdir(parents=True)
+    if products.cloud is not None:
+        write_atomic(folder / "cloud.ply", products.cloud)
+    if products.cameras is not None:
+        write_atomic(folder / "cameras.json", products.cameras.encode())
+    write_atomic(folder / "log.jsonl", "".join(json.dumps(event) + "\n" for event in events).encode())
+    write_atomic(folder / "run.json", json.dumps(record, indent=1).encode())
+    try:
+        from .report.page import build_report
+
+        write_atomic(folder / "report.html", build_report(night.site.work, folder).encode())
+    except Exception as error:  # the night's work is done: a report that cannot be drawn must not lose it
+        write_atomic(folder / "report.html", f"<!doctype html><title>wbflow</title><p>No report: {error!r}".encode())
+    folder.rename(final)
+    sync_folder(runs)
+    if products.cloud is not None:
+        link = runs / ".latest.tmp"
+        link.unlink(missing_ok=True)
+        link.symlink_to(final.name)
+        link.replace(runs / "latest")
+        sync_folder(runs)
+    (night.site.work / "cache" / ".writing").unlink(missing_ok=True)
+    return final
+
+
+def _bytes(plan: Plan, task: Task, state: State | None) -> bytes | None:
+    if state is None or not state.usable or state.receipt is None:
+        return None
+    return plan.cache.read(str(task), plan.cache.path(state.receipt), state.receipt.digest)

@@ -1,0 +1,122 @@
+"""What is written of a run: run.json (its form is a contract), made from the states of a plan."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass, field
+from typing import Any
+
+from . import __version__
+from .plan import Plan, State, Task
+
+STAMP = "%Y-%m-%dT%H:%M:%SZ"
+
+
+@dataclass
+class Measures:
+    """Costs of a run, summed as tasks finish.  stages: wall and CPU seconds and number of tasks that ran, by stage."""
+
+    started: datetime.datetime
+    wall: float = 0.0
+    cpu: float = 0.0
+    peak_rss_mb: float = 0.0
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def add(self, stage: str, wall: float, cpu: float, peak_rss_mb: float) -> None:
+        """Count a task that ran."""
+        row = self.stages.setdefault(stage, {"wall": 0.0, "cpu": 0.0, "tasks": 0})
+        row["wall"] += wall
+        row["cpu"] += cpu
+        row["tasks"] += 1
+        self.cpu += cpu
+        self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb)
+
+
+def run_record(run: str, plan: Plan, measures: Measures, finished: datetime.datetime, interrupted: bool) -> dict[str, Any]:
+    """run.json of a run."""
+    counts = dict.fromkeys(("cached", "ran", "rejected", "failed", "skipped"), 0)
+    for state in plan.states.values():
+        counts[state.outcome] += 1
+    cameras = [_camera(plan, camera.id) for camera in plan.site.cameras]
+    fuse = plan.states.get(Task("fuse", ()))
+    figures = fuse.receipt.figures if fuse and fuse.usable and fuse.receipt else None
+    cloud = {"path": "cloud.ply", "points": figures["points_count"], "bounds": figures["bounds"]} if figures else None
+    return {
+        "run": run,
+        "site": plan.site.name,
+        "version": __version__,
+        "date": plan.night,
+        "started": measures.started.strftime(STAMP),
+        "finished": finished.strftime(STAMP),
+        "exit_code": 130 if interrupted else exit_code(plan, cameras),
+        "tasks": counts,
+        "seconds": {
+            "wall": round(measures.wall, 2),
+            "cpu": round(measures.cpu, 2),
+            "stages": {name: {k: round(v, 2) for k, v in row.items()} for name, row in measures.stages.items()},
+        },
+        "peak_rss_mb": round(measures.peak_rss_mb),
+        "cameras": cameras,
+        "pairs": [_pair(plan, pair) for pair in _pairs(plan)],
+        "cloud": cloud,
+        "reason": fuse.reason if fuse and not fuse.usable else None,
+    }
+
+
+def exit_code(plan: Plan, cameras: list[dict[str, Any]]) -> int:
+    """0 complete, 1 no cloud, 3 something failed."""
+    fuse = plan.states.get(Task("fuse", ()))
+    if any(stage.name == "fuse" for stage in plan.stages()) and not (fuse and fuse.usable):
+        return 1
+    lost = any(state.outcome == "failed" for state in plan.states.values()) or any(c["outcome"] != "ok" for c in cameras)
+    return 3 if lost else 0
+
+
+def _camera(plan: Plan, camera: str) -> dict[str, Any]:
+    states = [plan.states.get(Task(stage, (camera,))) for stage in ("frames", "features")]
+    record: dict[str, Any] = {"id": camera, "outcome": "ok", "keypoints": None, "reason": None, "notes": []}
+    for state in filter(None, states):
+        if not state.usable:
+            return record | {"outcome": state.outcome, "reason": state.reason}
+        record["notes"] += _figures(state).get("notes", [])
+        record["keypoints"] = _figures(state).get("xy_count", record["keypoints"])
+    return record
+
+
+def _pairs(plan: Plan) -> list[tuple[str, str]]:
+    state = plan.states.get(Task("pairs", ()))
+    return [tuple(pair) for pair in _figures(state).get("pairs", [])] if state and state.usable else []
+
+
+def _pair(plan: Plan, pair: tuple[str, str]) -> dict[str, Any]:
+    record: dict[str, Any] = {"left": pair[0], "right": pair[1], "outcome": "ok"}
+    record |= dict.fromkeys(("matches", "inliers", "angle_deg", "epipolar_px", "vertical_px", "density", "reason"))
+    names = {
+        "matches": {"x1_count": "matches"},
+        "geometry": {
+            "x1_count": "inliers",
+            "angle_deg": "angle_deg",
+            "epipolar_px": "epipolar_px",
+            "good_probability": "probability",
+        },
+        "rectify": {"angle_deg": "angle_deg", "vertical_px": "vertical_px", "method": "method"},
+        "disparity": {"density": "density"},
+    }
+    for stage, fields in names.items():
+        state = plan.states.get(Task(stage, pair))
+        if state is None:
+            continue
+        figures = _figures(state)
+        record |= {ours: _rounded(figures[theirs]) for theirs, ours in fields.items() if theirs in figures}
+        if not state.usable and record["outcome"] == "ok":
+            record |= {"outcome": state.outcome, "reason": state.reason, "stage": stage}
+            record["inliers"] = figures.get("inliers", record["inliers"])
+    return record
+
+
+def _figures(state: State) -> dict[str, Any]:
+    return state.receipt.figures if state.receipt else {}
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 4) if isinstance(value, float) else value

@@ -1,0 +1,69 @@
+"""What would run, and why: the plan, compared with the last receipts of each task."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .cache import Preimage, Receipt
+from .plan import Plan, State, Task, TaskSpec
+
+
+@dataclass(frozen=True)
+class Line:
+    """task: its name; state: cached, rejected, failed, skipped, would run, or waits; why: in words."""
+
+    task: str
+    state: str
+    why: str
+
+
+def explain(plan: Plan) -> list[Line]:
+    """A line for every task that is known of, in the order of the pipeline."""
+    lines = {}
+    for task, state in plan.states.items():
+        lines[task] = Line(str(task), state.outcome, state.reason or "")
+    for task, spec in plan.ready.items():
+        lines[task] = Line(str(task), "would run", _why(plan, spec))
+    for task, upstream in plan.waiting.items():
+        lines[task] = Line(str(task), "waits", f"for {upstream}" if upstream else "for the pair graph")
+    order = {stage.name: i for i, stage in enumerate(plan.stages())}
+    return [lines[task] for task in sorted(lines, key=lambda t: order[t.stage])]
+
+
+def _why(plan: Plan, spec: TaskSpec) -> str:
+    if spec.force:
+        return "forced"
+    last = plan.cache.newest(spec.task.stage, spec.task.subject)
+    if last is None:
+        return "never run"
+    return difference(last, spec.preimage()) or "its artifact is gone"
+
+
+def difference(last: Receipt, now: Preimage) -> str:
+    """What changed since a receipt, in words."""
+    before = last.preimage
+    found = []
+    if before.function != now.function:
+        found.append(f"function {before.function} → {now.function}")
+    elif before.code != now.code:
+        found.append("its code, or a library's version, changed")
+    for name in sorted(before.parameters.keys() | now.parameters.keys()):
+        old, new = before.parameters.get(name), now.parameters.get(name)
+        if old != new:
+            found.append(f"parameter {now.stage}.{name} {old} → {new}")
+    changed = [
+        name for name in sorted(before.inputs.keys() | now.inputs.keys()) if before.inputs.get(name) != now.inputs.get(name)
+    ]
+    if len(changed) == 1:
+        found.append(f"input {changed[0]} changed")
+    elif changed:
+        found.append(f"{len(changed)} of {len(now.inputs)} inputs changed")
+    return "; ".join(found)
+
+
+def counts(states: dict[Task, State]) -> dict[str, int]:
+    """Settled tasks by outcome."""
+    found: dict[str, int] = {}
+    for state in states.values():
+        found[state.outcome] = found.get(state.outcome, 0) + 1
+    return found
