@@ -105,9 +105,7 @@ def _natural_voxel(cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]
     return float(np.median(np.concatenate(edges)))
 
 
-def _samples(
-    frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, gains: Float64s, strict: int
-) -> Samples:
+def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, gains: Float64s, strict: int) -> Samples:
     """The points of one view that its own and the other views' evidence leaves standing."""
     supported = np.isfinite(depth.depth) & frame.mask & (verdict.pairs >= strict)
     seen_through = verdict.violating > np.maximum(0, verdict.pairs.astype(np.int32) - 2)

@@ -13,16 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations
-from math import radians, tan
+from math import radians
 
 import numpy as np
 
 from .epipolar import backproject, project
-from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Lens, Overlap, Placement
+from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Overlap, Placement, View
 
 
 def estimate_overlap(
-    lenses: Mapping[str, Lens],
+    views: Mapping[str, View],
     placements: Mapping[str, Placement],
     features: Mapping[str, Features],
     *,
@@ -33,8 +33,8 @@ def estimate_overlap(
 
     Parameters
     ----------
-    lenses
-        Every camera of the site, in its order; size and K (or field of view) matter here.
+    views
+        The pinhole of every camera that has a frame tonight, in the order of the site.
     placements
         Poses where known.
     features
@@ -49,8 +49,8 @@ def estimate_overlap(
     Overlap
         A row for each pair of cameras about which something is known.  `source` is "poses", "appearance" or "mixed".
     """
-    names = tuple(lenses)
-    cameras = {name: camera for name in names if (camera := _camera(lenses[name], placements.get(name))) is not None}
+    names = tuple(views)
+    cameras = {name: camera for name in names if (camera := _camera(views[name], placements.get(name))) is not None}
     posed = _pose_evidence(names, cameras)
     seen = {name: _largest(features[name], descriptors) for name in names if name in features}
     rows: list[tuple[int, int, float, float]] = []
@@ -69,20 +69,11 @@ def estimate_overlap(
     return Overlap(names, pairs, np.degrees(angle), shared, source)
 
 
-def _camera(lens: Lens, placement: Placement | None) -> Camera | None:
-    """The camera as captured, or None where pose or intrinsics are missing."""
-    if placement is None or placement.R is None or placement.C is None:
+def _camera(view: View, placement: Placement | None) -> Camera | None:
+    """The camera of a frame, or None where pose or intrinsics are missing."""
+    if placement is None or placement.R is None or placement.C is None or view.K is None:
         return None
-    width, height = lens.width, lens.height
-    if lens.K is not None:
-        width, height = width or round(2 * lens.K[0, 2] + 1), height or round(2 * lens.K[1, 2] + 1)
-        return Camera(lens.K, placement.R, placement.C, width, height)
-    if lens.hfov_deg is None:
-        return None
-    width, height = width or 1200, height or 800  # only the shape matters
-    f = 0.5 * width / tan(0.5 * radians(lens.hfov_deg))
-    K = np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-    return Camera(K, placement.R, placement.C, width, height)
+    return Camera(view.K, placement.R, placement.C, view.width, view.height)
 
 
 def _pose_evidence(names: tuple[str, ...], cameras: Mapping[str, Camera]) -> dict[tuple[int, int], tuple[float, float]]:

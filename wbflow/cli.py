@@ -154,9 +154,8 @@ def history(site: Path, work: Path | None) -> None:
 
     with Ledger(loaded.work) as ledger:
         runs = ledger.runs()
-    click.echo(
-        f"{'run':17} {'night':10} {'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6} {'points':>11} exit"
-    )
+    head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
+    click.echo(f"{'run':17} {'night':10} {head} {'points':>11} exit")
     for r in runs:
         points = f"{r['points']:,}" if r["points"] else "-"
         figures = f"{r['wall']:8.1f} {r['cpu']:8.1f} {r['cached']:6} {r['ran']:5} {r['rejected']:8} {r['failed']:6}"

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wbflow_stages.overlap import estimate_overlap
-from wbflow_stages.types import Features, Lens, Overlap, Placement, View
+from wbflow_stages.types import Features, Overlap, Placement, View
 
 K = np.array([[800.0, 0, 511.5], [0, 800.0, 383.5], [0, 0, 1]])
-LENS = Lens(K=K, width=1024, height=768)
+VIEW = View(1024, 768, K)
 
 
 def looking(position, target) -> Placement:
@@ -36,7 +36,7 @@ def of(overlap: Overlap, left: str, right: str) -> tuple[float, float]:
 
 
 def from_poses(placements) -> Overlap:
-    return estimate_overlap(dict.fromkeys(placements, LENS), placements, {})
+    return estimate_overlap(dict.fromkeys(placements, VIEW), placements, {})
 
 
 def test_cameras_on_a_ring_see_the_middle_at_the_angle_between_them():
@@ -89,7 +89,7 @@ def appearance(n: int, cameras: int, step: int) -> dict[str, Features]:
 
 def test_without_poses_appearance_ranks_the_pairs():
     seen = appearance(500, 5, 150)
-    overlap = estimate_overlap({name: Lens() for name in seen}, {}, seen)
+    overlap = estimate_overlap({name: View(1024, 768) for name in seen}, {}, seen)
     assert overlap.source == "appearance" and np.isnan(overlap.angle_deg).all()
     shared = [of(overlap, "c0", f"c{k}")[1] for k in range(1, 5)]
     assert shared[0] == pytest.approx(350 / 500, abs=0.05) and shared[1] == pytest.approx(200 / 500, abs=0.05)
@@ -99,7 +99,7 @@ def test_without_poses_appearance_ranks_the_pairs():
 def test_a_camera_without_a_pose_joins_by_its_looks():
     seen = appearance(300, 3, 50)
     placements = {"c0": looking([10, 0, 1], [0, 0, 0]), "c1": looking([9, 3, 1], [0, 0, 0])}
-    overlap = estimate_overlap(dict.fromkeys(seen, LENS), placements, seen)
+    overlap = estimate_overlap(dict.fromkeys(seen, VIEW), placements, seen)
     assert overlap.source == "mixed" and len(overlap.pairs) == 3
     assert of(overlap, "c0", "c1")[0] > 5
     angle, shared = of(overlap, "c1", "c2")
@@ -107,11 +107,11 @@ def test_a_camera_without_a_pose_joins_by_its_looks():
 
 
 def test_without_evidence_there_are_no_rows():
-    assert len(estimate_overlap({"a": Lens(), "b": Lens()}, {}, {}).pairs) == 0
+    assert len(estimate_overlap({"a": View(1024, 768), "b": View(1024, 768)}, {}, {}).pairs) == 0
 
 
 def test_a_pair_costs_milliseconds():
     seen = appearance(600, 12, 40)
     start = time.process_time()
-    overlap = estimate_overlap({name: Lens() for name in seen}, {}, seen)
+    overlap = estimate_overlap({name: View(1024, 768) for name in seen}, {}, seen)
     assert (time.process_time() - start) / len(overlap.pairs) < 0.04  # a hundred cameras have 4950 pairs

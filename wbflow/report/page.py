@@ -23,8 +23,9 @@ th:first-child, td:first-child, td.words, th.words { text-align: left; }
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
 .card { border: 1px solid var(--line); border-radius: 6px; padding: .6rem; } .card img { width: 100%; border-radius: 4px; }
 .card.bad { border-color: var(--bad); } .reason { color: var(--bad); } .muted { opacity: .7; } img.wide { max-width: 100%; }
-.graph { max-width: 40rem; } .graph line.good { stroke: var(--good); } .graph line.bad { stroke: var(--bad); stroke-dasharray: 4 4; }
-.graph circle.good { fill: var(--good); } .graph circle.bad { fill: var(--bad); } .graph text { font-size: 13px; fill: currentColor; }
+.graph { max-width: 40rem; } .graph text { font-size: 13px; fill: currentColor; }
+.graph line.good { stroke: var(--good); } .graph line.bad { stroke: var(--bad); stroke-dasharray: 4 4; }
+.graph circle.good { fill: var(--good); } .graph circle.bad { fill: var(--bad); }
 """
 
 EXITS = {
