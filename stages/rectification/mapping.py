@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, TypeVar
 
 import cv2
@@ -54,6 +55,17 @@ def warp_mask(rectification: Rectification, side: Side, mask: Bools) -> Bools:
     map_x, map_y = _source_of_pixels(rectification, side)
     warped = cv2.remap(mask.astype(np.float32), map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return np.asarray(warped > 0.9999)
+
+
+def resampling(move: Callable[[Float64s], Float64s], x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
+    """What `move`, a map of points (n, 2), does to the pixels around x: determinant (n,) of its Jacobian, and the longer and the
+    shorter side (n,) of the resampled pixel (singular values)."""
+    h = 0.25
+    along_x = (move(x + np.array([h, 0.0])) - move(x - np.array([h, 0.0]))) / (2 * h)
+    along_y = (move(x + np.array([0.0, h])) - move(x - np.array([0.0, h]))) / (2 * h)
+    a, c, b, d = along_x[:, 0], along_x[:, 1], along_y[:, 0], along_y[:, 1]
+    together, apart = np.hypot(a + d, c - b), np.hypot(a - d, c + b)
+    return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
 
 
 def disparity_px(disparity: Disparity, side: Side) -> Float32s:

@@ -1,0 +1,119 @@
+"""Dense matching of a rectified pair: disparity of both views, kept where they agree (seed chapter 5)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from .rectification.mapping import Side, warp, warp_mask
+from .stereo.checks import disagreement, lands_on, within_reach, without_specks
+from .stereo.pair import DenseMatcher, DenseMatches, RectifiedPair
+from .stereo.sgbm import match_sgbm
+from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Rejected, Uint8s
+
+Matcher = Literal["sgbm"]
+
+MATCHERS: dict[str, DenseMatcher] = {"sgbm": match_sgbm}
+"""Every function of this signature plugs in."""
+
+_SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
+"""Both views, and the sign with which a disparity leads to the other one."""
+
+_WIDEST_RANGE_PX = 4000
+"""What int16 sixteenths can hold."""
+
+
+def match_dense(
+    left: Frame,
+    right: Frame,
+    rectification: Rectification,
+    *,
+    matcher: Matcher = "sgbm",
+    tolerance_px: float = 1.0,
+    speck_share: float = 1.5e-4,
+    min_density: float = 0.01,
+) -> Disparity | Rejected:
+    """Match every pixel of the two rectified images.
+
+    Parameters
+    ----------
+    left, right
+        The frames of the pair; masked and saturated pixels are never matched.
+    rectification
+        How the frames are resampled.
+    matcher
+        "sgbm": OpenCV's semi-global matching, fast.
+    tolerance_px
+        The two views must agree within this many rectified pixels.
+    speck_share
+        Connected pieces of disparity smaller than this share of the rectified image are dropped.
+    min_density
+        Reject if less than this share of the common area gets a value.
+
+    References
+    ----------
+    Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
+    """
+    if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
+        return Rejected("the disparity range is too wide", {"disparity_max_px": rectification.disparity_max_px})
+    pair = _rectified(left, right, rectification)
+    matches = MATCHERS[matcher](pair)
+    offset = round((pair.disparity_min + pair.disparity_max) / 2)
+    speck = round(speck_share * pair.left.size)
+    kept = [_kept(pair, matches, side, sign, tolerance_px, speck, offset) for side, sign in _SIDES]
+    common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
+    density = float(np.sum(kept[0][0] != INVALID) / max(int(common.sum()), 1))
+    if density < min_density:
+        return Rejected("almost nothing matches densely", {"density": density, "common_px": float(common.sum())})
+    (disparity1, confidence1), (disparity2, confidence2) = kept
+    width1, width2 = rectification.size1[0], rectification.size2[0]
+    return Disparity(
+        left=np.ascontiguousarray(disparity1[:, :width1]),
+        right=np.ascontiguousarray(disparity2[:, :width2]),
+        confidence_left=np.ascontiguousarray(confidence1[:, :width1]),
+        confidence_right=np.ascontiguousarray(confidence2[:, :width2]),
+        offset_px=offset,
+        density=density,
+    )
+
+
+def _rectified(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
+    """Both rectified images in grey, padded to one width, and what of them may be matched."""
+    width = max(rectification.size1[0], rectification.size2[0])
+    images, masks = [], []
+    for frame, (side, _) in zip((left, right), _SIDES, strict=True):
+        grey = warp(rectification, side, _grey(frame.image))
+        mask = warp_mask(rectification, side, frame.mask & ~_saturated(frame.image))
+        padding = (0, 0), (0, width - grey.shape[1])
+        images.append(np.pad(grey, padding))
+        masks.append(np.pad(mask, padding))
+    low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
+    return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high)
+
+
+def _grey(image: Uint8s) -> Float32s:
+    """Luminance, float32 and not rounded: rounding to 8 bits loses the faint texture of white walls."""
+    return np.asarray(image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], dtype=np.float32), dtype=np.float32)
+
+
+def _saturated(image: Uint8s) -> Bools:
+    return np.asarray((image >= 254).all(axis=2) | (image <= 1).all(axis=2))
+
+
+def _kept(
+    pair: RectifiedPair, matches: DenseMatches, side: Side, sign: int, tolerance_px: float, speck: int, offset: int
+) -> tuple[Int16s, Uint8s]:
+    """What survives of one view: stored disparity and confidence."""
+    one, other, certain = matches.left, matches.right, matches.confidence_left
+    valid, valid_other = pair.valid_left, pair.valid_right
+    if side == 2:
+        one, other, certain = other, one, matches.confidence_right
+        valid, valid_other = valid_other, valid
+    difference = disagreement(one, other, sign)
+    agreed = valid & (difference <= tolerance_px) & lands_on(valid_other, one, sign)
+    stored = np.full(one.shape, INVALID, dtype=np.int16)
+    stored[agreed] = np.rint((one[agreed] - offset) * 16).astype(np.int16)
+    stored = without_specks(stored, speck, 1.5)
+    sure = certain * (1 - 0.5 * np.minimum(difference, tolerance_px) / tolerance_px)
+    return stored, np.where(stored == INVALID, 0, np.clip(np.rint(255 * sure), 1, 255)).astype(np.uint8)

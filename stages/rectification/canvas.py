@@ -1,0 +1,64 @@
+"""Where a pair of rectifying homographies puts the images: common scale and rows, own x offsets, cropped around the matches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..epipolar import apply_homography, homogeneous
+from ..types import Float64s
+from .mapping import resampling
+
+MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
+"""The crop leaves this share of the matches' box around it, and this share of the frame's width more."""
+
+LARGEST = 2.5
+"""A rectified image is at most this many frame widths wide and frame heights high."""
+
+Size = tuple[int, int]
+
+
+def place(
+    H1: Float64s, H2: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size
+) -> tuple[Float64s, Float64s, Size, Size]:
+    """H1, H2 scaled and shifted so that rectified pixels are about as large as the frames', and the two rectified sizes.
+
+    x1, x2: (n, 2) matches, on the near side of the lines that H1 and H2 send to infinity.
+    """
+    areas = [resampling(lambda p, H=H: apply_homography(H, p), x)[0] for H, x in ((H1, x1), (H2, x2))]  # type: ignore[misc]
+    scale = 1 / np.sqrt(np.median(np.abs(np.concatenate(areas))))
+    S = np.diag([scale, scale, 1.0])
+    H1, H2 = S @ H1, S @ H2
+    margin = MARGIN_OF_WIDTH * max(size1[0], size2[0])
+    low1, high1 = crop(apply_homography(H1, x1), _reach(H1, size1), margin)
+    low2, high2 = crop(apply_homography(H2, x2), _reach(H2, size2), margin)
+    top, bottom = max(low1[1], low2[1]), min(high1[1], high2[1])
+    height = int(np.clip(bottom - top + 1, 1, LARGEST * max(size1[1], size2[1])))
+    width1 = int(np.clip(high1[0] - low1[0] + 1, 1, LARGEST * size1[0]))
+    width2 = int(np.clip(high2[0] - low2[0] + 1, 1, LARGEST * size2[0]))
+    return _shift(low1[0], top) @ H1, _shift(low2[0], top) @ H2, (width1, height), (width2, height)
+
+
+def crop(points: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:
+    """Whole-pixel corners (2,), (2,) of the box of `points` (n, 2) with margins, no larger than the box of `reach` (m, 2)."""
+    extent = np.ptp(points, axis=0)
+    low = np.maximum(points.min(axis=0) - MARGIN_SHARE * extent - margin, reach.min(axis=0))
+    high = np.minimum(points.max(axis=0) + MARGIN_SHARE * extent + margin, reach.max(axis=0))
+    return np.floor(low), np.ceil(high)
+
+
+def frame_grid(size: Size, steps: int = 33) -> Float64s:
+    """(steps^2, 2) points that cover a frame, its borders included."""
+    x, y = np.meshgrid(np.linspace(-0.5, size[0] - 0.5, steps), np.linspace(-0.5, size[1] - 0.5, steps))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def _reach(H: Float64s, size: Size) -> Float64s:
+    """Where the visible part of a frame goes: points well on the near side of the line sent to infinity."""
+    grid = frame_grid(size)
+    z = homogeneous(grid) @ H[2]
+    middle = np.median(z)
+    return apply_homography(H, grid[z * middle > 0.05 * middle * middle])
+
+
+def _shift(x: float, y: float) -> Float64s:
+    return np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]])

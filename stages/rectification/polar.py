@@ -1,0 +1,122 @@
+"""Polar rectification (Pollefeys, Koch & Van Gool, ICCV 1999): half epipolar lines become rows, the distance from the epipole x.
+
+Works wherever the epipoles lie, inside the images too.  Needs F and the side of the epipole each match lies on, which the
+matches themselves tell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..epipolar import epipoles, homogeneous
+from ..types import Float64s, PolarRows
+from .canvas import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid
+from .quality import order_agreement
+
+_FAR = 1e6
+"""An epipole farther than this many image diagonals is put there: its lines then differ from parallels by less than 1e-4 px."""
+
+_SAMPLES = 20000
+"""Directions looked at to lay out the rows."""
+
+
+def polar(F: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size) -> tuple[PolarRows, PolarRows, Size, Size, float]:
+    """Rows of both images for matches x1, x2 (n, 2), the two rectified sizes, and the share of matches on one common side.
+
+    The share is 1 for a right F: every match lies on the half line that the other image's half line demands.
+    """
+    e1, e2 = (_finite(e, size) for e, size in zip(epipoles(F), (size1, size2), strict=True))
+    away1, away2 = x1 - e1, x2 - e2
+    forward = np.sum(_line_direction(F, x1) * away2, axis=1) > 0
+    side = 1.0 if forward.mean() >= 0.5 else -1.0
+    agreement = float(np.mean(forward == (side > 0)))
+    radius1, radius2 = np.hypot(*away1.T), np.hypot(*away2.T)
+
+    cut = _largest_gap(np.arctan2(away1[:, 1], away1[:, 0]))
+    seen = (np.arctan2(away1[:, 1], away1[:, 0]) - cut) % (2 * np.pi)
+    step = MARGIN_OF_WIDTH * max(size1[0], size2[0]) / float(np.median(radius1)) + MARGIN_SHARE * float(np.ptp(seen))
+    theta = cut + np.linspace(max(seen.min() - step, 0.0), min(seen.max() + step, 2 * np.pi), _SAMPLES)
+    radii1, radii2 = _radius_range(radius1, e1, size1), _radius_range(radius2, e2, size2)
+    angles1, angles2 = _rows(F, e1, e2, side, theta, size1, size2, radii1[1], radii2[1])
+
+    direction1 = 1 if float(np.median(away1[:, 0])) >= 0 else -1
+    opposed = order_agreement(np.column_stack([radius1, seen]), np.column_stack([radius2, seen])) < 0
+    direction2 = -direction1 if opposed else direction1
+    if direction1 < 0:  # keep the image's handedness: leftward rays go with descending angles
+        angles1, angles2 = angles1[::-1], angles2[::-1]
+    rows1, width1 = _polar_rows(e1, angles1, direction1, radii1)
+    rows2, width2 = _polar_rows(e2, angles2, direction2, radii2)
+    return rows1, rows2, (width1, len(angles1)), (width2, len(angles2)), agreement
+
+
+def _finite(epipole: Float64s, size: Size) -> Float64s:
+    centre = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
+    away = epipole[:2] - epipole[2] * centre
+    limit = _FAR * float(np.hypot(*size))
+    if np.hypot(*away) > limit * abs(epipole[2]):
+        return np.asarray(centre + limit * away / np.hypot(*away), dtype=np.float64)
+    return np.asarray(epipole[:2] / epipole[2], dtype=np.float64)
+
+
+def _line_direction(F: Float64s, x1: Float64s) -> Float64s:
+    """Unit direction (n, 2) of the epipolar line F x1; its sign is that of F, the same for all points on the right side."""
+    line = homogeneous(x1) @ F.T
+    return np.asarray(np.column_stack([line[:, 1], -line[:, 0]]) / np.hypot(line[:, 0], line[:, 1])[:, None])
+
+
+def _angle_in_image2(F: Float64s, e1: Float64s, e2: Float64s, side: float, theta: Float64s, size1: Size, size2: Size) -> Float64s:
+    """Angles (n,) at e2 of the half lines that belong to the directions theta (n,) at e1, without jumps."""
+    centre1, centre2 = (np.array([(w - 1) / 2, (h - 1) / 2]) for w, h in (size1, size2))
+    reach = max(float(np.hypot(*(centre1 - e1))), float(np.hypot(*size1)))
+    points = e1 + reach * np.column_stack([np.cos(theta), np.sin(theta)])
+    line = homogeneous(points) @ F.T
+    norm = np.hypot(line[:, 0], line[:, 1])[:, None]
+    foot = centre2 - line[:, :2] * ((line[:, :2] @ centre2 + line[:, 2])[:, None] / norm**2)
+    ahead = foot + side * 2 * np.hypot(*size2) * np.column_stack([line[:, 1], -line[:, 0]]) / norm - e2
+    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+
+def _rows(
+    F: Float64s, e1: Float64s, e2: Float64s, side: float, theta: Float64s, size1: Size, size2: Size, far1: float, far2: float
+) -> tuple[Float64s, Float64s]:
+    """Angles (rows,) at both epipoles: one pixel of arc or less between rows at the far end of either ray."""
+    phi = _angle_in_image2(F, e1, e2, side, theta, size1, size2)
+    end1, end2 = _ray_end(e1, theta, size1), _ray_end(e2, phi, size2)
+    arc = np.fmax(np.minimum(end1, far1), np.minimum(end2, far2) * np.abs(np.gradient(phi, theta)))
+    arc = np.where((end1 > 0) & (end2 > 0), arc, 0.0)  # directions that one image doesn't see get no rows
+    row = np.concatenate([[0.0], np.cumsum(0.5 * (arc[1:] + arc[:-1]) * np.diff(theta))])
+    seen = np.flatnonzero(arc > 0)
+    if len(seen) < 2:
+        return theta[:2], phi[:2]
+    angles1 = np.interp(np.arange(np.ceil(row[seen[0]]), np.floor(row[seen[-1]]) + 1), row[seen], theta[seen])
+    return angles1, _angle_in_image2(F, e1, e2, side, angles1, size1, size2)
+
+
+def _ray_end(epipole: Float64s, angle: Float64s, size: Size) -> Float64s:
+    """Distance (n,) from the epipole at which each ray leaves the frame; 0 for rays that miss it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enter, leave = np.zeros(len(angle)), np.full(len(angle), np.inf)
+        for k, along in enumerate((np.cos(angle), np.sin(angle))):
+            a, b = (-0.5 - epipole[k]) / along, (size[k] - 0.5 - epipole[k]) / along
+            enter, leave = np.fmax(enter, np.fmin(a, b)), np.fmin(leave, np.fmax(a, b))
+    return np.where(leave > enter, leave, 0.0)
+
+
+def _radius_range(radius: Float64s, epipole: Float64s, size: Size) -> tuple[float, float]:
+    """Nearest and farthest distance from the epipole that the rectified image shows."""
+    margin = MARGIN_SHARE * float(np.ptp(radius)) + MARGIN_OF_WIDTH * size[0]
+    border = frame_grid(size) - epipole
+    return max(float(radius.min()) - margin, 0.0), min(float(radius.max()) + margin, float(np.hypot(*border.T).max()))
+
+
+def _polar_rows(epipole: Float64s, angles: Float64s, direction: int, radii: tuple[float, float]) -> tuple[PolarRows, int]:
+    start = np.floor(radii[0]) if direction > 0 else np.floor(-radii[1])
+    return PolarRows(epipole, np.ascontiguousarray(angles), direction, float(start)), int(np.ceil(radii[1] - radii[0])) + 1
+
+
+def _largest_gap(angles: Float64s) -> float:
+    """The middle of the widest gap on the circle between angles (n,)."""
+    ordered = np.sort(angles)
+    gaps = np.diff(np.r_[ordered, ordered[0] + 2 * np.pi])
+    k = int(np.argmax(gaps))
+    return float(ordered[k] + gaps[k] / 2)

@@ -1,0 +1,74 @@
+"""What a rectification is worth: signs that it is wrong, and how far its rows can be trusted (algorithms of degenerate cases)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.stats import rankdata
+
+from ..epipolar import epipoles, homogeneous, sampson_distance, skew
+from ..types import Float64s
+
+
+def order_agreement(y1: Float64s, y2: Float64s, bands: int = 12) -> float:
+    """Rank correlation of x within bands of rows of rectified matches y1, y2 (n, 2): near 1 if right, any value if F is wrong."""
+    order = np.argsort(y1[:, 1], kind="stable")
+    total = weight = 0.0
+    for band in np.array_split(order, max(1, min(bands, len(order) // 8))):
+        ranks1, ranks2 = rankdata(y1[band, 0]), rankdata(y2[band, 0])
+        spread = ranks1.std() * ranks2.std()
+        if spread > 0:
+            total += len(band) * float(np.mean((ranks1 - ranks1.mean()) * (ranks2 - ranks2.mean())) / spread)
+            weight += len(band)
+    return total / weight if weight else 1.0
+
+
+def parallax_px(x1: Float64s, x2: Float64s) -> float:
+    """How far matches (n, 2) lie from one homography, in pixels (95 %): nothing where there is no baseline, or no relief."""
+    H, _ = cv2.findHomography(x1, x2, cv2.RANSAC, 2.0, maxIters=2000, confidence=0.999)
+    if H is None:
+        return float("inf")
+    q = homogeneous(x1) @ H.T
+    return float(np.percentile(np.hypot(*(q[:, :2] / q[:, 2:] - x2).T), 95))
+
+
+def line_uncertainty(
+    F: Float64s, x1: Float64s, x2: Float64s, at1: Float64s, at2: Float64s, essential: tuple[Float64s, Float64s] | None = None
+) -> Float64s:
+    """Standard deviation (m,) in pixels of the epipolar line of at1 (m, 2) beside at2 (m, 2), for F fitted to x1, x2 (n, 2).
+
+    Propagates the residuals through the seven degrees of freedom of F, or the five that are left when F = K2^-T E K1^-1 and
+    `essential` = (K1, K2): few or clustered matches fit well and say little elsewhere, which no residual tells.
+    References: Csurka et al., CVIU 1997.
+    """
+    half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
+    N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
+    Ni = np.linalg.inv(N)
+    Fn = Ni.T @ F @ Ni
+    tangent = _tangent(Fn / np.linalg.norm(Fn), None if essential is None else (N @ essential[0], N @ essential[1]))
+    rows = _derivatives(Fn, homogeneous(x1) @ N.T, homogeneous(x2) @ N.T, half) @ tangent
+    noise = max(1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)))), 0.1)
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    spread = vectors * (noise / np.sqrt(np.maximum(values, 1e-12 * values.max())))
+    elsewhere = _derivatives(Fn, homogeneous(at1) @ N.T, homogeneous(at2) @ N.T, half) @ tangent @ spread
+    return np.asarray(np.linalg.norm(elsewhere, axis=1), dtype=np.float64)
+
+
+def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float64s:
+    """Orthonormal directions (9, k) in which F may change: it keeps its norm and its rank, or stays an essential matrix."""
+    if intrinsics is None:
+        e1, e2 = epipoles(F)  # no change along F itself, nor along e2 e1^T
+        return np.asarray(np.linalg.svd(np.stack([F.ravel(), np.outer(e2, e1).ravel()]))[2][2:].T, dtype=np.float64)
+    K1, K2 = intrinsics
+    E = K2.T @ F @ K1
+    moves = [M for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]  # turn either camera about an axis
+    changes = np.stack([(np.linalg.inv(K2).T @ M @ np.linalg.inv(K1)).ravel() for M in moves])
+    changes = changes - np.outer(changes @ F.ravel(), F.ravel())
+    return np.asarray(np.linalg.svd(changes)[2][:5].T, dtype=np.float64)
+
+
+def _derivatives(F: Float64s, m1: Float64s, m2: Float64s, px: float) -> Float64s:
+    """(n, 9): how the Sampson distance, in pixels, of normalised points (n, 3) changes with F."""
+    l1, l2 = m2 @ F, m1 @ F.T
+    gradient = np.sqrt(l1[:, 0] ** 2 + l1[:, 1] ** 2 + l2[:, 0] ** 2 + l2[:, 1] ** 2 + 1e-30)
+    return np.asarray((m2[:, :, None] * m1[:, None, :]).reshape(len(m1), 9) * (px / gradient)[:, None], dtype=np.float64)

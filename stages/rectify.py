@@ -1,0 +1,285 @@
+"""Rectification of a pair: after it a point lies on the same row in both images (seed chapter 4).
+
+The homographies of `congruent`, `seed`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image; then
+`polar` takes over.  What would be wrong is rejected, with the reason.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from .epipolar import (
+    essential_to_fundamental,
+    fundamental_from_cameras,
+    homogeneous,
+    symmetric_epipolar_distance,
+    triangulate_depth,
+)
+from .rectification.calibrated import calibrated
+from .rectification.canvas import Size, frame_grid, place
+from .rectification.congruent import congruent, seed
+from .rectification.hartley import hartley
+from .rectification.mapping import Side, from_rectified, rectified_size, resampling, to_rectified
+from .rectification.polar import polar
+from .rectification.quality import line_uncertainty, order_agreement, parallax_px
+from .types import Camera, Float32s, Float64s, Geometry, Rectification, Rejected
+
+Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]
+
+_SMALLEST_SIDE_PX = 16
+
+_LEAST_PARALLAX = 0.01
+"""Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
+
+
+class _Pair(NamedTuple):
+    """What rectification works on: F, the matches that obey it, and the sizes of the frames."""
+
+    F: Float64s
+    x1: Float64s
+    x2: Float64s
+    probability: Float32s
+    size1: Size
+    size2: Size
+    camera1: Camera | None
+    camera2: Camera | None
+
+
+def rectify(
+    geometry: Geometry,
+    left: Camera | None,
+    right: Camera | None,
+    *,
+    method: Method = "congruent",
+    min_matches: int = 20,
+    max_row_error_px: float = 0.5,
+    min_angle_deg: float = 0.7,
+    range_margin: float = 0.1,
+) -> Rectification | Rejected:
+    """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
+
+    Parameters
+    ----------
+    geometry
+        Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no cameras.
+    left, right
+        Solved or known cameras; F comes from them when both are given.
+    method
+        "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
+        the matches; "seed": congruent by the letter of the seed, for study; "calibrated": both cameras turned to a common
+        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows.  A homography that an
+        epipole near the image would tear is replaced by "polar".
+    min_matches
+        Fewer matches than this reject the pair; fewer than 50 warn.
+    max_row_error_px
+        Reject if the epipolar lines are likelier than 1 in 20 to be off by more than this, in pixels of the frame.
+    min_angle_deg
+        Reject if the rays of the matches converge by less than this (median), in degrees; where no camera tells the angle,
+        a homography that explains the pair takes its place.
+    range_margin
+        The disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
+
+    References
+    ----------
+    Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
+    """
+    pair = _obeying(geometry, left, right)
+    if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
+        raise ValueError("method 'calibrated' needs the cameras of both frames")
+    refusal = _unusable(geometry, pair, min_matches, min_angle_deg)
+    if refusal is not None:
+        return refusal
+    why_polar = "asked for"
+    if method != "polar":
+        planar = _by_homographies(pair, method)
+        if isinstance(planar, Rectification):
+            return _finished(planar, pair, geometry, max_row_error_px, range_margin)
+        why_polar = planar
+    rows = _by_rows(pair, why_polar)
+    if isinstance(rows, Rejected):
+        return rows
+    return _finished(rows, pair, geometry, max_row_error_px, range_margin)
+
+
+def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> _Pair:
+    """F from the cameras where both are known, and the matches that agree with it."""
+    sizes = (geometry.view1.width, geometry.view1.height), (geometry.view2.width, geometry.view2.height)
+    if left is None or right is None:
+        return _Pair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None)
+    F = fundamental_from_cameras(left, right)
+    keep = np.zeros(len(geometry.x1), dtype=bool)
+    if len(keep):
+        distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
+        keep = distance <= max(1.5, 0.002 * max(sizes[0]))
+    return _Pair(F, geometry.x1[keep], geometry.x2[keep], geometry.probability[keep], *sizes, left, right)
+
+
+def _unusable(geometry: Geometry, pair: _Pair, min_matches: int, min_angle_deg: float) -> Rejected | None:
+    """Reasons that hold whatever the method: too few matches, cameras that contradict them, no baseline."""
+    n, given = len(pair.x1), len(geometry.x1)
+    if n < min_matches <= given or n < 0.5 * given:
+        return Rejected("the cameras contradict the matches", {"matches": given, "agreeing": n})
+    if n < min_matches:
+        return Rejected("too few matches", {"matches": n, "needed": min_matches})
+    angle = _angle_deg(geometry, pair)
+    if angle < min_angle_deg:
+        return Rejected("almost no baseline", {"angle_deg": angle, "needed_deg": min_angle_deg})
+    if np.isnan(angle):
+        parallax = parallax_px(pair.x1, pair.x2)
+        if parallax < _LEAST_PARALLAX * pair.size1[0]:
+            return Rejected("one homography explains the pair: almost no baseline, or a flat scene", {"parallax_px": parallax})
+    return None
+
+
+def _angle_deg(geometry: Geometry, pair: _Pair) -> float:
+    """Median angle between the two rays of a match, degrees; nan when neither cameras nor geometry know it."""
+    if pair.camera1 is None or pair.camera2 is None:
+        return geometry.angle_deg
+    rays1, rays2 = (
+        homogeneous(x) @ np.linalg.inv(camera.K).T @ camera.R
+        for x, camera in ((pair.x1, pair.camera1), (pair.x2, pair.camera2))
+    )
+    cosine = np.sum(rays1 * rays2, axis=1) / (np.linalg.norm(rays1, axis=1) * np.linalg.norm(rays2, axis=1))
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+
+
+def _by_homographies(pair: _Pair, method: Method) -> Rectification | str:
+    """A rectification by two homographies, or why there can be none."""
+    try:
+        H1, H2 = _homographies(pair, method)
+    except ValueError as error:
+        return str(error)
+    for H, x in ((H1, pair.x1), (H2, pair.x2)):
+        third = homogeneous(x) @ H[2]
+        if np.mean(third > 0) < 0.98 or not np.isfinite(H).all():
+            return "an epipole lies among the matches"
+    near = ((homogeneous(pair.x1) @ H1[2]) > 0) & ((homogeneous(pair.x2) @ H2[2]) > 0)
+    H1, H2, size1, size2 = place(H1, H2, pair.x1[near], pair.x2[near], pair.size1, pair.size2)
+    result = Rectification(method, "as asked", H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
+    for side, H in zip(_SIDES, (H1, H2), strict=True):
+        shown = _shown(result, pair, side)
+        if len(shown) == 0 or (homogeneous(shown) @ H[2]).min() <= 0:
+            return "the line sent to infinity crosses the image"
+        area, longer, shorter = _shapes(result, pair, side)
+        low, high = np.sqrt(np.percentile(np.abs(area), [5, 95]))
+        if high > 4 * low:
+            return f"an epipole near the image stretches it {high / low:.1f} times"
+        anisotropy = float(np.percentile(longer / shorter, 95))
+        if anisotropy > 3:
+            return f"an epipole near the image makes pixels {anisotropy:.1f} times longer than wide"
+    return result
+
+
+def _homographies(pair: _Pair, method: Method) -> tuple[Float64s, Float64s]:
+    if method == "calibrated" and pair.camera1 is not None and pair.camera2 is not None:
+        return calibrated(pair.camera1, pair.camera2, pair.x1, pair.x2, pair.probability)
+    if method == "hartley":
+        return hartley(pair.F, pair.x1, pair.x2, pair.size2)
+    if method == "seed":
+        return seed(pair.F, pair.x1, pair.x2, pair.size2)
+    return congruent(pair.F, pair.x1, pair.x2, pair.probability, pair.size2)
+
+
+def _by_rows(pair: _Pair, reason: str) -> Rectification | Rejected:
+    rows1, rows2, size1, size2, agreement = polar(pair.F, pair.x1, pair.x2, pair.size1, pair.size2)
+    if agreement < 0.98:
+        return Rejected("the matches lie on both sides of the epipole: F is wrong", {"same_side": agreement})
+    if min(*size1, *size2) < _SMALLEST_SIDE_PX:
+        return Rejected("the epipolar lines that both images see are too few", {"rows": size1[1], "columns": size1[0]})
+    return Rectification("polar", reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
+
+
+def _finished(
+    found: Rectification, pair: _Pair, geometry: Geometry, max_row_error_px: float, range_margin: float
+) -> Rectification | Rejected:
+    """The rectification with its figures, or why it must not be used."""
+    y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
+    vertical = np.abs(y1[:, 1] - y2[:, 1])
+    agreement = order_agreement(y1, y2)
+    if agreement < 0.7:
+        return Rejected("the order of the matches along the rows differs: F is wrong", {"rank_correlation": agreement})
+    shapes = [_shapes(found, pair, side) for side in _SIDES]
+    areas = [float(np.median(area)) for area, _, _ in shapes]
+    if min(areas) <= 0:
+        return Rejected("one image would be mirrored", {"area1": areas[0], "area2": areas[1]})
+    disparity = y1[:, 0] - y2[:, 0]
+    low, high = np.percentile(disparity, [0.5, 99.5])
+    margin = range_margin * (high - low) + 0.01 * pair.size1[0]
+    scale = float(np.sqrt(np.median(np.concatenate([shapes[0][0], shapes[1][0]]))))
+    uncertainty = _row_uncertainty_px(found, pair, geometry, float(np.median(disparity)))
+    if uncertainty > max_row_error_px:
+        return Rejected("the matches are too few or too clustered to tell the epipolar lines", {"row_error_px": uncertainty})
+    return Rectification(
+        method=found.method,
+        reason=found.reason,
+        H1=found.H1,
+        H2=found.H2,
+        size1=found.size1,
+        size2=found.size2,
+        disparity_min_px=float(np.floor(low - margin)),
+        disparity_max_px=float(np.ceil(high + margin)),
+        vertical_px=float(vertical.mean()),
+        vertical_p95_px=float(np.percentile(vertical, 95)),
+        angle_deg=_angle_deg(geometry, pair),
+        polar1=found.polar1,
+        polar2=found.polar2,
+        scale=scale,
+        anisotropy=float(np.percentile(np.concatenate([longer / shorter for _, longer, shorter in shapes]), 95)),
+        kept1=len(_shown(found, pair, 1)) / len(frame_grid(pair.size1)),
+        kept2=len(_shown(found, pair, 2)) / len(frame_grid(pair.size2)),
+        depth_resolution=_depth_resolution(pair, scale),
+        warnings=("few matches",) if len(pair.x1) < 50 else (),
+    )
+
+
+_SIDES: tuple[Side, ...] = (1, 2)
+
+
+def _shapes(rectification: Rectification, pair: _Pair, side: Side) -> tuple[Float64s, Float64s, Float64s]:
+    """Areas and sides of resampled pixels, where the rectified image shows the frame."""
+    return resampling(lambda x: to_rectified(rectification, side, x), _shown(rectification, pair, side))
+
+
+def _shown(rectification: Rectification, pair: _Pair, side: Side) -> Float64s:
+    """Points of a regular grid over the frame that lie inside its rectified image."""
+    grid = frame_grid(pair.size1 if side == 1 else pair.size2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = to_rectified(rectification, side, grid)
+        width, height = rectified_size(rectification, side)
+        inside = (x[:, 0] >= -0.5) & (x[:, 0] <= width - 0.5) & (x[:, 1] >= -0.5) & (x[:, 1] <= height - 0.5)
+    return np.asarray(grid[inside], dtype=np.float64)
+
+
+def _row_uncertainty_px(rectification: Rectification, pair: _Pair, geometry: Geometry, disparity: float) -> float:
+    """Two standard deviations of the epipolar lines over the shared area (95 %), pixels of the frame; 0 when cameras gave F."""
+    if pair.camera1 is not None:
+        return 0.0
+    shown = _shown(rectification, pair, 1)
+    partner = from_rectified(rectification, 2, to_rectified(rectification, 1, shown) - np.array([disparity, 0.0]))
+    inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
+    if not inside.any():
+        return 0.0
+    essential = _intrinsics_behind(geometry)
+    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown[inside], partner[inside], essential)
+    return 2 * float(np.percentile(sigma, 95))
+
+
+def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:
+    """K1, K2 where F is the essential matrix of the relative pose, and so has five degrees of freedom only."""
+    K1, K2, R, t = geometry.view1.K, geometry.view2.K, geometry.cam2_R_cam1, geometry.cam2_t_cam1
+    if K1 is None or K2 is None or R is None or t is None:
+        return None
+    F = essential_to_fundamental(R, t, K1, K2)
+    same = abs(float(np.sum(F * geometry.F))) > (1 - 1e-9) * float(np.linalg.norm(geometry.F))
+    return (K1, K2) if same else None
+
+
+def _depth_resolution(pair: _Pair, scale: float) -> float:
+    """Median error of the depth, as a share of it, that one rectified pixel of disparity makes."""
+    if pair.camera1 is None or pair.camera2 is None:
+        return float("nan")
+    depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
+    with np.errstate(invalid="ignore"):
+        return float(np.nanmedian(per_pixel / depth) / scale) if np.isfinite(depth).any() else float("nan")

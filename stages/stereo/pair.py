@@ -1,0 +1,61 @@
+"""What every dense matcher is given, and what it gives: the border at which matchers plug in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ..types import Bools, Float32s
+
+Pixels = TypeVar("Pixels", np.float32, np.bool_)
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """Two rectified images; a point at x in the left one lies at x - d in the right one, on the same row.
+
+    left, right: (h, w) float32 grey, 0 to 255, never rounded, of one size; valid_left, valid_right: (h, w) bool, True where a
+    pixel may be matched; disparity_min, disparity_max: whole pixels, the range to search, both ends included.
+    """
+
+    left: Float32s
+    right: Float32s
+    valid_left: Bools
+    valid_right: Bools
+    disparity_min: int
+    disparity_max: int
+
+
+@dataclass(frozen=True)
+class DenseMatches:
+    """Disparity of both views before any check between them: (h, w) float32 pixels, nan where the matcher has no answer.
+
+    left: x2 = x1 - d; right: x1 = x2 + d; confidence_left, confidence_right: (h, w) float32, 0 to 1.
+    """
+
+    left: Float32s
+    right: Float32s
+    confidence_left: Float32s
+    confidence_right: Float32s
+
+
+DenseMatcher = Callable[[RectifiedPair], DenseMatches]
+
+
+def mirrored(pair: RectifiedPair) -> RectifiedPair:
+    """The pair in a mirror, views exchanged: its left disparity is the right disparity of `pair`, mirrored."""
+    def flip(a: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
+        return np.ascontiguousarray(a[:, ::-1])
+
+    return RectifiedPair(
+        left=flip(pair.right),
+        right=flip(pair.left),
+        valid_left=flip(pair.valid_right),
+        valid_right=flip(pair.valid_left),
+        disparity_min=pair.disparity_min,
+        disparity_max=pair.disparity_max,
+    )
