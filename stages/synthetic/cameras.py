@@ -1,0 +1,118 @@
+"""The yard's cameras: where they hang, their lenses, and the rays of their (distorted) pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..kernels import kernel
+from ..types import Camera, Float32s, Float64s, Lens
+
+CENTRE = (20.0, 18.0)
+"""What the half ring of cameras surrounds, metres east and north."""
+
+SPACING_DEG = 20.0
+
+
+@dataclass(frozen=True)
+class Mount:
+    """A camera's place.
+
+    bearing_deg: east of south, seen from CENTRE; distance, height: metres;
+    target: what it looks at; hfov_deg, distortion: its lens.
+    """
+
+    name: str
+    bearing_deg: float
+    distance: float
+    height: float
+    target: tuple[float, float, float]
+    hfov_deg: float
+    distortion: tuple[float, float, float, float, float]
+
+
+# Distortions of the size of real surveillance lenses: barrel, a little decentring.
+MOUNTS = (
+    Mount("gate", -71.0, 19.5, 6.2, (21.0, 20.5, 1.2), 70.0, (-0.21, 0.055, 0.0004, -0.0003, -0.008)),
+    Mount("mast-1", -50.0, 20.0, 7.6, (20.5, 21.5, 1.4), 66.0, (-0.16, 0.032, -0.0005, 0.0002, 0.0)),
+    Mount("crane-1", -30.5, 19.0, 9.4, (20.0, 22.0, 1.0), 68.0, (-0.19, 0.046, 0.0002, 0.0004, -0.005)),
+    Mount("mast-2", -10.0, 19.5, 7.0, (20.5, 22.5, 1.8), 67.0, (-0.17, 0.035, 0.0, -0.0004, 0.0)),
+    Mount("mast-3", 10.5, 19.0, 8.2, (19.5, 22.5, 1.5), 65.0, (-0.15, 0.028, 0.0003, 0.0003, 0.0)),
+    Mount("crane-2", 30.0, 20.0, 9.0, (20.0, 22.0, 1.2), 69.0, (-0.20, 0.050, -0.0002, -0.0003, -0.006)),
+    Mount("quay", 50.0, 19.5, 6.6, (19.5, 21.5, 1.5), 66.0, (-0.16, 0.030, 0.0004, 0.0002, 0.0)),
+    Mount("roof", 70.0, 19.8, 7.4, (19.0, 20.5, 1.0), 70.0, (-0.22, 0.060, -0.0003, 0.0004, -0.009)),
+)
+
+
+def choose_mounts(cameras: int) -> tuple[Mount, ...]:
+    """The `cameras` neighbours in the middle of the half ring."""
+    if not 1 <= cameras <= len(MOUNTS):
+        raise ValueError(f"the yard has 1 to {len(MOUNTS)} cameras, not {cameras}")
+    first = (len(MOUNTS) - cameras) // 2
+    return MOUNTS[first : first + cameras]
+
+
+def position(mount: Mount) -> Float64s:
+    """Camera centre (3,) float64, metres."""
+    bearing = np.deg2rad(mount.bearing_deg)
+    return np.array([CENTRE[0] + mount.distance * np.sin(bearing), CENTRE[1] - mount.distance * np.cos(bearing), mount.height])
+
+
+def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float64s:
+    """R (3, 3), world to camera axes, of a camera at `centre` that looks at `target` with z up."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
+    return np.array([c * right + s * down, -s * right + c * down, forward])
+
+
+def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
+    """The pinhole without distortion, and the lens with it, of `size` = (width, height) pixels."""
+    width, height = size
+    focal = 0.5 * width / np.tan(np.deg2rad(mount.hfov_deg) / 2)
+    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
+    shift = 0.006 * width * np.sin(np.array([1.0, 2.0]) * (mount.bearing_deg + 7.0))
+    K = np.array([[focal, 0, (width - 1) / 2 + shift[0]], [0, focal, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
+    centre = position(mount)
+    R = look_at(centre, np.array(mount.target), roll_deg=1.2 * np.sin(mount.bearing_deg))
+    return Camera(K, R, centre, width, height), Lens(K=K, distortion=np.array(mount.distortion), width=width, height=height)
+
+
+@kernel
+def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
+    """Ray directions (x, y, 1) in camera axes of distorted pixels, by fixed-point steps on Brown's model."""
+    k1, k2, p1, p2, k3 = distortion
+    for k in range(x.shape[0]):
+        u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
+        a, b = u, v
+        for _ in range(25):
+            r2 = a * a + b * b
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            da = 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+            db = p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+            a, b = (u - da) / radial, (v - db) / radial
+        rays[k, 0], rays[k, 1], rays[k, 2] = a, b, 1.0
+
+
+def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
+    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion)."""
+    distortion = np.zeros(5) if lens is None else lens.distortion
+    rays = np.empty((len(x), 3))
+    _undistort(rays, x, y, camera.K, distortion)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.asarray(rays @ camera.R, dtype=np.float32)
+
+
+def distort(lens: Lens, x: Float64s) -> Float64s:
+    """Pixels (n, 2) of the undistorted view with the same K, as the lens images them (Brown's model, OpenCV's order)."""
+    assert lens.K is not None
+    K, (k1, k2, p1, p2, k3) = lens.K, lens.distortion
+    a, b = (x[:, 0] - K[0, 2]) / K[0, 0], (x[:, 1] - K[1, 2]) / K[1, 1]
+    r2 = a * a + b * b
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+    v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+    return np.column_stack([K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2]])

@@ -1,0 +1,208 @@
+"""Where everything stands in the yard (about 40 x 30 m, x east, y north, z up; the quay and the water lie south)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import textures as paint
+from .cameras import Mount, position
+from .noise import Rng
+from .renderer import Lamp, Light
+from .scene import STATIC, WATER, Scene, SceneBuilder
+from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, lamp_post
+
+WALL_TOP = 9.2
+LAMPS = (
+    (5.0, 29.2, 6.3), (15.0, 29.2, 6.3), (25.0, 29.2, 6.3), (35.0, 29.2, 6.3),
+    (39.2, 20.5, 6.3), (0.8, 22.0, 6.0), (13.0, 8.1, 6.8), (28.5, 7.6, 6.8),
+)  # fmt: skip
+
+CONTAINERS = (
+    Box(17.6, 19.4, 0, 0.07, 6.06, (0.05, 0.14, 0.36), "NORDSEE"),
+    Box(17.5, 19.5, 1, 0.12, 6.06, (0.42, 0.07, 0.05), "HANSA LINE"),
+    Box(22.4, 17.2, 0, 1.23, 6.06, (0.55, 0.29, 0.03), "KOGGE"),
+    Box(33.2, 23.4, 0, -0.22, 6.06, (0.10, 0.30, 0.22), "BALTIKA"),
+    Box(33.0, 23.5, 1, -0.18, 6.06, (0.55, 0.53, 0.50), "MEERWIND"),
+    Box(31.4, 13.6, 0, 1.46, 12.19, (0.30, 0.05, 0.06), "TRANSHAFEN"),
+    Box(8.6, 14.6, 0, 0.55, 6.06, (0.05, 0.22, 0.33), "OSTWIND"),
+    Box(20.4, 24.0, 0, -0.05, 6.06, (0.17, 0.18, 0.19), "KONTOR"),
+)
+
+
+def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> Scene:
+    """Everything that stands still; textures at `texel_m` metres per texel."""
+    build = SceneBuilder()
+    build.kind = STATIC
+    _ground(build, rng, texel_m)
+    _buildings(build, rng, texel_m)
+    for box in CONTAINERS:
+        container(build, rng, texel_m, box)
+    crane(build, rng, (7.0, 21.5), texel_m, height=10.0, reach=11.0, bearing=0.45)
+    _clutter(build, rng, texel_m, mounts)
+    return build.build()
+
+
+def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
+    """Cobbles, the concrete quay with its edge, and the water."""
+    east, south = np.array([1.0, 0, 0]), np.array([0, -1.0, 0])
+    stones = build.add_texture(paint.cobbles(rng, 40.0, 24.0, texel_m))
+    quay = build.add_texture(paint.concrete(rng, 60.0, 11.0, texel_m, text="FREIHALTEN   KRAN 07   HALT"))
+    build.quad((0.0, 30.0, 0.0), 40 * east, 24 * south, stones)
+    build.quad((-10.0, 6.0, 0.0), 60 * east, 11 * south, quay)
+    build.quad((-10.0, -5.0, 0.0), 60 * east, -1.8 * UP, quay)
+    apron = build.add_texture(paint.concrete(rng, 14.0, 30.0, 2 * texel_m))
+    for x in (-14.0, 40.0):
+        build.quad((x, 36.0, -0.02), 14 * east, 30 * south, apron)
+    build.kind = WATER
+    build.quad((-150.0, -5.0, -1.8), 340 * east, 150 * south, build.add_texture(paint.water(rng, 30.0, 30.0, 4 * texel_m)))
+    build.kind = STATIC
+
+
+def _buildings(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
+    """Two brick warehouses alike, a plastered shed opposite, gatehouse and office: all with the same window."""
+    pane = build.add_texture(paint.window(1.2, 1.8, texel_m))
+    sill = build.add_texture(paint.concrete(rng, 2.0, 1.0, texel_m))
+    doors = [
+        build.add_texture(paint.roller_door(rng, 3.4, 3.4, texel_m, colour, str(k + 1)))
+        for k, colour in enumerate(
+            ((0.13, 0.24, 0.19), (0.13, 0.24, 0.19), (0.10, 0.16, 0.30), (0.35, 0.33, 0.30), (0.13, 0.24, 0.19))
+        )
+    ]
+    gate = build.add_texture(paint.planks(rng, 3.4, 3.4, texel_m))
+    north = build.add_texture(paint.brick_wall(rng, 40.0, WALL_TOP, texel_m, sign="WERFT & LAGERHAUS HANSEN"))
+    east_wall = build.add_texture(paint.brick_wall(rng, 18.0, WALL_TOP, texel_m, sign="LAGERHAUS II"))
+    west_wall = build.add_texture(paint.plaster(rng, 17.0, 8.0, texel_m))
+    east, up_north = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    facade(
+        build,
+        np.array([0, 30.0, WALL_TOP]),
+        east,
+        (40.0, WALL_TOP),
+        north,
+        _bays(40.0, pane, [doors[0], gate, doors[1], doors[2]]),
+        sill,
+    )
+    facade(
+        build, np.array([40.0, 30.5, WALL_TOP]), -up_north, (18.0, WALL_TOP), east_wall, _bays(18.0, pane, [doors[4], gate]), sill
+    )
+    facade(build, np.array([0.0, 13.0, 8.0]), up_north, (17.0, 8.0), west_wall, _bays(17.0, pane, [doors[3]], rows=2), sill)
+    tiles = build.add_texture(paint.roof_tiles(rng, 42.0, 6.6, 1.5 * texel_m))
+    build.quad((-1.0, 35.0, WALL_TOP + 3.4), 42 * east, (0, -5.5, -3.6), tiles)
+    build.quad((45.0, 31.5, WALL_TOP + 3.4), -20 * up_north, (-5.5, 0, -3.6), tiles)
+    build.quad((-5.0, 12.4, 10.6), 18.5 * up_north, (5.4, 0, -2.8), tiles)
+    brick = build.add_texture(paint.brick_wall(rng, 7.0, 6.0, texel_m, tint=(0.9, 0.95, 1.0)))
+    build.box((-1.5, 8.0, 0.0), (5.4, 6.0, 5.6), sill, sides=brick)
+    build.box((41.6, 7.6, 0.0), (5.4, 6.2, 6.6), sill, sides=brick)
+    for x in (6.0, 17.0, 31.0):
+        build.box((x, 33.0, WALL_TOP), (0.9, 0.7, 4.6), sill, sides=brick)
+    steel = build.add_texture(paint.painted_steel(rng, 10.0, 1.0, texel_m, (0.25, 0.26, 0.25)))
+    for x in (0.35, 9.85, 20.0, 30.3, 39.5):
+        build.tube((x, 29.9, 0.0), 0.07, WALL_TOP, steel, sides=8)
+    build.beam((-0.5, 29.75, WALL_TOP), (40.0, 29.75, WALL_TOP), 0.16, steel)
+    build.beam((39.75, 12.4, WALL_TOP), (39.75, 30.5, WALL_TOP), 0.16, steel)
+    _signs(build, rng, texel_m)
+
+
+def _bays(width: float, pane: int, doors: list[int], *, rows: int = 3) -> list[Opening]:
+    """Rows of the one window every 2.5 m; doors, evenly spread, take the place of ground-floor windows."""
+    height = {3: WALL_TOP, 2: 8.0}[rows]
+    columns = [0.65 + 2.5 * k for k in range(int((width - 0.65) / 2.5))]
+    at = [width * (k + 0.5) / len(doors) - 1.7 for k in range(len(doors))]
+    openings = [Opening(x, height - 3.4, 3.4, 3.4, door, depth=0.3) for x, door in zip(at, doors, strict=True)]
+    for row in range(rows):
+        top = height - 3.1 - 2.7 * row
+        free = [x for x in columns if row > 0 or all(x + 1.4 < a or x > a + 3.6 for a in at)]
+        openings += [Opening(x, top, 1.2, 1.8, pane) for x in free if top > 0.2]
+    return openings
+
+
+def _signs(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
+    """Boards on the façades."""
+    boards = (
+        ((3.2, 29.86, 4.95), (2.6, 0.06, 0.8), ("LADEZONE A",), (0.60, 0.42, 0.04), (0.03, 0.03, 0.03)),
+        ((13.1, 29.86, 3.75), (2.2, 0.06, 0.7), ("TOR 2  EINFAHRT",), (0.05, 0.13, 0.35), (0.7, 0.7, 0.68)),
+        ((26.4, 29.86, 3.75), (2.8, 0.06, 0.7), ("RAUCHEN VERBOTEN",), (0.70, 0.69, 0.65), (0.45, 0.03, 0.03)),
+        ((36.6, 29.86, 2.0), (1.3, 0.06, 1.6), ("HALLE", "IV", "SUED"), (0.10, 0.28, 0.16), (0.7, 0.7, 0.68)),
+    )
+    for place, size, lines, colour, ink in boards:
+        front = build.add_texture(paint.sign_board(rng, size[0], size[2], texel_m, lines, colour, ink))
+        build.box(place, size, front, front=front)
+
+
+def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> None:
+    """Crates, drums, a parked lorry, a heap of gravel, bollards, lamp posts and the cameras' masts."""
+    wood = [
+        build.add_texture(paint.planks(rng, 5.0, 1.5, texel_m, tone))
+        for tone in ((0.36, 0.25, 0.14), (0.27, 0.21, 0.15), (0.42, 0.33, 0.2))
+    ]
+    stencilled = build.add_texture(
+        paint.sign_board(rng, 4.0, 1.0, texel_m, ("OBEN", "VORSICHT 40 KG"), (0.38, 0.28, 0.16), (0.05, 0.04, 0.04))
+    )
+    steel = build.add_texture(paint.painted_steel(rng, 3.0, 9.0, texel_m, (0.30, 0.31, 0.31)))
+    drums = [
+        build.add_texture(paint.painted_steel(rng, 1.9, 0.9, texel_m, c))
+        for c in ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
+    ]
+    for x, y, rows in (
+        (9.8, 28.0, 3),
+        (22.4, 28.2, 3),
+        (37.2, 17.4, 2),
+        (2.4, 19.0, 2),
+        (27.4, 20.6, 2),
+        (10.8, 18.6, 2),
+        (18.0, 15.4, 3),
+    ):
+        crates(build, rng, (x, y), [*wood, stencilled], rows=rows, levels=3)
+    for x, y, count in ((28.0, 28.4, 9), (2.0, 25.5, 7), (24.6, 21.8, 6), (36.6, 27.8, 8), (12.0, 11.0, 5)):
+        barrels(build, rng, (x, y), drums, count=count)
+    _lorry(build, rng, texel_m)
+    gravel = build.add_texture(paint.concrete(rng, 3.0, 3.0, texel_m, slab_m=0.09))
+    build.ball((35.6, 20.0, -0.3), (2.0, 1.7, 1.6), gravel, steps=14)
+    build.ball((4.2, 28.0, -0.4), (1.8, 1.4, 1.5), gravel, steps=14)
+    bulb = build.add_texture(paint.cloth(rng, 0.02, (0.9, 0.88, 0.8)))
+    for x, y, z in LAMPS[6:]:
+        lamp_post(build, (x, y - 1.1), z + 0.2, steel, bulb)
+    for x, y, z in LAMPS[:6]:
+        build.ball((x, y, z - 0.05), (0.16, 0.16, 0.1), bulb, steps=4)
+    for x in np.arange(-6.0, 48.0, 6.0):
+        build.tube((float(x), -4.3, 0.0), 0.22, 0.7, drums[1], sides=10)
+    for mount in mounts:
+        x, y, z = position(mount)
+        back = 0.45 / mount.distance
+        build.tube((x + back * (x - 20.0), y + back * (y - 18.0), 0.0), 0.1, float(z) + 0.3, steel, sides=8)
+
+
+def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
+    """A flatbed lorry parked for the night, with a crate on it."""
+    red = build.add_texture(paint.painted_steel(rng, 3.0, 3.0, texel_m, (0.42, 0.06, 0.05)))
+    bed = build.add_texture(paint.planks(rng, 5.0, 2.5, texel_m))
+    dark = build.add_texture(paint.cloth(rng, texel_m, (0.03, 0.03, 0.035)))
+    crate = build.add_texture(
+        paint.sign_board(rng, 4.4, 1.4, texel_m, ("MASCHINENTEILE", "HAMBURG  7/12"), (0.40, 0.30, 0.17), (0.06, 0.05, 0.05))
+    )
+    build.box((4.6, 10.2, 0.6), (2.3, 1.9, 2.1), red, yaw=1.35)
+    build.box((3.75, 6.6, 0.9), (4.9, 2.3, 0.2), bed, yaw=1.35)
+    build.box((3.75, 6.4, 1.1), (2.6, 1.8, 1.4), crate, yaw=1.35)
+    for along in (3.7, 0.4, -1.1):
+        for side in (-0.95, 0.95):
+            x = 3.75 + along * np.cos(1.35) - side * np.sin(1.35)
+            y = 6.6 + along * np.sin(1.35) + side * np.cos(1.35)
+            build.ball((x, y, 0.45), (0.46, 0.46, 0.46), dark, steps=7)
+
+
+def yard_light(light: str) -> Light:
+    """Afternoon sun, the last of dusk with the lamps on, or night."""
+    warm, white = (34.0, 27.0, 17.0), (30.0, 29.0, 26.0)
+    lamps = tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(LAMPS))
+    south_west = np.array([-0.52, -0.50, 0.62])
+    sun = tuple(float(v) for v in south_west / np.linalg.norm(south_west))
+    direction = (sun[0], sun[1], sun[2])
+    if light == "day":
+        return Light(direction, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))
+    if light == "dusk":
+        dim = tuple(Lamp(lamp.position, (lamp.power[0] * 0.25, lamp.power[1] * 0.25, lamp.power[2] * 0.25)) for lamp in lamps)
+        return Light((-0.90, -0.35, 0.24), (0.22, 0.13, 0.07), (0.17, 0.20, 0.29), (0.10, 0.09, 0.085), (0.45, 0.33, 0.27), dim)
+    if light == "night":
+        low = tuple(Lamp(lamp.position, (lamp.power[0] * 0.2, lamp.power[1] * 0.2, lamp.power[2] * 0.2)) for lamp in lamps)
+        return Light(direction, (0.0, 0.0, 0.0), (0.010, 0.012, 0.018), (0.008, 0.007, 0.006), (0.02, 0.018, 0.016), low)
+    raise ValueError(f"light is day, dusk or night, not {light!r}")

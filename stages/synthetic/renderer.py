@@ -1,0 +1,343 @@
+"""Renders a scene: open3d finds what each ray hits, compiled kernels filter the textures and add up the light.
+
+Surfaces are matt.  Sun and lamps cast shadows by rays, one for every sample, toward a point of the (wide) source; light of sky
+and surroundings comes from a coarse grid of directional visibilities, computed once a scene.  Every sample depends on its own
+ray and on nothing else, so that the same scene gives the same picture on any number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+
+from ..kernels import kernel
+from ..types import Float32s, Float64s, Int32s, Uint8s
+from .scene import STATIC, WATER, Scene
+
+AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp: position (3,), colour times strength (3,), metres-squared falloff."""
+
+    position: tuple[float, float, float]
+    power: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Light:
+    """sun_direction: unit vector towards the sun; sun, sky, ground: linear colours; haze: the sky at the horizon; lamps."""
+
+    sun_direction: tuple[float, float, float]
+    sun: tuple[float, float, float]
+    sky: tuple[float, float, float]
+    ground: tuple[float, float, float]
+    haze: tuple[float, float, float]
+    lamps: tuple[Lamp, ...] = ()
+
+
+@dataclass(frozen=True)
+class SkyGrid:
+    """How much of the sky points in space see.  open: (nz, ny, nx, 6) float32 along +x -x +y -y +z -z; corner, cell_m: metres."""
+
+    open: Float32s
+    corner: Float32s
+    cell_m: float
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """All textures and their halvings in one array of bytes.
+
+    texels: (n, 3) uint8; starts, heights, widths: (textures, levels) int32; texel_m: (textures,) float32.
+    """
+
+    texels: Uint8s
+    starts: Int32s
+    heights: Int32s
+    widths: Int32s
+    texel_m: Float32s
+
+
+LEVELS = 9
+
+
+@kernel
+def _halve(fine: Uint8s, coarse: Uint8s) -> None:
+    """Mean of 2 x 2 texels in linear light (texels hold square roots)."""
+    h, w = fine.shape[:2]
+    for i in range(coarse.shape[0]):
+        for j in range(coarse.shape[1]):
+            i2, j2 = min(2 * i + 1, h - 1), min(2 * j + 1, w - 1)
+            for c in range(3):
+                total = float(fine[2 * i, 2 * j, c]) ** 2 + float(fine[2 * i, j2, c]) ** 2
+                total += float(fine[i2, 2 * j, c]) ** 2 + float(fine[i2, j2, c]) ** 2
+                coarse[i, j, c] = np.uint8(np.sqrt(0.25 * total) + 0.5)
+
+
+def build_atlas(scene: Scene) -> Atlas:
+    """Textures of a scene with their pyramids."""
+    parts: list[Uint8s] = []
+    starts, heights, widths = (np.zeros((len(scene.textures), LEVELS), np.int32) for _ in range(3))
+    position = 0
+    for t, texture in enumerate(scene.textures):
+        pixels = texture.pixels
+        for level in range(LEVELS):
+            starts[t, level], heights[t, level], widths[t, level] = position, pixels.shape[0], pixels.shape[1]
+            parts.append(pixels.reshape(-1, 3))
+            position += len(parts[-1])
+            coarse = np.empty(((pixels.shape[0] + 1) // 2, (pixels.shape[1] + 1) // 2, 3), np.uint8)
+            _halve(pixels, coarse)
+            pixels = coarse
+    texel_m = np.array([t.texel_m for t in scene.textures], np.float32)
+    return Atlas(np.concatenate(parts), starts, heights, widths, texel_m)
+
+
+def _tensor(array: Any) -> Any:
+    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
+
+
+class Stage:
+    """A scene made ready to be looked at: ray accelerator, atlas, sky visibility, light."""
+
+    def __init__(self, scene: Scene, light: Light, *, atlas: Atlas | None = None, sky: SkyGrid | None = None) -> None:
+        self.scene = scene
+        self.light = light
+        self._rays = o3d.t.geometry.RaycastingScene()
+        index = np.arange(len(scene.vertices), dtype=np.uint32).reshape(-1, 3)
+        self._rays.add_triangles(_tensor(scene.vertices), _tensor(index))
+        self.atlas = build_atlas(scene) if atlas is None else atlas
+        self.sky = self._sky_grid() if sky is None else sky
+
+    def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
+        """Distance (inf for nothing) and facet (-1 for nothing) of what each of n rays hits first."""
+        answer = self._rays.cast_rays(_tensor(np.hstack([origins, directions])))
+        facet = answer["primitive_ids"].numpy().astype(np.int64)
+        return answer["t_hit"].numpy(), np.where(facet < len(self.scene.kinds), facet, -1).astype(np.int32)
+
+    def reaches(self, origins: Float32s, directions: Float32s, far: float = np.inf) -> Float32s:
+        """1 where a ray of length `far` (in units of its direction) meets nothing, else 0."""
+        rays = _tensor(np.hstack([origins, directions]))
+        hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
+        return np.asarray(~hit, dtype=np.float32)
+
+    def _sky_grid(self, cell_m: float = 0.8, rays: int = 48) -> SkyGrid:
+        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis."""
+        still = np.repeat(self.scene.kinds == STATIC, 3)
+        low = self.scene.vertices[still].min(axis=0) - cell_m
+        count = np.ceil((self.scene.vertices[still].max(axis=0) + cell_m - low) / cell_m).astype(int) + 1
+        axes = [low[k] + cell_m * np.arange(count[k], dtype=np.float32) for k in range(3)]
+        z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+        points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
+        directions = spiral(rays)
+        seen = np.zeros((len(points), 6), np.float32)
+        total = np.zeros(6, np.float32)
+        for d in directions:
+            facing = np.maximum(AXES @ d, 0)
+            # sideways and downward light also comes back from the ground: rays below the horizon count a little when free
+            clear = self.reaches(points, np.broadcast_to(d, points.shape).astype(np.float32), far=25.0)
+            seen += (clear if d[2] > 0 else 0.5 + 0.5 * clear)[:, None] * facing
+            total += facing
+        return SkyGrid((seen / total).reshape(*z.shape, 6), low.astype(np.float32), cell_m)
+
+
+def spiral(n: int) -> Float32s:
+    """n unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    k = np.arange(n) + 0.5
+    z = 1 - 2 * k / n
+    turn = np.pi * (1 + 5**0.5) * k
+    return np.column_stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z]).astype(np.float32)
+
+
+def render_rays(
+    stage: Stage, centre: Float64s, directions: Float32s, spread: float, jitter: Float32s
+) -> tuple[Float32s, Float32s, Int32s]:
+    """What n rays from one point see.
+
+    directions: (n, 3) float32 unit vectors; spread: radians between neighbouring rays; jitter: (n, 2) float32 in -1..1, the point
+    of the sun's disc that each sample asks.  Returns radiance (n, 3), distance (n,) and facet (n,), -1 for sky.
+    """
+    origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
+    distance, facet = stage.cast(origins, directions)
+    scene, atlas, light = stage.scene, stage.atlas, stage.light
+    hit = facet >= 0
+    radiance = sky_radiance(light, directions)
+    if not hit.any():
+        return radiance, distance, facet
+    rays, far, on = directions[hit], distance[hit], facet[hit]
+    points = np.asarray(centre, np.float32) + rays * far[:, None]
+    facing = np.where((np.einsum("ni,ni->n", scene.normals[on], rays) > 0)[:, None], -scene.normals[on], scene.normals[on])
+    albedo = np.empty_like(points)
+    _filter(
+        albedo, points, rays, facing, far, on, spread,
+        scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of,
+        atlas.texels, atlas.starts, atlas.heights, atlas.widths, atlas.texel_m,
+    )  # fmt: skip
+    received = np.empty_like(points)
+    _sky_light(
+        received, points, facing, stage.sky.open, stage.sky.corner, stage.sky.cell_m,
+        np.array(light.sky, np.float32), np.array(light.ground, np.float32),
+    )  # fmt: skip
+    lifted = points + facing * np.float32(0.004) * np.maximum(far * np.float32(0.05), 1)[:, None]
+    _add_sun(stage, received, lifted, facing, jitter[hit])
+    for lamp in light.lamps:
+        _add_lamp(stage, received, lifted, facing, lamp)
+    radiance[hit] = albedo * received
+    return radiance, distance, facet
+
+
+def _add_sun(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
+    """Sunlight on lit facets, with the sun widened to 1 degree for soft edges."""
+    sun = np.asarray(stage.light.sun_direction, np.float32)
+    side = np.cross(sun, (0, 0, 1)).astype(np.float32)
+    side /= np.linalg.norm(side)
+    cosine = facing @ sun
+    lit = np.flatnonzero(cosine > 0)
+    if not len(lit) or max(stage.light.sun) <= 0:
+        return
+    towards = sun + np.float32(0.009) * (jitter[lit, :1] * side + jitter[lit, 1:] * np.cross(side, sun).astype(np.float32))
+    clear = stage.reaches(points[lit], towards.astype(np.float32))
+    received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(stage.light.sun, np.float32)
+
+
+def _add_lamp(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
+    """Light of one lamp, where it is bright enough to matter."""
+    towards = np.asarray(lamp.position, np.float32) - points
+    square = np.einsum("ni,ni->n", towards, towards)
+    cosine = np.einsum("ni,ni->n", facing, towards) / np.sqrt(square)
+    # lamps shine downward from a hood: little goes up
+    strength = np.maximum(cosine, 0) * np.clip(0.15 + towards[:, 2] / np.sqrt(square), 0.03, 1) / (square + 0.3)
+    lit = np.flatnonzero(strength * max(lamp.power) > 0.004)
+    if len(lit):
+        clear = stage.reaches(points[lit], towards[lit], far=0.97)
+        received[lit] += (strength[lit] * clear)[:, None] * np.asarray(lamp.power, np.float32)
+
+
+def sky_radiance(light: Light, directions: Float32s) -> Float32s:
+    """The sky: haze at the horizon, the light's own colour higher up, drifting bands of cloud."""
+    up = np.clip(directions[:, 2], 0, 1)[:, None]
+    blend = np.sqrt(up)
+    x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
+    band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0) + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(
+        3.3 * y - 1.2 * x
+    )
+    cloud = 0.25 * np.clip(band, 0, 1)[:, None]
+    colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
+    return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
+
+
+@kernel
+def _mirror(i: int, n: int) -> int:
+    """Position i of an endlessly mirrored row of n texels."""
+    i = i % (2 * n)
+    return i if i < n else 2 * n - 1 - i
+
+
+@kernel
+def _filter(
+    albedo: Float32s,
+    points: Float32s,
+    rays: Float32s,
+    normals: Float32s,
+    distance: Float32s,
+    facet: Int32s,
+    spread: float,
+    origins: Float32s,
+    along_u: Float32s,
+    along_v: Float32s,
+    offsets: Float32s,
+    texture_of: Int32s,
+    texels: Uint8s,
+    starts: Int32s,
+    heights: Int32s,
+    widths: Int32s,
+    texel_m: Float32s,
+) -> None:
+    """Texture colour under each sample's footprint: the level of the short axis, several taps along the long one."""
+    for k in range(points.shape[0]):
+        f = facet[k]
+        t = texture_of[f]
+        cosine = 0.0
+        for c in range(3):
+            cosine -= rays[k, c] * normals[k, c]
+        cosine = max(cosine, 0.03)
+        width = distance[k] * spread
+        # long axis: the ray's own direction laid into the facet; short axis: across it
+        lx = rays[k, 0] + cosine * normals[k, 0]
+        ly = rays[k, 1] + cosine * normals[k, 1]
+        lz = rays[k, 2] + cosine * normals[k, 2]
+        norm = np.sqrt(lx * lx + ly * ly + lz * lz) + 1e-9
+        lu = (lx * along_u[f, 0] + ly * along_u[f, 1] + lz * along_u[f, 2]) / norm
+        lv = (lx * along_v[f, 0] + ly * along_v[f, 1] + lz * along_v[f, 2]) / norm
+        long_m = width / cosine
+        u, v = offsets[f, 0], offsets[f, 1]
+        for c in range(3):
+            u += (points[k, c] - origins[f, c]) * along_u[f, c]
+            v += (points[k, c] - origins[f, c]) * along_v[f, c]
+        taps = min(int(1.0 / cosine) + 1, 8)
+        footprint = max(width, long_m / taps) / texel_m[t]
+        level = 0
+        while footprint > 1.5 and level < 8:
+            footprint *= 0.5
+            level += 1
+        scale = 1.0 / (texel_m[t] * (1 << level))
+        h, w, start = heights[t, level], widths[t, level], starts[t, level]
+        red, green, blue = 0.0, 0.0, 0.0
+        for tap in range(taps):
+            along = ((tap + 0.5) / taps - 0.5) * long_m
+            x = (u + along * lu) * scale - 0.5
+            y = (v + along * lv) * scale - 0.5
+            x0, y0 = int(np.floor(x)), int(np.floor(y))
+            ax, ay = x - x0, y - y0
+            for dy in range(2):
+                row = start + _mirror(y0 + dy, h) * w
+                for dx in range(2):
+                    weight = (ax if dx else 1 - ax) * (ay if dy else 1 - ay)
+                    index = row + _mirror(x0 + dx, w)
+                    red += weight * float(texels[index, 0]) ** 2
+                    green += weight * float(texels[index, 1]) ** 2
+                    blue += weight * float(texels[index, 2]) ** 2
+        gain = 1.0 / (taps * 255.0 * 255.0)
+        albedo[k, 0], albedo[k, 1], albedo[k, 2] = red * gain, green * gain, blue * gain
+
+
+@kernel
+def _sky_light(
+    received: Float32s,
+    points: Float32s,
+    normals: Float32s,
+    grid: Float32s,
+    corner: Float32s,
+    cell: float,
+    sky: Float32s,
+    ground: Float32s,
+) -> None:
+    """Light from sky and surroundings: visibilities of the grid around a point just off the surface, weighed by its normal."""
+    nz, ny, nx = grid.shape[:3]
+    for k in range(points.shape[0]):
+        x = min(max((points[k, 0] + 0.6 * cell * normals[k, 0] - corner[0]) / cell, 0.0), nx - 1.001)
+        y = min(max((points[k, 1] + 0.6 * cell * normals[k, 1] - corner[1]) / cell, 0.0), ny - 1.001)
+        z = min(max((points[k, 2] + 0.6 * cell * normals[k, 2] - corner[2]) / cell, 0.0), nz - 1.001)
+        ix, iy, iz = int(x), int(y), int(z)
+        ax, ay, az = x - ix, y - iy, z - iz
+        seen = 0.0
+        for axis in range(3):
+            n = normals[k, axis]
+            side = 2 * axis + (0 if n > 0 else 1)
+            for dz in range(2):
+                for dy in range(2):
+                    for dx in range(2):
+                        weight = (ax if dx else 1 - ax) * (ay if dy else 1 - ay) * (az if dz else 1 - az)
+                        seen += n * n * weight * grid[iz + dz, iy + dy, ix + dx, side]
+        up = 0.5 + 0.5 * normals[k, 2]
+        for c in range(3):
+            received[k, c] = seen * (sky[c] * (0.35 + 0.65 * up) + ground[c] * (1 - up))
+
+
+def truth_mask(scene: Scene, facet: Int32s) -> Uint8s:
+    """1 where a facet is part of the truth (not sky, not water), else 0."""
+    return np.where((facet >= 0) & (scene.kinds[np.maximum(facet, 0)] != WATER), 1, 0).astype(np.uint8)
