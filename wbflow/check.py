@@ -9,7 +9,7 @@ import shutil
 from dataclasses import dataclass
 from typing import Literal
 
-from .captures import expected
+from .captures import CaptureFile, expected
 from .night import Night, open_night
 from .site import Site
 
@@ -41,13 +41,14 @@ class Finding:
 
 def check(site: Site, date: datetime.date | None) -> list[Finding]:
     """Everything that would spoil a run, or part of one."""
-    night = open_night(site, date)
-    return [*check_captures(site, night), *check_machine(), *_disk(site)]
+    machine = check_machine()
+    if any(finding.severity == "error" for finding in machine):
+        return machine + _disk(site)
+    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site)]
 
 
 def check_captures(site: Site, night: Night) -> list[Finding]:
-    """Is every capture there, whole, and of the size that its intrinsics are for?  Looks at the files' headers only."""
-    probe = importlib.import_module("wbflow_stages.probe").probe
+    """Is every capture there, whole, and of the size that its intrinsics are for?"""
     found = []
     for camera in site.cameras:
         place = site.document.problem(camera.place, "")
@@ -57,16 +58,28 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
             what = f"{where}: there is no capture {expected(site, camera, night.date)}"
             found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", 3))
         for file in files:
-            header = probe(file.path.read_bytes() if file.digest else b"")
+            size, problem = _look_at(file)
             stated = (camera.lens["width"], camera.lens["height"])
-            if header.problem:
-                remedy = "the other cameras go on without it"
-                found.append(Finding("error", f"{where}: {file.name} {header.problem}", remedy, 3))
-            elif stated[0] and header.size != stated:
-                size = f"{header.size[0]}x{header.size[1]}"
-                what = f"{where}: {file.name} is {size}, its intrinsics are for {stated[0]}x{stated[1]}"
+            if problem:
+                found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", 3))
+            elif stated[0] and size != stated:
+                what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
                 found.append(Finding("error", what, "calibrate for this size, or correct width and height", 3))
     return found
+
+
+def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
+    """(width, height) of a capture as it would be used, or what is wrong with it."""
+    import numpy as np
+
+    frames, types = (importlib.import_module(f"wbflow_stages.{name}") for name in ("frames", "types"))
+    if not file.digest:
+        return (0, 0), f"{file.name} cannot be read"
+    try:
+        image = frames.decode(types.Capture(file.name, np.fromfile(file.path, dtype=np.uint8)))
+    except ValueError as error:
+        return (0, 0), str(error)
+    return (image.shape[1], image.shape[0]), None
 
 
 def check_machine() -> list[Finding]:

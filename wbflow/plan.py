@@ -203,6 +203,21 @@ class Plan:
         """Is the pair graph there (so that every pair's tasks are listed)?"""
         return self._pairs() is not None
 
+    def upstreams(self, task: Task) -> list[Task]:
+        """The tasks that a task takes its inputs from, as far as they are listed yet."""
+        found = []
+        for need in stage_named(task.stage).needs.values():
+            if need.origin.startswith("site:") or (need.unless_posed and self.site.posed):
+                continue
+            origin = stage_named(need.origin)
+            if need.which == "all":
+                found += self._tasks(origin)
+            elif need.which == "same" or origin.scope == "site":
+                found.append(Task(origin.name, task.subject if origin.scope != "site" else ()))
+            else:
+                found.append(Task(origin.name, task.subject[:1] if need.which == "left" else task.subject[1:]))
+        return list(dict.fromkeys(found))
+
     def stages(self) -> list[Stage]:
         """The stages that take part tonight."""
         return list(self._stages)

@@ -206,7 +206,11 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     try:
         model = _Site.model_validate(data)
     except ValidationError as error:
-        raise SiteError(problems + _problems(error, document)) from None
+        problems += _problems(error, document)
+        salvaged = _without_faults(data, error)
+        if salvaged is None:
+            raise SiteError(problems) from None
+        model = salvaged
     cameras = _cameras(model, document, problems)
     if work is None:
         work = _beside(path, model.work) if model.work else path.resolve().parent / ".wbflow" / model.site
@@ -300,6 +304,24 @@ def _problems(error: ValidationError, document: Document) -> list[Problem]:
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
     return sorted(found, key=lambda p: (p.line, p.column))
+
+
+def _without_faults(data: dict[str, Any], error: ValidationError) -> _Site | None:
+    """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
+    data = {**data, "cameras": list(data.get("cameras") or [])}
+    for item in error.errors():
+        section, *rest = item["loc"]
+        if section == "cameras" and rest and isinstance(rest[0], int):
+            camera = data["cameras"][rest[0]]
+            data["cameras"][rest[0]] = (
+                {"id": camera.get("id"), "intrinsics": {"hfov": 60.0}} if isinstance(camera, dict) else None
+            )
+        else:
+            data.pop(str(section), None)
+    try:
+        return _Site.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **data})
+    except ValidationError:
+        return None
 
 
 def _fields_at(place: Place) -> list[str]:

@@ -24,8 +24,8 @@ def explain(plan: Plan) -> list[Line]:
         lines[task] = Line(str(task), state.outcome, state.reason or "")
     for task, spec in plan.ready.items():
         lines[task] = Line(str(task), "would run", _why(plan, spec))
-    for task, upstream in plan.waiting.items():
-        lines[task] = Line(str(task), "waits", f"for {upstream}" if upstream else "for the pair graph")
+    for task in plan.waiting:
+        lines[task] = Line(str(task), "would run", _pending(plan, task))
     order = {stage.name: i for i, stage in enumerate(plan.stages())}
     return [lines[task] for task in sorted(lines, key=lambda t: order[t.stage])]
 
@@ -37,6 +37,16 @@ def _why(plan: Plan, spec: TaskSpec) -> str:
     if last is None:
         return "never run"
     return difference(last, spec.preimage()) or "its artifact is gone"
+
+
+def _pending(plan: Plan, task: Task) -> str:
+    """How much of a waiting task's input is to be made anew (the same bytes may come out of it: then the task is not run)."""
+    last = plan.cache.newest(task.stage, task.subject)
+    upstreams = plan.upstreams(task)
+    pending = sum(upstream not in plan.states for upstream in upstreams)
+    if last is None or not pending:
+        return "never run" if last is None else "once the pair graph is known"
+    return f"{pending} of {len(upstreams)} inputs will change" if pending > 1 else "an input may change"
 
 
 def difference(last: Receipt, now: Preimage) -> str:
