@@ -366,4 +366,5 @@ def cached_state(receipt: Receipt) -> State:
 
 
 def _because(task: Task, state: State) -> str:
-    return f"{task} was {state.outcome}: {state.reason}" if state.reason else f"{task} was {state.outcome}"
+    ended = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
+    return f"{task} {ended}: {state.reason}" if state.reason else f"{task} {ended}"

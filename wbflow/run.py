@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from .executor import Executor
 from .ledger import Ledger
 from .lock import hold
 from .night import Night, open_night
-from .plan import State, Task
+from .plan import Plan, State, Task
 from .publish import Publication, publish
 from .records import Measures, run_record
 from .site import Site
@@ -45,6 +45,44 @@ class Options:
     scheduler: str | None = None
 
 
+@dataclass
+class Journal:
+    """What a run has told so far.  events: lines of log.jsonl; told: tasks that have been told of."""
+
+    listen: Listener
+    events: list[dict[str, Any]] = field(default_factory=list)
+    told: set[Task] = field(default_factory=set)
+
+    def tell(self, plan: Plan, done: Done | None = None) -> None:
+        """Tell of every task that has been settled since the last time, once.  done: the one that a worker has just finished."""
+        for task, state in plan.states.items():
+            if task not in self.told:
+                self.told.add(task)
+                self._tell_one(task, state, done if done and done.task == task else None)
+
+    def retract(self, task: Task) -> None:
+        """A task has to be done again, and will be told of again."""
+        self.told.discard(task)
+
+    def _tell_one(self, task: Task, state: State, done: Done | None) -> None:
+        receipt = state.receipt
+        event = {
+            "event": "task",
+            "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"),
+            "task": str(task),
+            "stage": task.stage,
+            "subject": list(task.subject),
+            "outcome": state.outcome,
+            "fresh": done is not None and done.outcome != "cached",
+            "reason": state.reason,
+            "key": receipt.key if receipt else None,
+            "cpu": round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
+            "trace": done.trace if done else None,
+        }
+        self.events.append(event)
+        self.listen(str(task), state, done.trace if done else None)
+
+
 @dataclass(frozen=True)
 class Finished:
     """record: run.json; folder: the published run."""
@@ -68,11 +106,11 @@ def run(site: Site, options: Options, listen: Listener) -> Finished:
         _sweep(site.work)
         night = open_night(site, options.date, options.until, options.force)
         executor = Executor(options.jobs, options.backend, options.scheduler)
-        events: list[dict[str, Any]] = []
+        journal = Journal(listen)
         interrupted = False
         publication: Publication | None = None
         try:
-            publication = _work(night, executor, measures, events, listen)
+            publication = _work(night, executor, measures, journal)
         except KeyboardInterrupt:
             interrupted = True
             executor.stop()
@@ -85,37 +123,38 @@ def run(site: Site, options: Options, listen: Listener) -> Finished:
             measures.cpu = time.process_time() - cpu
         finished = datetime.datetime.now(datetime.UTC)
         record = run_record(started.strftime("%Y%m%dT%H%M%SZ"), night.plan, measures, finished, interrupted)
-        folder = publish(night, record, events, publication or Publication())
+        folder = publish(night, record, journal.events, publication or Publication())
         _record(site, night, record)
     return Finished(record, folder)
 
 
-def _work(night: Night, executor: Executor, measures: Measures, events: list[dict[str, Any]], listen: Listener) -> Publication:
+def _work(night: Night, executor: Executor, measures: Measures, journal: Journal) -> Publication:
     """Refresh the plan and run what is ready, until all is settled and the products are safely in hand."""
     plan = night.plan
     repairs: Counter[Task] = Counter()
-    announced: set[Task] = set()
     while True:
         plan.refresh()
-        _announce(night, announced, events, listen)
+        journal.tell(plan)
         lanes = list(plan.lanes())
         if not lanes:
             try:
                 return Publication.collect(plan)
             except DamagedArtifact as damage:
                 task = next(t for t in plan.states if str(t) == damage.task)
+                journal.retract(task)
                 _repair(night, task, repairs, str(damage))
                 continue
         for finished in executor.run(lanes, plan.cache):
             for done in finished:
                 if done.outcome == "damaged" and done.damaged is not None:
+                    journal.retract(done.damaged)
                     _repair(night, done.damaged, repairs, done.reason or "")
                     continue
                 _count(done, measures)
                 outcome: Any = done.outcome
                 plan.settle(done.task, State(outcome, done.reason, done.receipt))
                 plan.force -= {str(done.task)}
-                _announce(night, announced, events, listen, done.trace)
+                journal.tell(plan, done)
 
 
 def _repair(night: Night, task: Task, repairs: Counter[Task], reason: str) -> None:
@@ -131,32 +170,6 @@ def _count(done: Done, measures: Measures) -> None:
     receipt = done.receipt
     if receipt and done.outcome in {"ran", "rejected"}:
         measures.add(receipt.preimage.stage, receipt.wall, receipt.cpu, receipt.peak_rss_mb)
-
-
-def _announce(
-    night: Night, announced: set[Task], events: list[dict[str, Any]], listen: Listener, trace: str | None = None
-) -> None:
-    """Tell of every task that has been settled since the last time, once."""
-    for task, state in night.plan.states.items():
-        if task in announced:
-            continue
-        announced.add(task)
-        receipt = state.receipt
-        events.append(
-            {
-                "event": "task",
-                "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"),
-                "task": str(task),
-                "stage": task.stage,
-                "subject": list(task.subject),
-                "outcome": state.outcome,
-                "reason": state.reason,
-                "key": receipt.key if receipt else None,
-                "cpu": round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
-                "trace": trace,
-            }
-        )
-        listen(str(task), state, trace)
 
 
 def _record(site: Site, night: Night, record: dict[str, Any]) -> None:

@@ -1,0 +1,146 @@
+"""Stages that look at nothing: quick stand-ins with which the engine's tests plan, cache, kill and resume.
+
+Each leaves numbers that depend on all of its inputs, so that a wrong reuse shows in the cloud.  The folder TOY_FAULTS (an
+environment variable) lets a test make things go wrong: a file `slow` holds seconds to sleep in every stage, `die` the name of a
+stage whose worker kills itself (for as long as the file is there), `once` the same but removed first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import signal
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbflow_stages.types import (
+    Camera,
+    Capture,
+    Cloud,
+    Disparity,
+    Features,
+    Frame,
+    Geometry,
+    Lens,
+    Matches,
+    Overlap,
+    Pair,
+    Placement,
+    Poses,
+    Rectification,
+    Rejected,
+    View,
+)
+
+
+def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *, resolution: int | None = None) -> Frame:
+    """Captures are text: `broken` raises, anything else becomes pixels."""
+    _trouble("frames")
+    data = b"".join(capture.data.tobytes() for capture in captures)
+    if data.startswith(b"broken"):
+        raise ValueError(f"{captures[0].name} is not an image")
+    pixels = np.frombuffer(hashlib.sha256(data).digest() * 6, dtype=np.uint8).reshape(8, 8, 3)
+    return Frame(pixels, np.ones((8, 8), bool), View(8, 8, np.eye(3)), notes=("toy",))
+
+
+def detect(frame: Frame, *, offset: float = 0.0) -> Features:
+    """One keypoint whose place depends on the pixels."""
+    _trouble("features")
+    xy = np.array([[frame.image.mean() + offset, float(frame.image[0, 0, 0])]])
+    ones = np.ones(1, np.float32)
+    return Features(xy, np.eye(2)[None], np.ones((1, 4), np.float32), ones, np.zeros(1, np.uint8), frame.view)
+
+
+def estimate_overlap(views: Mapping[str, View], placements: Mapping[str, Placement], features: Mapping[str, Features]) -> Overlap:
+    """Every camera shares something with every other."""
+    names = tuple(views)
+    pairs = np.array([(i, j) for i in range(len(names)) for j in range(i + 1, len(names))], np.int32).reshape(-1, 2)
+    return Overlap(names, pairs, np.full(len(pairs), np.nan), np.ones(len(pairs)), "appearance")
+
+
+def match(left: Features, right: Features, *, shift: float = 1.0, reject: str = "") -> Matches | Rejected:
+    """A match between the two keypoints; rejected when `reject` is the whole part of the left one's y."""
+    _trouble("matches")
+    if reject and str(int(left.xy[0, 1])) == reject:
+        return Rejected("0 matches, 1 needed", {"matches": 0.0})
+    rows = np.zeros(1, np.int32)
+    return Matches(left.xy + shift, right.xy, rows, rows, np.ones(1, np.float32), np.eye(2)[None], left.view, right.view)
+
+
+def estimate_geometry(matches: Matches, left: Features, right: Features) -> Geometry:
+    """F that remembers the match."""
+    _trouble("geometry")
+    F = np.diag([matches.x1.sum(), matches.x2.sum(), 1.0])
+    shared = {name: getattr(matches, name) for name in ("x1", "x2", "i1", "i2", "probability", "view1", "view2")}
+    return _filled(Geometry, F=F, cam2_R_cam1=None, cam2_t_cam1=None, matches=1, warnings=(), **shared)
+
+
+def solve_poses(
+    views: Mapping[str, View], placements: Mapping[str, Placement], geometries: Mapping[Pair, Geometry]
+) -> Poses | Rejected:
+    """Cameras in a row."""
+    _trouble("poses")
+    cameras = {name: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8) for i, name in enumerate(views)}
+    return Poses(cameras, {}, {}, metric=True, source="calibration")
+
+
+def rectify(geometry: Geometry, left: Camera | None, right: Camera | None, *, margin: float = 0.0) -> Rectification:
+    """H1 that remembers F and the cameras."""
+    _trouble("rectify")
+    assert left is not None
+    assert right is not None
+    H = geometry.F + left.C + right.C + margin
+    return _filled(Rectification, method="hartley", reason="toy", H1=H, H2=H, size1=(8, 8), size2=(8, 8))
+
+
+def match_dense(left: Frame, right: Frame, rectification: Rectification, *, tolerance: float = 1.0) -> Disparity:
+    """Disparities that remember everything above."""
+    _trouble("disparity")
+    assert rectification.H1 is not None
+    number = int(abs(rectification.H1).sum() * 7 + left.image.sum() + right.image.sum() * 3 + tolerance * 1000) % 30000
+    values = np.full((8, 8), number, np.int16)
+    confidence = np.full((8, 8), 255, np.uint8)
+    return Disparity(values, values, confidence, confidence, 0, 1.0)
+
+
+def fuse(
+    frames: Mapping[str, Frame],
+    cameras: Mapping[str, Camera],
+    rectifications: Mapping[Pair, Rectification],
+    disparities: Mapping[Pair, Disparity],
+    *,
+    voxel_m: float | None = None,
+) -> Cloud | Rejected:
+    """A point for each pair."""
+    _trouble("fuse")
+    points = np.array([[float(d.left[0, 0]), float(i), len(frames)] for i, d in enumerate(disparities.values())], np.float32)
+    n = len(points)
+    colors = np.full((n, 3), 128, np.uint8)
+    ones = np.ones(n, np.float32)
+    return Cloud(points, np.tile(np.array([0, 0, 1], np.float32), (n, 1)), colors, ones, np.full(n, 2, np.uint16), ones)
+
+
+def _filled(kind: Any, **fields: Any) -> Any:
+    """A dataclass with 0.0 in every field that is neither given nor has a default."""
+    missing = (f.name for f in dataclasses.fields(kind) if f.default is MISSING and f.default_factory is MISSING)
+    return kind(**(dict.fromkeys(missing, 0.0) | fields))
+
+
+def _trouble(stage: str) -> None:
+    if "TOY_FAULTS" not in os.environ:
+        return
+    faults = Path(os.environ["TOY_FAULTS"])
+    if (slow := faults / "slow").exists():
+        time.sleep(float(slow.read_text()))
+    for name in ("die", "once"):
+        file = faults / name
+        if file.exists() and file.read_text() == stage:
+            if name == "once":
+                file.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
