@@ -13,14 +13,15 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from .types import Bools, Features, Float32s, Float64s, Frame, Rejected, Uint8s, View
+from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Rejected, Uint8s, View
 
 Light = Literal["auto", "plain", "robust"]
 
 PLAIN = 0
 TILTED = 1
-MAX_ORIENTATIONS = 2
-"""Keypoints kept at one point and scale: SIFT repeats a keypoint for each strong gradient direction."""
+ANGLE_SEAM_DEG = 45.0
+"""SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
+alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
 
 
 def detect(
@@ -29,7 +30,8 @@ def detect(
     keypoints: int = 4000,
     tilted_keypoints: int = 2000,
     contrast_threshold: float = 0.01,
-    grid_columns: int = 24,
+    grid_columns: int = 6,
+    crowding: float = 2.0,
     light: Light = "auto",
     min_keypoints: int = 50,
 ) -> Features | Rejected:
@@ -41,7 +43,8 @@ def detect(
     keypoints : how many to keep in the plain view.
     tilted_keypoints : how many to keep in the view compressed by 2 in x; 0 leaves that view out.
     contrast_threshold : least contrast of a keypoint, as share of the grey range (OpenCV's meaning).
-    grid_columns : square cells across the image that share the keypoints evenly; 1 keeps the strongest wherever they are.
+    grid_columns : square cells across the image among which the keypoints are spread.
+    crowding : a cell gives at most this many times its even share, as long as others have keypoints to give; no unit.
     light : "robust" equalises the local contrast first, for dusk, night and lamps; "auto" looks at the image to decide.
     min_keypoints : fewer than this in the plain view reject the frame.
 
@@ -54,13 +57,13 @@ def detect(
     if robust:
         grey, contrast_threshold = _equalised(grey), max(contrast_threshold, 0.02)
     sift = cv2.SIFT.create(contrastThreshold=contrast_threshold, enable_precise_upscale=True)
-    plain = _detect_view(sift, grey, frame.mask, keypoints, grid_columns)
+    plain = _detect_view(sift, grey, frame.mask, keypoints, grid_columns, crowding)
     if len(plain[0]) < min_keypoints:
         reason = f"{len(plain[0])} keypoints, {min_keypoints} needed: the frame is empty, blurred or masked"
         return Rejected(reason, {"keypoints": len(plain[0]), "usable_share": float(frame.mask.mean())})
     views = [plain]
     if tilted_keypoints > 0:
-        views.append(_detect_tilted(sift, grey, frame.mask, tilted_keypoints, grid_columns))
+        views.append(_detect_tilted(sift, grey, frame.mask, tilted_keypoints, grid_columns, crowding))
     return _features(views, frame.view, "robust" if robust else "plain")
 
 
@@ -87,10 +90,10 @@ def _equalised(grey: Uint8s) -> Uint8s:
     return np.asarray(cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8)).apply(grey), dtype=np.uint8)
 
 
-def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int) -> _View:
+def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
     found = sift.detect(grey, None)
     rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], dtype=np.float64).reshape(-1, 5)
-    chosen = _spread(rows, _usable(rows, mask), grey.shape, wanted, grid_columns)
+    chosen = _spread(rows, _usable(rows, mask), grey.shape, wanted, grid_columns, crowding)
     if len(chosen) == 0:
         return np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32)
     _, raw = sift.compute(grey, [found[i] for i in chosen])
@@ -98,14 +101,14 @@ def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns
     return rows[:, :2], _keypoint_frames(rows[:, 2], np.radians(rows[:, 3])), _root(raw), rows[:, 4].astype(np.float32)
 
 
-def _detect_tilted(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int) -> _View:
+def _detect_tilted(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
     """Keypoints of the frame compressed by 2 in x (smoothed first, so that nothing aliases), mapped back into the frame."""
     h, w = grey.shape
     size = (max(w // 2, 1), h)
     smooth = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.2, sigmaY=1e-3)
     narrow = np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     narrow_mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    xy, frames, descriptors, responses = _detect_view(sift, narrow, narrow_mask, wanted, max(grid_columns // 2, 1))
+    xy, frames, descriptors, responses = _detect_view(sift, narrow, narrow_mask, wanted, max(grid_columns // 2, 1), crowding)
     stretch = np.array([w / size[0], 1.0])
     return (xy + 0.5) * stretch - 0.5, stretch[:, None] * frames, descriptors, responses
 
@@ -121,24 +124,27 @@ def _usable(rows: Float64s, mask: Bools) -> Bools:
     return np.asarray(clearance[y, x] > 0.5 * rows[:, 2])
 
 
-def _spread(rows: Float64s, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int) -> np.ndarray:
-    """Rows of the keypoints to keep, strongest first; each grid cell gives its best before any gives more.
+def _spread(
+    rows: Float64s, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float
+) -> Int64s:
+    """Rows of the keypoints to keep, strongest first; no cell gives more than its crowded share before all have given theirs.
 
-    Cells that have few keypoints give them all, and what they leave over goes to the others.  Keypoints at one point and scale
-    (several orientations) count separately, and at most `MAX_ORIENTATIONS` of them stay.
+    Spreading more evenly finds more at 50 to 60 degrees but loses a tenth everywhere else: weak keypoints aren't found again.
     """
-    order = np.lexsort((rows[:, 3], rows[:, 2], rows[:, 1], rows[:, 0], -rows[:, 4]))
+    angle = (rows[:, 3] - ANGLE_SEAM_DEG) % 360
+    order = np.lexsort((angle, rows[:, 2], rows[:, 1], rows[:, 0], -rows[:, 4]))
     order = order[usable[order]]
-    order = order[_rank_within(np.unique(rows[order][:, :3], axis=0, return_inverse=True)[1].ravel()) < MAX_ORIENTATIONS]
+    order = order[_rank_within(np.unique(rows[order][:, :3], axis=0, return_inverse=True)[1].ravel()) == 0]
     if len(order) <= wanted:
-        return order
+        return np.asarray(order)
     cell = shape[1] / grid_columns
     cells = (rows[order, 1] // cell).astype(np.int64) * (grid_columns + 1) + (rows[order, 0] // cell).astype(np.int64)
-    rank = _rank_within(cells)
-    return order[np.sort(np.lexsort((np.arange(len(order)), rank))[:wanted])]
+    share = wanted * cell * cell / (shape[0] * shape[1])
+    crowded = _rank_within(cells) >= crowding * share
+    return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:wanted])])
 
 
-def _rank_within(groups: np.ndarray) -> np.ndarray:
+def _rank_within(groups: Int64s) -> Int64s:
     """(n,) how many earlier entries have the same group."""
     order = np.argsort(groups, kind="stable")
     sorted_groups = groups[order]

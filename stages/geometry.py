@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from .epipolar import homogeneous, symmetric_epipolar_distance
+from .matching.structural import Correspondences, guided_matches
 from .robust import (
     INLIER_FACTOR,
     TwoView,
@@ -30,6 +33,7 @@ def estimate_geometry(
     right: Features,
     *,
     threshold_px: float = 1.0,
+    guided: bool = True,
     use_intrinsics: bool = True,
     min_inliers: int = 20,
     few_inliers: int = 50,
@@ -44,6 +48,7 @@ def estimate_geometry(
     matches : correspondences before geometry.
     left, right : the keypoints that were matched.
     threshold_px : noise of a correct match, pixels.
+    guided : match once more around the epipolar lines, and keep what that finds unless the inliers drop.
     use_intrinsics : try the 5-point E too where both K are known, and keep the better supported.
     min_inliers : fewer reject the pair (with 15 the error of F reaches tens of pixels).
     few_inliers : fewer are warned about.
@@ -59,11 +64,14 @@ def estimate_geometry(
     ----------
     Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
-    found = _solve(matches.x1, matches.x2, matches.view1, matches.view2, threshold_px, use_intrinsics, seed)
+    found = _solve(matches, threshold_px, use_intrinsics, seed)
+    before = len(matches.x1)
+    if guided and found is not None:
+        matches, found = _guided_round(matches, found, left, right, threshold_px, use_intrinsics, seed)
     count = 0 if found is None else int(found.inliers.sum())
-    figures = {"matches": float(len(matches.x1)), "inliers": float(count)}
+    figures = {"matches": float(before), "inliers": float(count)}
     if found is None or count < min_inliers:
-        return Rejected(f"too few: {count} inliers of {len(matches.x1)} matches, {min_inliers} needed", figures)
+        return Rejected(f"too few: {count} inliers of {before} matches, {min_inliers} needed", figures)
     x1, x2 = matches.x1[found.inliers], matches.x2[found.inliers]
 
     area = min(_hull_share(x1, matches.view1), _hull_share(x2, matches.view2))
@@ -105,7 +113,7 @@ def estimate_geometry(
         view2=matches.view2,
         cam2_R_cam1=R,
         cam2_t_cam1=t,
-        matches=len(matches.x1),
+        matches=before,
         inliers=count,
         model="F" if found.R is None else "E",
         epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, x1, x2))),
@@ -117,10 +125,9 @@ def estimate_geometry(
     )
 
 
-def _solve(
-    x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, use_intrinsics: bool, seed: int
-) -> TwoView | None:
+def _solve(matches: Matches, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView | None:
     """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`."""
+    x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
     bare = estimate_fundamental(x1, x2, threshold_px, seed)
     if not (use_intrinsics and _known(view1) and _known(view2)):
         return bare
@@ -128,6 +135,35 @@ def _solve(
     if bare is None or calibrated is None:
         return calibrated or bare
     return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * bare.inliers.sum() else bare
+
+
+def _guided_round(
+    matches: Matches,
+    found: TwoView,
+    left: Features,
+    right: Features,
+    threshold_px: float,
+    use_intrinsics: bool,
+    seed: int,
+) -> tuple[Matches, TwoView]:
+    """Matches and their geometry after the guided round, or what came in where that has more inliers."""
+    inside = found.inliers
+    known = Correspondences(matches.i1[inside], matches.i2[inside], matches.probability[inside].astype(np.float64))
+    again = guided_matches(left, right, known, found.F, tilted=matches.tilted)
+    i1, i2 = again.i1, again.i2
+    more = replace(
+        matches,
+        x1=left.xy[i1],
+        x2=right.xy[i2],
+        i1=i1,
+        i2=i2,
+        probability=again.probability.astype(np.float32),
+        affine=right.frames[i2] @ np.linalg.inv(left.frames[i1]),
+    )
+    better = _solve(more, threshold_px, use_intrinsics, seed)
+    if better is None or better.inliers.sum() < inside.sum():
+        return matches, found
+    return more, better
 
 
 def _known(view: View) -> bool:

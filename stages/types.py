@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 Float64s = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
+Int64s = npt.NDArray[np.int64]
 Int32s = npt.NDArray[np.int32]
 Int16s = npt.NDArray[np.int16]
 Uint32s = npt.NDArray[np.uint32]

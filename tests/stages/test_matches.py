@@ -24,7 +24,10 @@ def seen_again(left: Features, order: np.ndarray, move: np.ndarray) -> Features:
     return Features(left.xy[order] + move, left.frames[order], noisy, left.responses[order], left.tilts[order], left.view)
 
 
-@pytest.mark.parametrize("matcher", ["mutual", "kdtree"])
+MATCHERS = ["structural", "dominant", "mutual", "kdtree"]
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
 def test_shuffled_keypoints_find_themselves(matcher):
     left = random_features(400)
     order = RNG.permutation(400)
@@ -36,7 +39,7 @@ def test_shuffled_keypoints_find_themselves(matcher):
     np.testing.assert_allclose(found.x2[good] - found.x1[good], np.broadcast_to([5.0, -3.0], (good.sum(), 2)))
 
 
-@pytest.mark.parametrize("matcher", ["mutual", "kdtree"])
+@pytest.mark.parametrize("matcher", MATCHERS)
 def test_the_same_features_give_the_same_matches(matcher):
     left, right = random_features(300), random_features(300)
     right = Features(**{**vars(right), "descriptors": np.roll(left.descriptors, 3, axis=0)})
@@ -49,4 +52,72 @@ def test_the_same_features_give_the_same_matches(matcher):
 def test_strangers_are_rejected_with_their_count(matcher):
     found = match(random_features(300), random_features(300), matcher=matcher)
     assert isinstance(found, Rejected) and found.figures["matches"] < 8
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_no_keypoints_give_no_matches(matcher):
     assert isinstance(match(random_features(0), random_features(300), matcher=matcher), Rejected)
+    assert isinstance(match(random_features(300), random_features(3), matcher=matcher), Rejected)
+
+
+def test_strangers_share_no_structure():
+    found = match(random_features(300), random_features(300))
+    assert isinstance(found, Rejected) or len(found.i1) < 25
+
+
+def test_the_literal_dominance_test_never_fires_on_hundreds_of_features():
+    left = random_features(400)
+    found = match(left, seen_again(left, RNG.permutation(400), np.zeros(2)), matcher="literal")
+    assert isinstance(found, Rejected)
+
+
+def repeated_windows(seed: int) -> tuple[Features, Features]:
+    """A facade of 12 x 8 equal windows of 4 keypoints each, among 150 distinct ones; the right view is an affine map."""
+    rng = np.random.default_rng(seed)
+    gx, gy = np.meshgrid(np.arange(12) * 50 + 40, np.arange(8) * 55 + 40)
+    corners = np.array([[0, 0], [14, 0], [0, 20], [14, 20]])
+    windows = (np.column_stack([gx.ravel(), gy.ravel()])[:, None] + corners).reshape(-1, 2).astype(float)
+    xy = np.r_[windows + rng.normal(0, 0.3, windows.shape), rng.uniform(0, [640, 480], (150, 2))]
+    base = random_features(4 + 150, rng).descriptors
+    descriptors = np.r_[np.tile(base[:4], (96, 1)), base[4:]]
+    A, shift = np.array([[0.7, 0.05], [-0.1, 0.95]]), np.array([30.0, 40.0])
+
+    def view(points, frames, order):
+        noisy = np.abs(descriptors[order] + rng.normal(0, 0.02, (len(order), 128)).astype(np.float32))
+        noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+        n = len(order)
+        return Features(points[order], frames[order], noisy, np.ones(n, np.float32), np.zeros(n, np.uint8), View(640, 480), n)
+
+    n = len(xy)
+    frames = np.repeat(np.eye(2)[None] * 4, n, axis=0)
+    order = np.arange(n)
+    return view(xy, frames, order), view(xy @ A.T + shift + rng.normal(0, 0.3, xy.shape), frames * np.sqrt(0.67), order)
+
+
+def test_repeated_windows_are_told_apart_by_the_pattern_that_they_form():
+    left, right = repeated_windows(3)
+    structural, mutual = match(left, right), match(left, right, matcher="mutual")
+    assert isinstance(structural, Matches) and isinstance(mutual, Matches)
+    right_ones = structural.i1 == structural.i2
+    assert right_ones.mean() > 0.95
+    assert right_ones.sum() > 1.8 * (mutual.i1 == mutual.i2).sum()
+
+
+def test_a_match_is_unique_in_both_images_and_more_dominance_means_fewer():
+    left, right = repeated_windows(4)
+    loose, strict = match(left, right), match(left, right, dominance=3.0)
+    assert isinstance(loose, Matches) and isinstance(strict, Matches)
+    assert len(np.unique(loose.i1)) == len(loose.i1) and len(np.unique(loose.i2)) == len(loose.i2)
+    assert len(strict.i1) < len(loose.i1)
+    assert loose.probability.min() > 0.44 and strict.probability.min() > 0.74
+
+
+def test_compressed_views_come_in_only_where_the_plain_ones_are_weak():
+    left, right = repeated_windows(5)
+    tilts1, tilts2 = ((np.arange(len(left.xy)) % 5 == rest).astype(np.uint8) for rest in (3, 4))
+    left, right = Features(**{**vars(left), "tilts": tilts1}), Features(**{**vars(right), "tilts": tilts2})
+    enough, weak = match(left, right, weak_matches=10), match(left, right, weak_matches=10_000)
+    assert isinstance(enough, Matches) and isinstance(weak, Matches)
+    assert not enough.tilted and weak.tilted
+    assert not tilts1[enough.i1].any() and not tilts2[enough.i2].any()
+    assert tilts1[weak.i1].any() and tilts2[weak.i2].any() and not (tilts1[weak.i1] & tilts2[weak.i2]).any()

@@ -1,0 +1,85 @@
+"""One partner for each keypoint: Sinkhorn's balancing on a sparse set of candidates, and what remains of repeats.
+
+Sinkhorn & Knopp (1967); the dustbin that takes keypoints without a partner is that of partial assignment (Rangarajan, Chui &
+Bookstein, 1997).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..kernels import kernel
+from ..types import Bools, Float64s, Int32s
+
+
+def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, sweeps: int = 12) -> Float64s:
+    """Probability (c,) of each candidate i[c]--j[c]; those of a row or a column sum to at most 1.
+
+    log_odds: (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
+    """
+    probability = np.empty(len(i))
+    if len(i):
+        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), np.ones(n1), np.ones(n2), sweeps, probability)
+    return probability
+
+
+def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s, radius_px: float = 1.5) -> Bools:
+    """(n,) True for matches that no more probable match shadows: one that lies within `radius_px` in image 1 or in image 2."""
+    keep = np.zeros(len(x1), dtype=bool)
+    if len(x1):
+        order = np.argsort(-probability, kind="stable").astype(np.int32)
+        _suppress(order, _cells(x1, radius_px), _cells(x2, radius_px), x1, x2, radius_px**2, keep)
+    return keep
+
+
+def _cells(x: Float64s, size: float) -> Int32s:
+    """(n, 2) grid cell of each point, counted from 1, so that each has neighbours on all sides."""
+    return np.asarray(np.floor((x - x.min(axis=0)) / size) + 1, dtype=np.int32)
+
+
+@kernel
+def _sinkhorn(
+    i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, sweeps: int, probability: Float64s
+) -> None:
+    row, column = np.empty(len(u)), np.empty(len(v))
+    for _ in range(sweeps):
+        row[:] = 1.0
+        for c in range(len(i)):
+            row[i[c]] += mass[c] * v[j[c]]
+        u[:] = 1.0 / row
+        column[:] = 1.0
+        for c in range(len(i)):
+            column[j[c]] += mass[c] * u[i[c]]
+        v[:] = 1.0 / column
+    for c in range(len(i)):
+        probability[c] = mass[c] * u[i[c]] * v[j[c]]
+
+
+@kernel
+def _suppress(
+    order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, limit: float, keep: Bools
+) -> None:
+    """Take matches in order, unless one already taken is near in either image; each grid cell heads a list of those taken."""
+    head1 = np.full((cells1[:, 1].max() + 2, cells1[:, 0].max() + 2), -1, np.int32)
+    head2 = np.full((cells2[:, 1].max() + 2, cells2[:, 0].max() + 2), -1, np.int32)
+    next1, next2 = np.full(len(order), -1, np.int32), np.full(len(order), -1, np.int32)
+    for n in order:
+        if _taken(head1, next1, cells1, x1, n, limit) or _taken(head2, next2, cells2, x2, n, limit):
+            continue
+        keep[n] = True
+        next1[n] = head1[cells1[n, 1], cells1[n, 0]]
+        head1[cells1[n, 1], cells1[n, 0]] = n
+        next2[n] = head2[cells2[n, 1], cells2[n, 0]]
+        head2[cells2[n, 1], cells2[n, 0]] = n
+
+
+@kernel
+def _taken(head: Int32s, following: Int32s, cells: Int32s, x: Float64s, n: int, limit: float) -> bool:
+    for row in range(cells[n, 1] - 1, cells[n, 1] + 2):
+        for column in range(cells[n, 0] - 1, cells[n, 0] + 2):
+            other = head[row, column]
+            while other >= 0:
+                if (x[other, 0] - x[n, 0]) ** 2 + (x[other, 1] - x[n, 1]) ** 2 < limit:
+                    return True
+                other = following[other]
+    return False

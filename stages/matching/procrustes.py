@@ -1,0 +1,94 @@
+"""The source's own matcher, to the letter (Hao 2011, section 3.3.2), for study and comparison.
+
+Rows of X (m x d) and Y (n x d) are `[x, y, descriptor]`, normalised.  Iterate: P = U V^T from the SVD of X T^T Y^T, the
+orthogonal Procrustes problem; T = diag(A, I), the nearest of that form to Y^T P^T X; until stable.  Accept (k, j) if p_kj
+dominates its row and its column.
+
+**Thin form.**  X T^T Y^T has rank at most d.  With X = Qx Rx, Y = Qy Ry (QR) and U D V^T = svd(Rx T^T Ry^T), of size d x d:
+P = (Qx U)(Qy V)^T and Y^T P^T X = Ry^T V U^T Rx, so that an iteration never sees the m x n matrix.  Equal to the dense SVD on the
+row space; what the dense U V^T has beyond it is arbitrary.
+
+As published, the dominance test never fires on thousands of features: P has rank d, so that no entry of a row can outweigh
+all the others.  `nearest_dominance` is the nearest test that can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Bools, Features, Float32s, Float64s, Int32s
+
+_TINY = 1e-10
+
+
+@dataclass(frozen=True)
+class Procrustes:
+    """P = left @ right.T, with left (m, r) and right (n, r) of orthonormal columns; affine: A (2, 2), the last; iterations."""
+
+    left: Float64s
+    right: Float64s
+    affine: Float64s
+    iterations: int
+
+    def matrix(self) -> Float32s:
+        """P (m, n) float32."""
+        return np.asarray(self.left.astype(np.float32) @ self.right.astype(np.float32).T, dtype=np.float32)
+
+
+def feature_matrix(features: Features, rows: Int32s) -> Float64s:
+    """(n, 2 + d) rows `[x, y, descriptor]`: coordinates centred, of unit mean square length; descriptors of unit length."""
+    xy = features.xy[rows] - features.xy[rows].mean(axis=0)
+    xy /= np.sqrt((xy**2).sum(axis=1).mean())
+    return np.column_stack([xy, features.descriptors[rows].astype(np.float64)])
+
+
+def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance: float = 1e-6) -> Procrustes:
+    """Alternate P and T in the thin form, from A = I, until A moves by less than `tolerance` of itself.
+
+    X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
+    """
+    d = X.shape[1]
+    Qx, Rx = np.linalg.qr(X)
+    Qy, Ry = np.linalg.qr(Y)
+    A, iterations = np.eye(2), 0
+    while True:
+        iterations += 1
+        T = np.eye(d)
+        T[:2, :2] = A
+        U, D, Vt = np.linalg.svd(Rx @ T.T @ Ry.T)
+        rank = int((_TINY * D[0] < D).sum())  # beyond it U and V are arbitrary
+        U, Vt = U[:, :rank], Vt[:rank]
+        update = (Ry.T @ Vt.T @ U.T @ Rx)[:2, :2]
+        if iterations >= max_iterations or np.abs(update - A).max() < tolerance * np.abs(update).max():
+            return Procrustes(Qx @ U, Qy @ Vt.T, A, iterations)
+        A = update
+
+
+def literal_dominance(P: Float32s, dominance: float) -> Bools:
+    """(m, n) True where an entry outweighs the absolute sum of the rest of its row, and of its column, `dominance` times."""
+    weight = np.abs(P)
+    rest_of_row = weight.sum(axis=1, keepdims=True) - weight
+    rest_of_column = weight.sum(axis=0, keepdims=True) - weight
+    return np.asarray((dominance * rest_of_row < P) & (dominance * rest_of_column < P))
+
+
+def nearest_dominance(P: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float32s]:
+    """Rows, columns and second/best of entries that are the best of both their row and column, second/best under `ratio`."""
+    if min(P.shape) < 2:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)
+    j = P.argmax(axis=1)
+    i = np.flatnonzero(P.argmax(axis=0)[j] == np.arange(len(P)))
+    j = j[i]
+    best = P[i, j]
+    second = np.maximum(_second(P)[i], _second(np.ascontiguousarray(P.T))[j])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rivalry = np.where(best > 0, second / best, np.inf).astype(np.float32)
+    keep = rivalry < ratio
+    return i[keep].astype(np.int32), j[keep].astype(np.int32), np.maximum(rivalry[keep], 0)
+
+
+def _second(P: Float32s) -> Float32s:
+    """(m,) the second largest of each row."""
+    return np.asarray(np.partition(P, P.shape[1] - 2, axis=1)[:, -2], dtype=np.float32)

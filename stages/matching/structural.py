@@ -1,0 +1,418 @@
+"""Match two keypoint sets by their descriptors *and* by the pattern they form (the default matcher).
+
+The intent is that of Hao (2011), chapter 3: the structure of the whole set decides, rows and columns compete, an affine map
+compensates the change of viewpoint, and a match must dominate its rivals.  Here the affine is local, one at every keypoint
+(what that work names as its future), because one global map cannot follow a scene with depth:
+
+1. candidates: the nearest few by descriptor, both ways;
+2. seeds: mutual nearest neighbours that their own neighbours confirm, each through its keypoints' frames;
+3. rounds of expectation and maximisation: confident matches give the local affine field; the field and the descriptors give the
+   log odds of each candidate; Sinkhorn's balancing with a dustbin turns these into probabilities;
+4. a match is accepted where its probability p dominates what is left to its rivals: p > dominance * (1 - p).
+
+The same rounds with an epipolar term and the inliers as seeds are the guided matching of a pair whose F is known.  Pairs of views
+far apart may bring in the keypoints of the frames compressed in x: plain with plain, tilted with plain, plain with tilted, under
+one field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..epipolar import symmetric_epipolar_distance
+from ..features import PLAIN, TILTED
+from ..kernels import kernel
+from ..types import Features, Float32s, Float64s, Int32s, Int64s
+from .affine_field import AffineField, fit_affine_field
+from .assignment import assign, without_repeats
+from .neighbours import Neighbours, nearest_neighbours
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Log odds of a candidate against "no partner", in nats; fitted on a few pairs, all on plateaus.
+
+    Without a field: `alone - alone_slope q`, q = descriptor distance over the local noise level of descriptors.
+    With a field: `growing` (`final` in the last round) `- slope q` minus penalties `weight ln(1 + (error/scale)^2)` of the
+    distance to the prediction (over its sigma, and over 2 px), of the log scale (over 0.25) and of the angle (over 0.25 rad).
+    With an epipolar line: `epipolar - epipolar_weight ln(1 + e^2)`, e in pixels.
+    """
+
+    alone: float = 11.8
+    alone_slope: float = 16.8
+    growing: float = 13.0
+    final: float = 8.5
+    slope: float = 5.5
+    relative_weight: float = 0.6
+    absolute_weight: float = 0.3
+    scale_weight: float = 0.6
+    angle_weight: float = 0.43
+    epipolar: float = 1.5
+    epipolar_weight: float = 1.2
+
+
+EVIDENCE = Evidence()
+
+NOISE_RANK = 2
+"""The local noise level of a keypoint is its distance to the neighbour this many places after the last candidate."""
+SEED_RATIO = 0.85
+VOTERS = 24
+VOTE_PX, VOTE_PER_PX, VOTE_RAD, VOTE_LOG_SCALE = 8.0, 0.3, 0.6, 0.8
+"""A seed's neighbour confirms it within 8 px + 0.3 of their distance, 0.6 rad and a log scale of 0.8."""
+MIN_SIGMA_PX, MAX_SIGMA_PX, MAX_RADIUS_PX = 2.0, 15.0, 40.0
+TRUST_HALF = 1.5
+"""Support at which the field is trusted as much as the descriptors alone."""
+MAX_DISTANCE = 1.08
+"""Candidates near a prediction may be this much farther in descriptor space than the noise level."""
+MIN_SEEDS = 6
+
+
+@dataclass(frozen=True)
+class Correspondences:
+    """i1, i2: (n,) int32 rows of the two `Features`; probability: (n,) float64, p of the accepted match."""
+
+    i1: Int32s
+    i2: Int32s
+    probability: Float64s
+
+
+def structural_matches(
+    left: Features, right: Features, *, tilted: bool = False, dominance: float = 0.8, neighbours: int = 3, rounds: int = 4
+) -> Correspondences:
+    """Match two frames' keypoints without geometry.
+
+    tilted: bring in the views compressed in x; dominance: the least odds of an accepted match; neighbours: candidates that each
+    keypoint proposes; rounds: of expectation and maximisation.
+    """
+    problems = _problems(left, right, tilted, neighbours)
+    seeds = _seeds(problems)
+    return _solve(left, right, problems, seeds, dominance, rounds, None)
+
+
+def guided_matches(
+    left: Features,
+    right: Features,
+    known: Correspondences,
+    F: Float64s,
+    *,
+    tilted: bool = False,
+    dominance: float = 0.8,
+    neighbours: int = 3,
+    rounds: int = 3,
+) -> Correspondences:
+    """Match again around the inliers `known` of F, with the distance to the epipolar lines as evidence."""
+    problems = _problems(left, right, tilted, neighbours)
+    return _solve(left, right, problems, known, dominance, rounds, F)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """One view of the left frame against one of the right: rows of the `Features`, and the candidates i--j by descriptor."""
+
+    rows1: Int32s
+    rows2: Int32s
+    x1: Float64s
+    x2: Float64s
+    frames1: Float64s
+    unframes2: Float64s
+    descriptors1: Float32s
+    descriptors2: Float32s
+    near: Neighbours
+    noise1: Float32s
+    noise2: Float32s
+    i: Int32s
+    j: Int32s
+    q: Float64s
+
+
+def _problems(left: Features, right: Features, tilted: bool, neighbours: int) -> list[_Problem]:
+    views = [(PLAIN, PLAIN), (TILTED, PLAIN), (PLAIN, TILTED)] if tilted else [(PLAIN, PLAIN)]
+    found = (_problem(left, right, a, b, neighbours) for a, b in views)
+    return [problem for problem in found if problem is not None]
+
+
+def _problem(left: Features, right: Features, view1: int, view2: int, neighbours: int) -> _Problem | None:
+    rows1 = np.flatnonzero(left.tilts == view1).astype(np.int32)
+    rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
+    if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
+        return None
+    d1, d2 = left.descriptors[rows1], right.descriptors[rows2]
+    near = nearest_neighbours(d1, d2, neighbours + NOISE_RANK)
+    noise1, noise2 = near.row_distance[:, -1].copy(), near.column_distance[:, -1].copy()
+    i = np.repeat(np.arange(len(d1), dtype=np.int64), neighbours)
+    j = np.repeat(np.arange(len(d2), dtype=np.int64), neighbours)
+    from_rows = i * len(d2) + near.rows[:, :neighbours].ravel()
+    from_columns = near.columns[:, :neighbours].ravel().astype(np.int64) * len(d2) + j
+    edges = np.unique(np.concatenate([from_rows, from_columns]))
+    ei, ej = (edges // len(d2)).astype(np.int32), (edges % len(d2)).astype(np.int32)
+    q = np.empty(len(ei))
+    _relative_distances(d1, d2, noise1, noise2, ei, ej, q)
+    return _Problem(
+        rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], _inverses(right.frames[rows2]),
+        d1, d2, near, noise1, noise2, ei, ej, q,
+    )  # fmt: skip
+
+
+def _seeds(problems: list[_Problem]) -> Correspondences:
+    """Mutual nearest neighbours that are clearly nearest, or that their neighbours confirm; weight 1 each."""
+    if not problems:
+        return Correspondences(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))
+    i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_mutual, problems), strict=True))
+    if len(problems) > 1:
+        keep = without_repeats(x1, x2, 1 - ratio)
+        i1, i2, x1, x2, affine, ratio = (part[keep] for part in (i1, i2, x1, x2, affine, ratio))
+    votes = _votes(x1, x2, affine)
+    good = (votes >= 2) | ((votes >= 1) & (ratio < 0.75)) | (ratio < 0.55)
+    if good.sum() < 8:
+        good = np.zeros(len(ratio), dtype=bool)
+        good[np.argsort(ratio - 0.2 * votes, kind="stable")[:8]] = True
+    return Correspondences(i1[good], i2[good], np.ones(int(good.sum())))
+
+
+def _mutual(problem: _Problem) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
+    near = problem.near
+    i = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows)))
+    j = near.rows[i, 0]
+    forward = near.row_distance[i, 0] / np.maximum(near.row_distance[i, 1], 1e-9)
+    backward = near.column_distance[j, 0] / np.maximum(near.column_distance[j, 1], 1e-9)
+    ratio = np.maximum(forward, backward).astype(np.float64)
+    keep = ratio < SEED_RATIO
+    i, j = i[keep], j[keep]
+    affine = np.linalg.inv(problem.unframes2[j]) @ _inverses(problem.frames1[i])
+    return problem.rows1[i], problem.rows2[j], problem.x1[i], problem.x2[j], affine, ratio[keep]
+
+
+def _votes(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
+    """(n,) how many of a seed's nearest seeds predict it, place and frame."""
+    votes = np.zeros(len(x1), np.int32)
+    if len(x1) >= 4:
+        _, index = cKDTree(x1).query(x1, min(VOTERS, len(x1) - 1) + 1)
+        _count_votes(np.asarray(index, dtype=np.int64), x1, x2, affine, votes)
+    return votes
+
+
+def _solve(
+    left: Features,
+    right: Features,
+    problems: list[_Problem],
+    seeds: Correspondences,
+    dominance: float,
+    rounds: int,
+    F: Float64s | None,
+) -> Correspondences:
+    """The rounds: field from the matches, matches from the field."""
+    matches = seeds
+    for step in range(rounds):
+        if len(matches.i1) < MIN_SEEDS:
+            return Correspondences(matches.i1[:0], matches.i2[:0], matches.probability[:0])
+        last = step == rounds - 1
+        odds = dominance if last else 1.0
+        x1, x2 = left.xy[matches.i1], right.xy[matches.i2]
+        affine = right.frames[matches.i2] @ _inverses(left.frames[matches.i1])
+        found = []
+        for problem in problems:
+            field = fit_affine_field(x1, x2, affine, matches.probability, problem.x1)
+            found.append(_expect(problem, field, odds, last, step > 0, F))
+        i1, i2, p = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        if last or len(problems) > 1:
+            keep = without_repeats(left.xy[i1], right.xy[i2], p)
+            i1, i2, p = i1[keep], i2[keep], p[keep]
+        matches = Correspondences(i1, i2, p)
+    order = np.lexsort((matches.i2, matches.i1))
+    return Correspondences(matches.i1[order], matches.i2[order], matches.probability[order])
+
+
+def _expect(
+    problem: _Problem, field: AffineField, odds: float, last: bool, search: bool, F: Float64s | None
+) -> tuple[Int32s, Int32s, Float64s]:
+    """Candidates whose probability has at least `odds` against all rivals together, as rows of the `Features`."""
+    sigma = np.maximum(field.sigma_px, MIN_SIGMA_PX)
+    trust = field.support / (field.support + TRUST_HALF)
+    i, j, q = problem.i, problem.j, problem.q
+    if search:
+        more_i, more_j, more_q = _near_predictions(problem, field, sigma, trust)
+        i, j, q = np.concatenate([i, more_i]), np.concatenate([j, more_j]), np.concatenate([q, more_q])
+    log_odds = np.empty(len(i))
+    e = EVIDENCE
+    coefficients = np.array([
+        e.alone, e.alone_slope, e.final if last else e.growing, e.slope,
+        e.relative_weight, e.absolute_weight, e.scale_weight, e.angle_weight,
+    ])  # fmt: skip
+    _score(
+        i, j, q, problem.x2, problem.frames1, problem.unframes2, field.prediction, field.affine, sigma, trust,
+        coefficients, log_odds,
+    )  # fmt: skip
+    if F is not None:
+        distance = symmetric_epipolar_distance(F, problem.x1[i], problem.x2[j])
+        log_odds += e.epipolar - e.epipolar_weight * np.log1p(distance**2)
+    p = assign(i, j, log_odds, len(problem.x1), len(problem.x2))
+    keep = p > odds * (1 - p)
+    return problem.rows1[i[keep]], problem.rows2[j[keep]], p[keep]
+
+
+def _near_predictions(
+    problem: _Problem, field: AffineField, sigma: Float64s, trust: Float64s
+) -> tuple[Int32s, Int32s, Float64s]:
+    """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted."""
+    asking = np.flatnonzero((trust > 0.5) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
+    radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
+    cell = MAX_RADIUS_PX
+    origin = problem.x2.min(axis=0)
+    cells = np.floor((problem.x2 - origin) / cell).astype(np.int64)
+    columns, rows = cells.max(axis=0) + 1
+    key = cells[:, 1] * columns + cells[:, 0]
+    order = np.argsort(key, kind="stable").astype(np.int32)
+    starts = np.searchsorted(key[order], np.arange(columns * rows + 1)).astype(np.int32)
+    first = np.searchsorted(problem.i, np.arange(len(problem.x1) + 1)).astype(np.int32)
+    size = _search(
+        asking, radius, field.prediction, problem.x2, origin, cell, columns, rows, order, starts, first, problem.j,
+        problem.descriptors1, problem.descriptors2, problem.noise1, problem.noise2,
+        np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0),
+    )  # fmt: skip
+    i, j, q = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size)
+    size = _search(
+        asking, radius, field.prediction, problem.x2, origin, cell, columns, rows, order, starts, first, problem.j,
+        problem.descriptors1, problem.descriptors2, problem.noise1, problem.noise2,
+        i, j, q,
+    )  # fmt: skip
+    return i[:size], j[:size], q[:size]
+
+
+def _inverses(m: Float64s) -> Float64s:
+    """Inverses of (n, 2, 2) matrices."""
+    a, b, c, d = m[:, 0, 0], m[:, 0, 1], m[:, 1, 0], m[:, 1, 1]
+    adjugate = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
+    return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
+
+
+@kernel
+def _relative_distances(
+    d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: Int32s, j: Int32s, q: Float64s
+) -> None:
+    for c in range(len(i)):
+        q[c] = _relative_distance(d1, d2, noise1, noise2, i[c], j[c])
+
+
+@kernel
+def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: int, j: int) -> float:
+    """Descriptor distance over the mean noise level of the two keypoints."""
+    dot = np.float32(0.0)
+    for k in range(d1.shape[1]):
+        dot += d1[i, k] * d2[j, k]
+    return float(np.sqrt(max(2 - 2 * float(dot), 0.0)) / (0.5 * (noise1[i] + noise2[j]) + 1e-9))
+
+
+@kernel
+def _count_votes(index: Int64s, x1: Float64s, x2: Float64s, affine: Float64s, votes: Int32s) -> None:
+    for n in range(len(x1)):
+        a = affine[n]
+        det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+        for k in range(index.shape[1]):
+            o = index[n, k]
+            du, dv = x1[n, 0] - x1[o, 0], x1[n, 1] - x1[o, 1]
+            if abs(du) + abs(dv) <= 1.5:
+                continue
+            b = affine[o]
+            eu = x2[o, 0] + b[0, 0] * du + b[0, 1] * dv - x2[n, 0]
+            ev = x2[o, 1] + b[1, 0] * du + b[1, 1] * dv - x2[n, 1]
+            reach = np.hypot(x2[n, 0] - x2[o, 0], x2[n, 1] - x2[o, 1])
+            if np.hypot(eu, ev) >= VOTE_PX + VOTE_PER_PX * reach:
+                continue
+            r00 = (a[1, 1] * b[0, 0] - a[0, 1] * b[1, 0]) / det
+            r01 = (a[1, 1] * b[0, 1] - a[0, 1] * b[1, 1]) / det
+            r10 = (a[0, 0] * b[1, 0] - a[1, 0] * b[0, 0]) / det
+            r11 = (a[0, 0] * b[1, 1] - a[1, 0] * b[0, 1]) / det
+            turn = abs(np.arctan2(r10 - r01, r00 + r11))
+            zoom = 0.5 * abs(np.log(abs(r00 * r11 - r01 * r10) + 1e-9))
+            if turn < VOTE_RAD and zoom < VOTE_LOG_SCALE:
+                votes[n] += 1
+
+
+@kernel
+def _score(
+    i: Int32s,
+    j: Int32s,
+    q: Float64s,
+    x2: Float64s,
+    frames1: Float64s,
+    unframes2: Float64s,
+    prediction: Float64s,
+    affine: Float64s,
+    sigma: Float64s,
+    trust: Float64s,
+    coefficients: Float64s,
+    log_odds: Float64s,
+) -> None:
+    """Log odds of the candidates i--j by `Evidence`, without the epipolar term; coefficients in the order of its fields."""
+    alone, alone_slope, base, slope, relative, absolute, by_scale, by_angle = coefficients
+    for c in range(len(i)):
+        a, b = i[c], j[c]
+        r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
+        penalty = relative * np.log1p(r2 / sigma[a] ** 2) + absolute * np.log1p(r2 / 4)
+        A, M, N = affine[a], frames1[a], unframes2[b]
+        w00, w01 = A[0, 0] * M[0, 0] + A[0, 1] * M[1, 0], A[0, 0] * M[0, 1] + A[0, 1] * M[1, 1]
+        w10, w11 = A[1, 0] * M[0, 0] + A[1, 1] * M[1, 0], A[1, 0] * M[0, 1] + A[1, 1] * M[1, 1]
+        q00, q01 = N[0, 0] * w00 + N[0, 1] * w10, N[0, 0] * w01 + N[0, 1] * w11
+        q10, q11 = N[1, 0] * w00 + N[1, 1] * w10, N[1, 0] * w01 + N[1, 1] * w11
+        zoom = 0.5 * np.log(abs(q00 * q11 - q01 * q10) + 1e-9)
+        turn = np.arctan2(q10 - q01, q00 + q11)
+        penalty += by_scale * np.log1p((zoom / 0.25) ** 2) + by_angle * np.log1p((turn / 0.25) ** 2)
+        t = trust[a]
+        log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
+
+
+@kernel
+def _search(
+    asking: Int32s,
+    radius: Float64s,
+    prediction: Float64s,
+    x2: Float64s,
+    origin: Float64s,
+    cell: float,
+    columns: int,
+    rows: int,
+    order: Int32s,
+    starts: Int32s,
+    first: Int32s,
+    known: Int32s,
+    d1: Float32s,
+    d2: Float32s,
+    noise1: Float32s,
+    noise2: Float32s,
+    out_i: Int32s,
+    out_j: Int32s,
+    out_q: Float64s,
+) -> int:
+    """Pairs of an asking keypoint and a keypoint of image 2 within its radius that are not candidates yet (first, known: their
+    list by row) and whose relative distance is small.  Without room in `out_*` it only counts, before the descriptors speak."""
+    count = 0
+    for n in range(len(asking)):
+        a = asking[n]
+        px, py = prediction[a, 0], prediction[a, 1]
+        limit = radius[n] ** 2
+        cx, cy = np.floor((px - origin[0]) / cell), np.floor((py - origin[1]) / cell)
+        if not (-2 < cx < columns + 1 and -2 < cy < rows + 1):
+            continue
+        for row in range(max(int(cy) - 1, 0), min(int(cy) + 2, rows)):
+            for column in range(max(int(cx) - 1, 0), min(int(cx) + 2, columns)):
+                for at in range(starts[row * columns + column], starts[row * columns + column + 1]):
+                    b = order[at]
+                    if (x2[b, 0] - px) ** 2 + (x2[b, 1] - py) ** 2 >= limit:
+                        continue
+                    if len(out_i) == 0:
+                        count += 1
+                        continue
+                    new = True
+                    for k in range(first[a], first[a + 1]):
+                        if known[k] == b:
+                            new = False
+                    if not new:
+                        continue
+                    q = _relative_distance(d1, d2, noise1, noise2, a, b)
+                    if q < MAX_DISTANCE:
+                        out_i[count], out_j[count], out_q[count] = a, b, q
+                        count += 1
+    return count
