@@ -124,9 +124,7 @@ def _usable(rows: Float64s, mask: Bools) -> Bools:
     return np.asarray(clearance[y, x] > 0.5 * rows[:, 2])
 
 
-def _spread(
-    rows: Float64s, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float
-) -> Int64s:
+def _spread(rows: Float64s, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float) -> Int64s:
     """Rows of the keypoints to keep, strongest first; no cell gives more than its crowded share before all have given theirs.
 
     Spreading more evenly finds more at 50 to 60 degrees but loses a tenth everywhere else: weak keypoints aren't found again.

@@ -138,8 +138,7 @@ def _angle_deg(geometry: Geometry, pair: _Pair) -> float:
     if pair.camera1 is None or pair.camera2 is None:
         return geometry.angle_deg
     rays1, rays2 = (
-        homogeneous(x) @ np.linalg.inv(camera.K).T @ camera.R
-        for x, camera in ((pair.x1, pair.camera1), (pair.x2, pair.camera2))
+        homogeneous(x) @ np.linalg.inv(camera.K).T @ camera.R for x, camera in ((pair.x1, pair.camera1), (pair.x2, pair.camera2))
     )
     cosine = np.sum(rays1 * rays2, axis=1) / (np.linalg.norm(rays1, axis=1) * np.linalg.norm(rays2, axis=1))
     return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))

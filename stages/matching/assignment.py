@@ -38,9 +38,7 @@ def _cells(x: Float64s, size: float) -> Int32s:
 
 
 @kernel
-def _sinkhorn(
-    i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, sweeps: int, probability: Float64s
-) -> None:
+def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, sweeps: int, probability: Float64s) -> None:
     row, column = np.empty(len(u)), np.empty(len(v))
     for _ in range(sweeps):
         row[:] = 1.0
@@ -56,9 +54,7 @@ def _sinkhorn(
 
 
 @kernel
-def _suppress(
-    order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, limit: float, keep: Bools
-) -> None:
+def _suppress(order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, limit: float, keep: Bools) -> None:
     """Take matches in order, unless one already taken is near in either image; each grid cell heads a list of those taken."""
     head1 = np.full((cells1[:, 1].max() + 2, cells1[:, 0].max() + 2), -1, np.int32)
     head2 = np.full((cells2[:, 1].max() + 2, cells2[:, 0].max() + 2), -1, np.int32)

@@ -253,9 +253,7 @@ def _expect(
     return problem.rows1[i[keep]], problem.rows2[j[keep]], p[keep]
 
 
-def _near_predictions(
-    problem: _Problem, field: AffineField, sigma: Float64s, trust: Float64s
-) -> tuple[Int32s, Int32s, Float64s]:
+def _near_predictions(problem: _Problem, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
     """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted."""
     asking = np.flatnonzero((trust > 0.5) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)

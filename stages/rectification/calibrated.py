@@ -28,9 +28,7 @@ def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
     return K @ R @ camera1.R.T @ np.linalg.inv(camera1.K), K @ R @ camera2.R.T @ np.linalg.inv(camera2.K)
 
 
-def calibrated(
-    camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s, probability: Float32s
-) -> tuple[Float64s, Float64s]:
+def calibrated(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s, probability: Float32s) -> tuple[Float64s, Float64s]:
     """`fusiello`, then a robust affine of x on image 1 that makes the net of matches x1, x2 (n, 2) congruent."""
     H1, H2 = fusiello(camera1, camera2)
     chosen = control_points(x1, probability, (camera1.width, camera1.height))

@@ -20,9 +20,7 @@ COLUMNS = 24
 _ITERATIONS = 10
 
 
-def congruent(
-    F: Float64s, x1: Float64s, x2: Float64s, probability: Float32s, size: tuple[int, int]
-) -> tuple[Float64s, Float64s]:
+def congruent(F: Float64s, x1: Float64s, x2: Float64s, probability: Float32s, size: tuple[int, int]) -> tuple[Float64s, Float64s]:
     """H1, H2 (3, 3): control points of a grid, robust weights.  x1, x2: (n, 2) matches; `size` of image 2 in pixels."""
     chosen = control_points(x1, probability, size)
     return _fit(F, x1[chosen], x2[chosen], size, robust=True)

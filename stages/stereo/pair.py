@@ -48,6 +48,7 @@ DenseMatcher = Callable[[RectifiedPair], DenseMatches]
 
 def mirrored(pair: RectifiedPair) -> RectifiedPair:
     """The pair in a mirror, views exchanged: its left disparity is the right disparity of `pair`, mirrored."""
+
     def flip(a: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
         return np.ascontiguousarray(a[:, ::-1])
 

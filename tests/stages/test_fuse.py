@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pytest
-from exact_scene import make_yard, true_depth
 
+from exact_scene import make_yard, true_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.types import Cloud, Frame, Rejected
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from exact_scene import make_yard
 
+from exact_scene import make_yard
 from wbflow_stages.fuse import fuse
 from wbflow_stages.previews import cloud_preview, disparity_preview, frame_preview, matches_preview, rectified_preview
 from wbflow_stages.types import Cloud, Disparity, Frame, Matches, View
