@@ -9,6 +9,7 @@ import numpy as np
 from .rectification.mapping import Side, warp, warp_mask
 from .stereo.checks import disagreement, lands_on, within_reach, without_specks
 from .stereo.pair import DenseMatcher, DenseMatches, RectifiedPair
+from .stereo.quick_look import prepared
 from .stereo.sgbm import match_sgbm
 from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Rejected, Uint8s
 
@@ -30,7 +31,7 @@ def match_dense(
     rectification: Rectification,
     *,
     matcher: Matcher = "sgbm",
-    tolerance_px: float = 1.0,
+    tolerance_px: float = 2.0,
     speck_share: float = 1.5e-4,
     min_density: float = 0.01,
 ) -> Disparity | Rejected:
@@ -57,7 +58,7 @@ def match_dense(
     """
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected("the disparity range is too wide", {"disparity_max_px": rectification.disparity_max_px})
-    pair = _rectified(left, right, rectification)
+    pair = prepared(_rectified(left, right, rectification))
     matches = MATCHERS[matcher](pair)
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
     speck = round(speck_share * pair.left.size)

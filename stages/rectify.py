@@ -11,7 +11,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .epipolar import (
-    essential_to_fundamental,
     fundamental_from_cameras,
     homogeneous,
     symmetric_epipolar_distance,
@@ -69,8 +68,8 @@ def rectify(
     method
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
         the matches; "seed": congruent by the letter of the seed, for study; "calibrated": both cameras turned to a common
-        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows.  A homography that an
-        epipole near the image would tear is replaced by "polar".
+        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows.  Homographies that tear
+        the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
     min_matches
         Fewer matches than this reject the pair; fewer than 50 warn.
     max_row_error_px
@@ -91,16 +90,17 @@ def rectify(
     refusal = _unusable(geometry, pair, min_matches, min_angle_deg)
     if refusal is not None:
         return refusal
-    why_polar = "asked for"
-    if method != "polar":
-        planar = _by_homographies(pair, method)
-        if isinstance(planar, Rectification):
-            return _finished(planar, pair, geometry, max_row_error_px, range_margin)
-        why_polar = planar
-    rows = _by_rows(pair, why_polar)
-    if isinstance(rows, Rejected):
-        return rows
-    return _finished(rows, pair, geometry, max_row_error_px, range_margin)
+    reason, found = "as asked", None
+    for homographies in dict.fromkeys((method, "hartley")) if method != "polar" else ():  # hartley bends x least
+        attempt = _by_homographies(pair, homographies, reason)
+        if isinstance(attempt, Rectification):
+            found = attempt
+            break
+        reason = attempt
+    rectification = found or _by_rows(pair, reason)
+    if isinstance(rectification, Rejected):
+        return rectification
+    return _finished(rectification, pair, geometry, max_row_error_px, range_margin)
 
 
 def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> _Pair:
@@ -144,7 +144,7 @@ def _angle_deg(geometry: Geometry, pair: _Pair) -> float:
     return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
 
 
-def _by_homographies(pair: _Pair, method: Method) -> Rectification | str:
+def _by_homographies(pair: _Pair, method: str, reason: str) -> Rectification | str:
     """A rectification by two homographies, or why there can be none."""
     try:
         H1, H2 = _homographies(pair, method)
@@ -156,7 +156,7 @@ def _by_homographies(pair: _Pair, method: Method) -> Rectification | str:
             return "an epipole lies among the matches"
     near = ((homogeneous(pair.x1) @ H1[2]) > 0) & ((homogeneous(pair.x2) @ H2[2]) > 0)
     H1, H2, size1, size2 = place(H1, H2, pair.x1[near], pair.x2[near], pair.size1, pair.size2)
-    result = Rectification(method, "as asked", H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
+    result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     for side, H in zip(_SIDES, (H1, H2), strict=True):
         shown = _shown(result, pair, side)
         if len(shown) == 0 or (homogeneous(shown) @ H[2]).min() <= 0:
@@ -164,14 +164,14 @@ def _by_homographies(pair: _Pair, method: Method) -> Rectification | str:
         area, longer, shorter = _shapes(result, pair, side)
         low, high = np.sqrt(np.percentile(np.abs(area), [5, 95]))
         if high > 4 * low:
-            return f"an epipole near the image stretches it {high / low:.1f} times"
+            return f"{method} stretches the image {high / low:.1f} times: an epipole is near, or the matches scatter"
         anisotropy = float(np.percentile(longer / shorter, 95))
         if anisotropy > 3:
-            return f"an epipole near the image makes pixels {anisotropy:.1f} times longer than wide"
+            return f"{method} makes pixels {anisotropy:.1f} times longer than wide: an epipole is near, or the matches scatter"
     return result
 
 
-def _homographies(pair: _Pair, method: Method) -> tuple[Float64s, Float64s]:
+def _homographies(pair: _Pair, method: str) -> tuple[Float64s, Float64s]:
     if method == "calibrated" and pair.camera1 is not None and pair.camera2 is not None:
         return calibrated(pair.camera1, pair.camera2, pair.x1, pair.x2, pair.probability)
     if method == "hartley":
@@ -260,19 +260,14 @@ def _row_uncertainty_px(rectification: Rectification, pair: _Pair, geometry: Geo
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():
         return 0.0
-    essential = _intrinsics_behind(geometry)
-    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown[inside], partner[inside], essential)
-    return 2 * float(np.percentile(sigma, 95))
+    at1, at2 = shown[inside], partner[inside]
+    return 2 * float(np.percentile(line_uncertainty(pair.F, pair.x1, pair.x2, at1, at2, _intrinsics_behind(geometry)), 95))
 
 
 def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:
-    """K1, K2 where F is the essential matrix of the relative pose, and so has five degrees of freedom only."""
-    K1, K2, R, t = geometry.view1.K, geometry.view2.K, geometry.cam2_R_cam1, geometry.cam2_t_cam1
-    if K1 is None or K2 is None or R is None or t is None:
-        return None
-    F = essential_to_fundamental(R, t, K1, K2)
-    same = abs(float(np.sum(F * geometry.F))) > (1 - 1e-9) * float(np.linalg.norm(geometry.F))
-    return (K1, K2) if same else None
+    """K1, K2 where F comes from an essential matrix, and so has five degrees of freedom only."""
+    K1, K2 = geometry.view1.K, geometry.view2.K
+    return (K1, K2) if geometry.model == "E" and K1 is not None and K2 is not None else None
 
 
 def _depth_resolution(pair: _Pair, scale: float) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 from ..types import Float32s, Uint8s
 from .pair import DenseMatches, RectifiedPair, mirrored
 
-_BLOCK = 5
+_BLOCK = 3
 _SOBEL_CAP = 31
-_UNIQUENESS_PERCENT = 5
+_UNIQUENESS_PERCENT = 0
 
 
 def match_sgbm(pair: RectifiedPair) -> DenseMatches:

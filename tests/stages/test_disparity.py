@@ -1,0 +1,134 @@
+"""Dense matching on texture of known disparity, whatever the matcher."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from dots import as_they_are, frame_of, stereo_pair, true_disparity
+
+from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
+from wbflow_stages.rectification.mapping import disparity_px
+from wbflow_stages.types import INVALID, Disparity, Frame, Rectification, Rejected
+
+NAMES: tuple[Matcher, ...] = ("sgbm",)
+
+
+def matched(left: Frame, right: Frame, rectification: Rectification, matcher: Matcher) -> Disparity:
+    result = match_dense(left, right, rectification, matcher=matcher)
+    assert isinstance(result, Disparity), result
+    return result
+
+
+def case(offset: float = 20.0, slope: float = 0.04) -> tuple[Frame, Frame, Rectification, np.ndarray]:
+    left, right = stereo_pair(offset=offset, slope=slope)
+    truth = true_disparity(*left.shape, offset, slope)
+    rectification = as_they_are(left, right, float(np.floor(truth.min() - 3)), float(np.ceil(truth.max() + 3)))
+    return frame_of(left), frame_of(right), rectification, truth
+
+
+def visible(truth: np.ndarray) -> np.ndarray:
+    """Pixels whose partner lies well inside the right image."""
+    x = np.arange(truth.shape[1]) - truth
+    return (x > 8) & (x < truth.shape[1] - 9)
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+@pytest.mark.parametrize("offset", [20.0, -15.0, 0.0])
+def test_disparity_of_both_views_is_found_to_a_fraction_of_a_pixel(matcher: Matcher, offset: float) -> None:
+    left, right, rectification, truth = case(offset)
+    found = matched(left, right, rectification, matcher)
+    d1, d2 = disparity_px(found, 1), disparity_px(found, 2)
+    inside = visible(truth)
+    error = np.abs(d1 - truth)[inside]
+    assert np.mean(error < 1) > 0.85
+    assert np.nanmedian(error) < 0.15
+    assert np.nanmean(error > 2) < 0.02
+    rows, columns = np.nonzero(~np.isnan(d2))
+    x1 = np.rint(columns + d2[rows, columns]).astype(int)
+    known = (x1 >= 0) & (x1 < truth.shape[1])
+    assert known.mean() > 0.98
+    assert np.mean(np.abs(truth[rows[known], x1[known]] - d2[rows[known], columns[known]]) < 1.5) > 0.97
+    assert found.density > 0.75
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_masked_and_saturated_pixels_are_never_matched_in_either_image(matcher: Matcher) -> None:
+    left, right, rectification, _ = case()
+    mask, image = right.mask.copy(), left.image.copy()
+    mask[60:100, 80:120] = False
+    image[20:40, 100:140] = 255
+    found = matched(Frame(image, left.mask, left.view), Frame(right.image, mask, right.view), rectification, matcher)
+    assert (found.left[20:40, 100:140] == INVALID).all()
+    assert (found.right[60:100, 80:120] == INVALID).all()
+    d1, d2 = disparity_px(found, 1), disparity_px(found, 2)
+    for d, sign, allowed in ((d1, -1, mask), (d2, 1, ~(image >= 254).all(axis=2))):
+        rows, columns = np.nonzero(~np.isnan(d))
+        target = np.rint(columns + sign * d[rows, columns]).astype(int)
+        assert allowed[rows, target].all()
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_exposure_of_one_camera_does_not_matter(matcher: Matcher) -> None:
+    left, right, rectification, truth = case()
+    darker = Frame(np.rint(0.6 * right.image + 12).astype(np.uint8), right.mask, right.view)
+    inside = visible(truth)
+    plain = np.abs(disparity_px(matched(left, right, rectification, matcher), 1) - truth)[inside]
+    other = np.abs(disparity_px(matched(left, darker, rectification, matcher), 1) - truth)[inside]
+    assert np.mean(other < 1) > np.mean(plain < 1) - 0.03
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: Matcher) -> None:
+    left, right, _, truth = case()
+    floor = truth[:, :60]
+    narrow = as_they_are(left.image[..., 0], right.image[..., 0], float(np.floor(floor.min())), float(np.ceil(floor.max() + 8)))
+    y, x = np.mgrid[0:180, 0:240]
+    disc = np.hypot(x - 144, y - 90) < 20
+    found = disparity_px(matched(left, right, narrow, matcher), 1)
+    assert truth[disc].min() > narrow.disparity_max_px
+    assert np.mean(np.abs(found - truth)[disc] < 1) > 0.8
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_images_of_different_widths_keep_their_own_sizes(matcher: Matcher) -> None:
+    left, right, rectification, truth = case()
+    cut = as_they_are(left.image[:, :200, 0], right.image[..., 0], rectification.disparity_min_px, rectification.disparity_max_px)
+    found = matched(frame_of(left.image[:, :200, 0]), right, cut, matcher)
+    assert found.left.shape == found.confidence_left.shape == (180, 200)
+    assert found.right.shape == found.confidence_right.shape == (180, 240)
+    assert np.nanmedian(np.abs(disparity_px(found, 1) - truth[:, :200])) < 0.15
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_any_number_of_threads_gives_the_same_bytes(matcher: Matcher) -> None:
+    left, right, rectification, _ = case()
+    threads = cv2.getNumThreads()
+    results = []
+    try:
+        for n in (1, 4):
+            cv2.setNumThreads(n)
+            results.append(matched(left, right, rectification, matcher))
+    finally:
+        cv2.setNumThreads(threads)
+    for name in ("left", "right", "confidence_left", "confidence_right"):
+        assert getattr(results[0], name).tobytes() == getattr(results[1], name).tobytes()
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_images_that_share_nothing_are_rejected(matcher: Matcher) -> None:
+    left, right, rectification, _ = case()
+    blank = Frame(np.full_like(right.image, 128), np.zeros_like(right.mask), right.view)
+    refused = match_dense(left, blank, rectification, matcher=matcher)
+    assert isinstance(refused, Rejected) and refused.figures["density"] < 0.01
+
+
+def test_confidence_is_zero_where_nothing_is_known_and_only_there() -> None:
+    left, right, rectification, _ = case()
+    found = matched(left, right, rectification, "sgbm")
+    np.testing.assert_array_equal(found.left == INVALID, found.confidence_left == 0)
+    np.testing.assert_array_equal(found.right == INVALID, found.confidence_right == 0)
+
+
+def test_every_named_matcher_exists() -> None:
+    assert set(NAMES) == set(MATCHERS)
