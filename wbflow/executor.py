@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -64,6 +65,8 @@ class Executor:
                     delayed(run_lane)(lane, cache, os.getpid()) for lane in lanes
                 )
             return
+        # loky replaces a worker that has grown, and warns of it: nothing that an operator could act on
+        warnings.filterwarnings("ignore", message="A worker stopped", category=UserWarning)
         with parallel_config(backend=self.backend, n_jobs=self.jobs):
             parallel = Parallel(return_as="generator_unordered", batch_size=1, timeout=LANE_SECONDS)
             yield from parallel(delayed(run_lane)(lane, cache, os.getpid()) for lane in lanes)

@@ -6,7 +6,6 @@ robust (edges across weak cuts), then filled with the best edges up to `degree` 
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -58,7 +57,7 @@ def select_pairs(
     overlap : Overlap
         Angle and shared share of every pair of cameras.
     degree : int
-        Pairs wanted at each camera; the spanning tree and `include` may exceed it.
+        Pairs wanted at each camera; the spanning tree, edges that cover weak cuts and `include` may exceed it.
     min_angle, max_angle : float
         Degrees; pairs whose views converge outside of this are dropped (where the angle is known).
     include, exclude : list of [id, id]
@@ -140,11 +139,9 @@ def _choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair,
     for u, v in nx.maximum_spanning_edges(candidates, data=False):
         take(u, v, "in the spanning tree")
     ranked = sorted(candidates.edges(data=True), key=lambda e: (-e[2]["weight"], e[2]["order"]))
-    for u, v, _ in ranked:
-        if graph.has_edge(u, v) or max(graph.degree(u), graph.degree(v)) >= degree:
-            continue
-        if crossed := _bridge_between(graph, u, v):
-            take(u, v, f"covers the weak cut {crossed[0]}--{crossed[1]}")
+    while covered := _cover(graph, candidates, ranked):
+        (u, v), bridge = covered
+        take(u, v, f"covers the weak cut {bridge[0]}--{bridge[1]}")
     for u, v, _ in ranked:
         if not graph.has_edge(u, v) and max(graph.degree(u), graph.degree(v)) < degree:
             closes = len(set(graph[u]) & set(graph[v]))
@@ -152,12 +149,15 @@ def _choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair,
     return chosen
 
 
-def _bridge_between(graph: nx.Graph, u: str, v: str) -> Pair | None:
-    """A bridge of the graph on the way from u to v: an edge between them would make that cut safe."""
+def _cover(graph: nx.Graph, candidates: nx.Graph, ranked: list[Any]) -> tuple[Pair, Pair] | None:
+    """The best edge across the weakest cut that is a single edge so far, and that edge; None when no cut can be covered."""
     import networkx as nx
 
-    bridges = {frozenset(b) for b in nx.bridges(graph)}
-    if not bridges or not nx.has_path(graph, u, v):
-        return None
-    path = nx.shortest_path(graph, u, v)
-    return next((step for step in itertools.pairwise(path) if frozenset(step) in bridges), None)
+    weight = {frozenset((u, v)): d["weight"] for u, v, d in ranked}
+    for bridge in sorted(nx.bridges(graph), key=lambda b: (weight.get(frozenset(b), 0.0), b)):
+        rest = nx.restricted_view(graph, [], [bridge])
+        side = nx.node_connected_component(rest, bridge[0])
+        for u, v, _ in ranked:
+            if (u in side) != (v in side) and not graph.has_edge(u, v) and nx.has_path(graph, u, v):
+                return (u, v), bridge
+    return None

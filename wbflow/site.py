@@ -184,6 +184,10 @@ _REMEDIES = {
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them",
     "site": "give the site a name: site: harbour",
+    "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
+    "degree": "give a whole number, e.g. degree: 6",
+    "min_angle": "give degrees, e.g. min_angle: 4",
+    "max_angle": "give degrees, e.g. max_angle: 60",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
@@ -289,7 +293,7 @@ def _problems(error: ValidationError, document: Document) -> list[Problem]:
         place: Place = tuple(item["loc"])
         kind, last = item["type"], str(item["loc"][-1]) if item["loc"] else ""
         section = next((str(step) for step in reversed(place) if step in _REMEDIES), "")
-        remedy = _REMEDIES.get(section, "")
+        remedy = _REMEDIES.get(section, "see sites/template.yaml")
         if kind == "extra_forbidden":
             allowed = _fields_at(place[:-1])
             close = difflib.get_close_matches(last, allowed, 1)

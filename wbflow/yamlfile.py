@@ -112,7 +112,7 @@ def _walk(node: Any, place: Place, document: Document, problems: list[Problem]) 
                 mark = key.start_mark
                 first = document.key_marks[inner][0]
                 what, remedy = f"{key.value!r} stands here and on line {first}", "keep one of them"
-                problems.append(Problem(document.path, mark.line + 1, mark.column + 1, spell(place), what, remedy))
+                problems.append(Problem(document.path, mark.line + 1, mark.column + 1, spell(inner), what, remedy))
             document.key_marks[inner] = (key.start_mark.line + 1, key.start_mark.column + 1)
             _walk(value, inner, document, problems)
     elif isinstance(node, yaml.SequenceNode):
