@@ -126,7 +126,7 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("site: {a: b: c}", "1:11: not valid YAML"),
+        ("site: {a: b: c}", "1:12: not valid YAML"),
         ("site: a\nsite: b\n", "2:1: site: 'site' stands here and on line 1"),
         ("- a\n", "1:1: a site file is a mapping"),
         ("", "1:1: a site file is a mapping"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import sys
@@ -84,6 +85,8 @@ def run(
     _check_names(loaded, until, force)
     if backend == "dask" and not scheduler:
         _stop(USAGE, "--backend dask needs --scheduler ADDRESS, e.g. tcp://host:8786")
+    if backend == "dask" and importlib.util.find_spec("distributed") is None:
+        _stop(USAGE, "--backend dask needs Dask: pip install 'wbflow[dask]'")
     if dry_run:
         _explain(loaded, date, until, force)
         return

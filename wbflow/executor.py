@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from .cache import Cache
 from .plan import TaskSpec
@@ -58,9 +60,8 @@ class Executor:
         from joblib import Parallel, delayed, parallel_config
 
         if self.backend == "dask":
-            from distributed import Client
-
-            with Client(self.scheduler, set_as_default=True), parallel_config(backend="dask"):
+            client: Any = importlib.import_module("distributed").Client
+            with client(self.scheduler, set_as_default=True), parallel_config(backend="dask"):
                 yield from Parallel(return_as="generator_unordered", batch_size=1)(
                     delayed(run_lane)(lane, cache, os.getpid()) for lane in lanes
                 )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Scope = Literal["camera", "pair", "site"]
-Which = Literal["same", "left", "right", "all"]
+Which = Literal["same", "left", "right", "all", "around"]
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,8 @@ class Need:
     """One input of a stage.
 
     origin: the stage that makes it, or "site:lens", "site:placement", "site:captures", "site:mask" from the site file;
-    which: of the same subject, of the pair's left or right camera, or of all subjects that have it (as a mapping);
+    which: of the same subject, of the pair's left or right camera, of all subjects that have it (as a mapping), or "around":
+    of those that the camera in question makes pairs with and itself, and of these pairs;
     part: a field of the artifact (see `artifact.parts`); of a mapping field, the entry of the camera in question unless `which`
     is "same" on a site-wide stage; optional: may be missing (then the function gets None, or an entry less);
     unless_posed: not needed (an empty mapping) where the site file gives every camera's intrinsics and pose.

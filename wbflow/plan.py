@@ -210,8 +210,8 @@ class Plan:
             if need.origin.startswith("site:") or (need.unless_posed and self.site.posed):
                 continue
             origin = stage_named(need.origin)
-            if need.which == "all":
-                found += self._tasks(origin)
+            if need.which in {"all", "around"}:
+                found += self._joined(origin, need, task)
             elif need.which == "same" or origin.scope == "site":
                 found.append(Task(origin.name, task.subject if origin.scope != "site" else ()))
             else:
@@ -281,7 +281,7 @@ class Plan:
         if need.origin.startswith("site:"):
             return self._from_site(need, task)
         origin = stage_named(need.origin)
-        if need.which == "all":
+        if need.which in {"all", "around"}:
             return self._join(origin, need, task)
         subject: Subject = task.subject if need.which == "same" and origin.scope != "site" else ()
         camera = {"left": task.subject[:1], "right": task.subject[1:]}.get(need.which, ())
@@ -307,11 +307,13 @@ class Plan:
         return Stored(upstream, part).resolved(self.cache, state.receipt)
 
     def _join(self, origin: Stage, need: Need, task: Task) -> Input:
-        if origin.scope == "pair" and not self.pairs_known():
+        if origin not in self._stages and need.optional:
+            return Joined({})
+        if not self.pairs_known() and (origin.scope == "pair" or need.which == "around"):
             raise _Waiting(None)
         items: dict[Subject, Value | Stored] = {}
         faults = []
-        for upstream in self._tasks(origin):
+        for upstream in self._joined(origin, need, task):
             state = self.states.get(upstream)
             if state is None:
                 raise _Waiting(upstream)
@@ -322,6 +324,15 @@ class Plan:
         if not items and not need.optional:
             raise _Impossible(f"no {origin.name} to work on" + (f": {faults[0]}" if faults else ""))
         return Joined(items)
+
+    def _joined(self, origin: Stage, need: Need, task: Task) -> list[Task]:
+        """The tasks whose artifacts an input joins."""
+        if need.which == "all":
+            return self._tasks(origin)
+        camera = task.subject[0]
+        pairs = [pair for pair in self._pairs() or () if camera in pair]
+        around = {camera, *(c for pair in pairs for c in pair)}
+        return [t for t in self._tasks(origin) if (t.subject in pairs if origin.scope == "pair" else t.subject[0] in around)]
 
     def _from_site(self, need: Need, task: Task) -> Input:
         what = need.origin.partition(":")[2]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from dots import as_they_are, frame_of, stereo_pair, true_disparity
 
+from dots import as_they_are, frame_of, stereo_pair, true_disparity
 from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
 from wbflow_stages.rectification.mapping import disparity_px
 from wbflow_stages.types import INVALID, Disparity, Frame, Rectification, Rejected

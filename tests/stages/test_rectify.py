@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
 
+from two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
 from wbflow_stages.epipolar import apply_homography, fundamental_from_cameras, homogeneous, project
 from wbflow_stages.rectification.mapping import from_rectified, resampling, to_rectified
 from wbflow_stages.rectify import Method, rectify

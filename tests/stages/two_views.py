@@ -63,5 +63,3 @@ def two_views(
     camera1, camera2 = looking(np.zeros(3), aim), looking(baseline, aim)
     x1, x2 = seen_by_both(camera1, camera2, scene(n=n), noise_px)
     return geometry_of(x1, x2, fundamental_from_cameras(camera1, camera2)), camera1, camera2
-
-
