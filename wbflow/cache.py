@@ -83,7 +83,11 @@ class Cache:
 
     def find(self, preimage: Preimage, key: str) -> Receipt | None:
         """The receipt of a finished task, or None.  Checks the file's presence and size; who reads it checks its digest."""
-        return self._receipt(self.folder(preimage.stage, preimage.subject) / f"{key}.json")
+        return self.by_key(preimage.stage, preimage.subject, key)
+
+    def by_key(self, stage: str, subject: tuple[str, ...], key: str) -> Receipt | None:
+        """The receipt of a task under a key that is known."""
+        return self._receipt(self.folder(stage, subject) / f"{key}.json")
 
     def newest(self, stage: str, subject: tuple[str, ...]) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import datetime
 
     from .plan import State
-    from .run import Finished, Options
+    from .run import Finished, Listener, Options
     from .site import Site
 
 USAGE = 2
@@ -216,6 +216,37 @@ def compare(run_a: Path, run_b: Path) -> None:
         click.echo(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
 
 
+@main.command()
+@click.argument("left", type=_PATH)
+@click.argument("right", type=_PATH)
+@click.option("--out", type=_PATH, required=True, metavar="DIR", help="Folder for the results (and the cache).")
+@click.option("--resolution", type=click.IntRange(min=64), default=1600, metavar="N", help="Long side in pixels to work at.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, metavar="N", help="Workers (default: all cores)."
+)
+@_verbose
+def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose: bool) -> None:
+    """Two photographs and nothing else: matches, F, rectified pair, disparity, and a picture of each step."""
+    from .lock import Locked
+    from .pair import match_pair, pair_site
+    from .yamlfile import SiteError
+
+    for photograph in (left, right):
+        if not photograph.is_file():
+            _stop(USAGE, f"{photograph}: there is no such file")
+    try:
+        site = pair_site(left, right, out, resolution)
+        result = match_pair(site, out, jobs, _listener(site, verbose, quiet=False))
+    except SiteError as error:
+        _stop(USAGE, str(error))
+    except Locked as locked:
+        _stop(LOCKED, str(locked))
+    for file in result.files:
+        click.echo(file)
+    if result.failure:
+        _stop(FAILED, f"no disparity: {result.failure}")
+
+
 def _day(date: datetime.datetime | None) -> datetime.date | None:
     return date.date() if date else None
 
@@ -246,17 +277,8 @@ def _run(site: Site, options: Options, verbose: bool, quiet: bool) -> Finished:
     from .lock import Locked
     from .run import run as work
 
-    def listen(task: str, state: State, trace: str | None) -> None:
-        if state.outcome in {"failed", "rejected"} or verbose:
-            stream = sys.stderr if quiet or state.outcome == "failed" else sys.stdout
-            stage, _, subject = task.partition(" ")
-            if not quiet or state.outcome == "failed":
-                click.echo(f"{subject or site.name:20} {stage:10} {state.outcome:9} {state.reason or ''}".rstrip(), file=stream)
-        if trace and verbose:
-            click.echo(trace, err=True)
-
     try:
-        return work(site, options, listen)
+        return work(site, options, _listener(site, verbose, quiet))
     except Locked as locked:
         _stop(LOCKED, f"{locked}\n  wait for it (--wait), or stop it")
     except OSError as error:
@@ -266,6 +288,21 @@ def _run(site: Site, options: Options, verbose: bool, quiet: bool) -> Finished:
             FAILED,
             f"{error.filename or site.work}: {error.strerror or error}\n  check the disk and the rights on the work folder",
         )
+
+
+def _listener(site: Site, verbose: bool, quiet: bool) -> Listener:
+    """What is said of tasks as they end."""
+
+    def listen(task: str, state: State, trace: str | None) -> None:
+        if state.outcome in {"failed", "rejected"} or verbose:
+            stream = sys.stderr if quiet or state.outcome == "failed" else sys.stdout
+            stage, _, subject = task.partition(" ")
+            if not quiet or state.outcome == "failed":
+                click.echo(f"{subject or site.name:20} {stage:10} {state.outcome:9} {state.reason or ''}".rstrip(), file=stream)
+        if trace and verbose:
+            click.echo(trace, err=True)
+
+    return listen
 
 
 def _summary(finished: Finished) -> None:

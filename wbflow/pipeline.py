@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Scope = Literal["camera", "pair", "site"]
@@ -33,7 +33,8 @@ class Stage:
     """One step of the pipeline.
 
     needs: inputs by the function's argument name; suffix: of the artifact's file; picture: function that draws the artifact
-    (called with the result and the same inputs, returns encoded bytes); optional: the site file may switch it off;
+    (called with the result and the same inputs, or those of `picture_needs` by the same names; returns encoded bytes);
+    optional: the site file may switch it off;
     settings: the section of the site file that also feeds its parameters.
     """
 
@@ -43,6 +44,7 @@ class Stage:
     needs: dict[str, Need]
     suffix: str = ".wbf"
     picture: str | None = None
+    picture_needs: dict[str, Need] = field(default_factory=dict)
     optional: bool = False
     settings: Literal["", "pairs", "resolution"] = ""
 
@@ -85,6 +87,8 @@ STAGES: tuple[Stage, ...] = (
         scope="pair",
         function="wbflow_stages.geometry:estimate_geometry",
         needs={"matches": Need("matches"), "left": Need("features", "left"), "right": Need("features", "right")},
+        picture="wbflow_stages.previews:matches_preview",
+        picture_needs={"left": Need("frames", "left"), "right": Need("frames", "right")},
     ),
     Stage(
         "poses",
@@ -95,6 +99,7 @@ STAGES: tuple[Stage, ...] = (
             "placements": Need("site:placement", "all"),
             "geometries": Need("geometry", "all", unless_posed=True),
         },
+        optional=True,
     ),
     Stage(
         "rectify",

@@ -103,6 +103,7 @@ class TaskSpec:
     inputs: dict[str, Input]
     suffix: str
     picture: str | None
+    picture_inputs: dict[str, Input] = field(default_factory=dict)
     force: bool = False
 
     def preimage(self) -> Preimage:
@@ -258,7 +259,8 @@ class Plan:
         inputs = {name: self._input(stage, task, need, among or set()) for name, need in stage.needs.items()}
         forced = bool(self.force & {task.stage, str(task)})
         parameters = self._parameters(stage, info)
-        return TaskSpec(task, info.dotted, info.code, parameters, inputs, stage.suffix, stage.picture, forced)
+        drawn = {name: self._input(stage, task, need, set()) for name, need in stage.picture_needs.items()}
+        return TaskSpec(task, info.dotted, info.code, parameters, inputs, stage.suffix, stage.picture, drawn, forced)
 
     def _info(self, stage: Stage) -> FunctionInfo:
         if stage.name not in self._infos:
@@ -293,6 +295,8 @@ class Plan:
     def _stored(self, upstream: Task, part: str, need: Need, among: set[Task]) -> Input:
         if upstream in among:
             return Stored(upstream, part)
+        if need.optional and stage_named(upstream.stage) not in self._stages:
+            return Absent()
         state = self.states.get(upstream)
         if state is None:
             raise _Waiting(upstream)

@@ -91,7 +91,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
     rejected = type(result).__name__ == "Rejected"
     cloud = spec.suffix == ".ply" and not rejected
     data = None if rejected else cloud_bytes(result) if cloud else artifact.encode(result)
-    picture = None if rejected or not spec.picture else _picture(spec.picture, result, arguments)
+    picture = None if rejected or not spec.picture else _picture(spec, result, arguments, lane)
     receipt = Receipt(
         task=str(spec.task),
         key=key,
@@ -120,10 +120,12 @@ def _function(dotted: str) -> Callable[..., Any]:
     return function
 
 
-def _picture(dotted: str, result: Any, arguments: dict[str, Any]) -> bytes | None:
+def _picture(spec: TaskSpec, result: Any, arguments: dict[str, Any], lane: _Lane) -> bytes | None:
     """A picture is for people: when it cannot be drawn, the task has succeeded all the same."""
+    assert spec.picture
     try:
-        return bytes(_function(dotted)(result, **arguments))
+        drawn = {name: _load(value, lane) for name, value in spec.picture_inputs.items()}
+        return bytes(_function(spec.picture)(result, **(arguments | drawn)))
     except Exception:
         return None
 

@@ -20,7 +20,7 @@ h1 { font-size: 1.5rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin-top:
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: .25rem .6rem; border-bottom: 1px solid var(--line); vertical-align: top; }
 th:first-child, td:first-child, td.words, th.words { text-align: left; }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1rem; }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); gap: 1rem; }
 .card { border: 1px solid var(--line); border-radius: 6px; padding: .6rem; } .card img { width: 100%; border-radius: 4px; }
 .card.bad { border-color: var(--bad); } .reason { color: var(--bad); } .muted { opacity: .7; } img.wide { max-width: 100%; }
 .graph { max-width: 40rem; } .graph text { font-size: 13px; fill: currentColor; }
@@ -147,8 +147,10 @@ def _pairs(record: dict[str, Any], pictures: dict[str, str]) -> str:
             "ok" if pair["outcome"] == "ok" else f'<span class="reason">{pair["outcome"]}</span>: {escape(str(pair["reason"]))}'
         )
         rows.append(f'<tr><td>{escape(name)}</td>{cells}<td class="words">{words}</td></tr>')
-        if picture := pictures.get(f"disparity {name}"):
-            cards.append(f'<div class="card"><img src="{picture}" alt="{escape(name)}"><b>{escape(name)}</b></div>')
+        shown = [pictures[task] for task in (f"geometry {name}", f"disparity {name}") if task in pictures]
+        if shown:
+            images = "".join(f'<img src="{picture}" alt="{escape(name)}">' for picture in shown)
+            cards.append(f'<div class="card">{images}<b>{escape(name)}</b></div>')
     return f'<h2>Pairs</h2><table><tr>{head}</tr>{"".join(rows)}</table><div class="cards">{"".join(cards)}</div>'
 
 
