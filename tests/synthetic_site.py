@@ -9,16 +9,19 @@ import pytest
 from wbflow_stages.synthetic.yard import Daytime, Yard, yard
 
 
-@cache
 def small_yard(light: Daytime = "day", captures: int = 3, seed: int = 0) -> Yard:
     """4 cameras of 320x180."""
-    return yard(4, (320, 180), captures, seed, light)
+    return _rendered(4, 320, captures, seed, light)
+
+
+def single_pair(width: int = 640) -> Yard:
+    """Two neighbours, 20 degrees apart, one capture each, at 16:9."""
+    return _rendered(2, width, 1, 0, "day")
 
 
 @cache
-def single_pair(width: int = 640) -> Yard:
-    """Two neighbours, 20 degrees apart, one capture each, at 16:9."""
-    return yard(2, (width, width * 9 // 16), 1)
+def _rendered(cameras: int, width: int, captures: int, seed: int, light: Daytime) -> Yard:
+    return yard(cameras, (width, width * 9 // 16), captures, seed, light)
 
 
 @pytest.fixture(scope="session")

@@ -83,17 +83,20 @@ def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
 
 @kernel
 def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
-    """Ray directions (x, y, 1) in camera axes of distorted pixels, by fixed-point steps on Brown's model."""
+    """Ray directions (x, y, 1) in camera axes of distorted pixels, by fixed-point steps on Brown's model to 1e-12."""
     k1, k2, p1, p2, k3 = distortion
     for k in range(x.shape[0]):
         u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
         a, b = u, v
-        for _ in range(25):
+        for _ in range(60):
             r2 = a * a + b * b
             radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
             da = 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
             db = p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+            before_a, before_b = a, b
             a, b = (u - da) / radial, (v - db) / radial
+            if abs(a - before_a) + abs(b - before_b) < 1e-12:
+                break
         rays[k, 0], rays[k, 1], rays[k, 2] = a, b, 1.0
 
 

@@ -8,13 +8,14 @@ from . import textures as paint
 from .cameras import Mount, position
 from .noise import Rng
 from .renderer import Lamp, Light
-from .scene import STATIC, WATER, Scene, SceneBuilder
-from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, lamp_post
+from .scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
+from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
 
 WALL_TOP = 9.2
+SUN = (-0.547, -0.526, 0.652)  # in the south-west, 40 degrees up
 LAMPS = (
-    (5.0, 29.2, 6.3), (15.0, 29.2, 6.3), (25.0, 29.2, 6.3), (35.0, 29.2, 6.3),
-    (39.2, 20.5, 6.3), (0.8, 22.0, 6.0), (13.0, 8.1, 6.8), (28.5, 7.6, 6.8),
+    (5.0, 28.2, 6.3), (15.0, 28.2, 6.3), (25.0, 28.2, 6.3), (35.0, 28.2, 6.3),
+    (38.2, 20.5, 6.3), (1.8, 22.0, 6.0), (13.0, 8.1, 6.8), (28.5, 7.6, 6.8),
 )  # fmt: skip
 
 CONTAINERS = (
@@ -24,7 +25,7 @@ CONTAINERS = (
     Box(33.2, 23.4, 0, -0.22, 6.06, (0.10, 0.30, 0.22), "BALTIKA"),
     Box(33.0, 23.5, 1, -0.18, 6.06, (0.55, 0.53, 0.50), "MEERWIND"),
     Box(31.4, 13.6, 0, 1.46, 12.19, (0.30, 0.05, 0.06), "TRANSHAFEN"),
-    Box(8.6, 14.6, 0, 0.55, 6.06, (0.05, 0.22, 0.33), "OSTWIND"),
+    Box(9.2, 9.2, 0, -0.4, 6.06, (0.05, 0.22, 0.33), "OSTWIND"),
     Box(20.4, 24.0, 0, -0.05, 6.06, (0.17, 0.18, 0.19), "KONTOR"),
 )
 
@@ -93,6 +94,9 @@ def _buildings(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     brick = build.add_texture(paint.brick_wall(rng, 7.0, 6.0, texel_m, tint=(0.9, 0.95, 1.0)))
     build.box((-1.5, 8.0, 0.0), (5.4, 6.0, 5.6), sill, sides=brick)
     build.box((41.6, 7.6, 0.0), (5.4, 6.2, 6.6), sill, sides=brick)
+    for y in (6.2, 9.4):
+        build.box((1.22, y, 2.6), (1.2, 0.06, 1.8), sill, yaw=np.pi / 2, front=pane)
+        build.box((38.88, y, 3.2), (1.2, 0.06, 1.8), sill, yaw=-np.pi / 2, front=pane)
     for x in (6.0, 17.0, 31.0):
         build.box((x, 33.0, WALL_TOP), (0.9, 0.7, 4.6), sill, sides=brick)
     steel = build.add_texture(paint.painted_steel(rng, 10.0, 1.0, texel_m, (0.25, 0.26, 0.25)))
@@ -153,17 +157,22 @@ def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount,
         (18.0, 15.4, 3),
     ):
         crates(build, rng, (x, y), [*wood, stencilled], rows=rows, levels=3)
-    for x, y, count in ((28.0, 28.4, 9), (2.0, 25.5, 7), (24.6, 21.8, 6), (36.6, 27.8, 8), (12.0, 11.0, 5)):
+    for x, y, count in ((28.0, 28.4, 9), (2.0, 25.5, 7), (24.6, 21.8, 6), (36.6, 27.8, 8), (10.6, 12.2, 5)):
         barrels(build, rng, (x, y), drums, count=count)
     _lorry(build, rng, texel_m)
-    gravel = build.add_texture(paint.concrete(rng, 3.0, 3.0, texel_m, slab_m=0.09))
-    build.ball((35.6, 20.0, -0.3), (2.0, 1.7, 1.6), gravel, steps=14)
-    build.ball((4.2, 28.0, -0.4), (1.8, 1.4, 1.5), gravel, steps=14)
+    gravel = build.add_texture(paint.gravel(rng, 4.0, 4.0, texel_m))
+    heap(build, rng, (36.2, 20.0), 1.9, 1.3, gravel)
+    heap(build, rng, (4.2, 27.8), 1.7, 1.1, gravel)
     bulb = build.add_texture(paint.cloth(rng, 0.02, (0.9, 0.88, 0.8)))
     for x, y, z in LAMPS[6:]:
-        lamp_post(build, (x, y - 1.1), z + 0.2, steel, bulb)
-    for x, y, z in LAMPS[:6]:
-        build.ball((x, y, z - 0.05), (0.16, 0.16, 0.1), bulb, steps=4)
+        lamp_post(build, (x, y - 1.1), z + 0.25, steel)
+    walls = [(x, 30.0) for x, _, _ in LAMPS[:4]] + [(40.0, LAMPS[4][1]), (0.0, LAMPS[5][1])]
+    for (x, y, z), (at_x, at_y) in zip(LAMPS[:6], walls, strict=True):
+        build.beam((at_x, at_y, z + 0.15), (x, y, z + 0.25), 0.08, steel)
+    build.kind = GLOWING
+    for x, y, z in LAMPS:
+        build.ball((x, y, z + 0.12), (0.17, 0.17, 0.1), bulb, steps=4)
+    build.kind = STATIC
     for x in np.arange(-6.0, 48.0, 6.0):
         build.tube((float(x), -4.3, 0.0), 0.22, 0.7, drums[1], sides=10)
     for mount in mounts:
@@ -192,17 +201,17 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 def yard_light(light: str) -> Light:
     """Afternoon sun, the last of dusk with the lamps on, or night."""
-    warm, white = (34.0, 27.0, 17.0), (30.0, 29.0, 26.0)
-    lamps = tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(LAMPS))
-    south_west = np.array([-0.52, -0.50, 0.62])
-    sun = tuple(float(v) for v in south_west / np.linalg.norm(south_west))
-    direction = (sun[0], sun[1], sun[2])
     if light == "day":
-        return Light(direction, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))
+        return Light(SUN, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))
     if light == "dusk":
-        dim = tuple(Lamp(lamp.position, (lamp.power[0] * 0.25, lamp.power[1] * 0.25, lamp.power[2] * 0.25)) for lamp in lamps)
-        return Light((-0.90, -0.35, 0.24), (0.22, 0.13, 0.07), (0.17, 0.20, 0.29), (0.10, 0.09, 0.085), (0.45, 0.33, 0.27), dim)
+        low_sun = (-0.909, -0.354, 0.222)
+        return Light(low_sun, (0.22, 0.13, 0.07), (0.17, 0.20, 0.29), (0.10, 0.09, 0.085), (0.45, 0.33, 0.27), _lamps(0.35))
     if light == "night":
-        low = tuple(Lamp(lamp.position, (lamp.power[0] * 0.2, lamp.power[1] * 0.2, lamp.power[2] * 0.2)) for lamp in lamps)
-        return Light(direction, (0.0, 0.0, 0.0), (0.010, 0.012, 0.018), (0.008, 0.007, 0.006), (0.02, 0.018, 0.016), low)
+        return Light(SUN, (0.0, 0.0, 0.0), (0.030, 0.034, 0.045), (0.030, 0.026, 0.020), (0.02, 0.018, 0.016), _lamps(0.5))
     raise ValueError(f"light is day, dusk or night, not {light!r}")
+
+
+def _lamps(strength: float) -> tuple[Lamp, ...]:
+    """All lamps of the yard, two kinds of them."""
+    warm, white = (34.0 * strength, 27.0 * strength, 17.0 * strength), (30.0 * strength, 29.0 * strength, 26.0 * strength)
+    return tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(LAMPS))

@@ -9,7 +9,11 @@ from .noise import Rng
 from .scene import MOVING, Scene, SceneBuilder
 from .textures import cloth, painted_steel, sign_board
 
+Place = tuple[float, float, float]
+
 CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
+
+PAINTS = ((0.62, 0.62, 0.60), (0.60, 0.40, 0.03), (0.08, 0.18, 0.42))
 
 ROUTES = (
     # lanes that stay free of everything static: from, to (metres east, north)
@@ -21,32 +25,35 @@ ROUTES = (
 )
 
 
-def movers(rng: Rng, texel_m: float, *, people: int = 9, vehicles: int = 2) -> Scene:
-    """People walking the routes and vehicles on them, at random places: one draw for one capture."""
+def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles: int = 2) -> list[Scene]:
+    """The same people and vehicles at other places of the routes for each capture; all scenes have the same textures."""
     build = SceneBuilder()
     build.kind = MOVING
-    skin = build.add_texture(cloth(rng, texel_m, (0.45, 0.27, 0.19)))
-    dark = build.add_texture(cloth(rng, texel_m, (0.035, 0.035, 0.04)))
-    glass = build.add_texture(cloth(rng, texel_m, (0.05, 0.07, 0.08)))
-    for k in range(people):
-        place, yaw = _on_route(rng, k)
-        jacket = build.add_texture(cloth(rng, texel_m, CLOTHES[int(rng.integers(len(CLOTHES)))]))
-        trousers = build.add_texture(cloth(rng, texel_m, CLOTHES[int(rng.integers(len(CLOTHES)))]))
-        helmet = build.add_texture(cloth(rng, texel_m, ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))[k % 3]))
-        _person(build, rng, place, yaw, jacket, trousers, skin, helmet)
-    for k in range(vehicles):
-        place, yaw = _on_route(rng, 3 * k)
-        colour = ((0.62, 0.62, 0.60), (0.60, 0.40, 0.03), (0.08, 0.18, 0.42))[int(rng.integers(3))]
-        paint = build.add_texture(painted_steel(rng, 2.5, 2.5, texel_m, colour))
-        if k % 2 == 0:
-            board = build.add_texture(sign_board(rng, 3.0, 1.5, texel_m, ("HAFEN", "DIENST"), colour, (0.05, 0.1, 0.3)))
-            _van(build, place, yaw, paint, board, dark, glass)
-        else:
-            _forklift(build, place, yaw, paint, dark)
-    return build.build()
+    skin, dark, glass = (
+        build.add_texture(cloth(rng, texel_m, c)) for c in ((0.45, 0.27, 0.19), (0.035, 0.035, 0.04), (0.05, 0.07, 0.08))
+    )
+    clothes = [build.add_texture(cloth(rng, texel_m, c)) for c in CLOTHES]
+    helmets = [build.add_texture(cloth(rng, texel_m, c)) for c in ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))]
+    worn = rng.integers(len(clothes), size=(people, 2))
+    paints = [build.add_texture(painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[k % len(PAINTS)])) for k in range(vehicles)]
+    board = build.add_texture(sign_board(rng, 3.0, 1.5, texel_m, ("HAFEN", "DIENST"), PAINTS[0], (0.05, 0.1, 0.3)))
+    scenes = []
+    for _ in range(captures):
+        build = build.with_same_textures()
+        for k, (jacket, trousers) in enumerate(worn):
+            place, yaw = _on_route(rng, k)
+            _person(build, rng, place, yaw, (clothes[jacket], clothes[trousers], skin, helmets[k % len(helmets)]))
+        for k, paint in enumerate(paints):
+            place, yaw = _on_route(rng, 3 * k)
+            if k % 2 == 0:
+                _van(build, place, yaw, (paint, board, dark, glass))
+            else:
+                _forklift(build, place, yaw, paint, dark)
+        scenes.append(build.build())
+    return scenes
 
 
-def _on_route(rng: Rng, k: int) -> tuple[tuple[float, float, float], float]:
+def _on_route(rng: Rng, k: int) -> tuple[Place, float]:
     """A random place and heading on route k."""
     start, end = (np.array(p) for p in ROUTES[k % len(ROUTES)])
     place = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, 0.4, 2)
@@ -54,17 +61,9 @@ def _on_route(rng: Rng, k: int) -> tuple[tuple[float, float, float], float]:
     return (float(place[0]), float(place[1]), 0.0), yaw
 
 
-def _person(
-    build: SceneBuilder,
-    rng: Rng,
-    place: tuple[float, float, float],
-    yaw: float,
-    jacket: int,
-    trousers: int,
-    skin: int,
-    helmet: int,
-) -> None:
-    """A walker of about 1.75 m, one leg forward."""
+def _person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
+    """A walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
+    jacket, trousers, skin, helmet = look
     x, y, _ = place
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
     step = 0.18 * float(rng.uniform(0.3, 1.2))
@@ -80,10 +79,9 @@ def _person(
     build.ball((x, y, 1.70), (0.13, 0.13, 0.10), helmet, steps=5)
 
 
-def _van(
-    build: SceneBuilder, place: tuple[float, float, float], yaw: float, paint: int, board: int, dark: int, glass: int
-) -> None:
-    """A delivery van of 4.8 m."""
+def _van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
+    """A delivery van of 4.8 m; `look`: textures of paint, sides, tyres, glass."""
+    paint, board, dark, glass = look
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
     p = np.array(place)
     build.box(p - 0.6 * ahead + (0, 0, 0.45), (3.4, 1.95, 1.95), paint, yaw=yaw, sides=board)
@@ -92,7 +90,7 @@ def _van(
     _wheels(build, p, yaw, 1.45, 0.85, 0.36, dark)
 
 
-def _forklift(build: SceneBuilder, place: tuple[float, float, float], yaw: float, paint: int, dark: int) -> None:
+def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: int) -> None:
     """A forklift of 2.4 m with its mast."""
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
     p = np.array(place)

@@ -15,7 +15,8 @@ import open3d as o3d
 
 from ..kernels import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
-from .scene import STATIC, WATER, Scene
+from .scene import GLOWING, STATIC, WATER, Scene
+from .textures import Texture
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 
@@ -79,12 +80,12 @@ def _halve(fine: Uint8s, coarse: Uint8s) -> None:
                 coarse[i, j, c] = np.uint8(np.sqrt(0.25 * total) + 0.5)
 
 
-def build_atlas(scene: Scene) -> Atlas:
-    """Textures of a scene with their pyramids."""
+def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
+    """Textures with their pyramids."""
     parts: list[Uint8s] = []
-    starts, heights, widths = (np.zeros((len(scene.textures), LEVELS), np.int32) for _ in range(3))
+    starts, heights, widths = (np.zeros((len(textures), LEVELS), np.int32) for _ in range(3))
     position = 0
-    for t, texture in enumerate(scene.textures):
+    for t, texture in enumerate(textures):
         pixels = texture.pixels
         for level in range(LEVELS):
             starts[t, level], heights[t, level], widths[t, level] = position, pixels.shape[0], pixels.shape[1]
@@ -93,7 +94,7 @@ def build_atlas(scene: Scene) -> Atlas:
             coarse = np.empty(((pixels.shape[0] + 1) // 2, (pixels.shape[1] + 1) // 2, 3), np.uint8)
             _halve(pixels, coarse)
             pixels = coarse
-    texel_m = np.array([t.texel_m for t in scene.textures], np.float32)
+    texel_m = np.array([t.texel_m for t in textures], np.float32)
     return Atlas(np.concatenate(parts), starts, heights, widths, texel_m)
 
 
@@ -102,15 +103,15 @@ def _tensor(array: Any) -> Any:
 
 
 class Stage:
-    """A scene made ready to be looked at: ray accelerator, atlas, sky visibility, light."""
+    """A scene made ready to be looked at: rays, light, atlas of its textures, sky visibility (computed where not given)."""
 
-    def __init__(self, scene: Scene, light: Light, *, atlas: Atlas | None = None, sky: SkyGrid | None = None) -> None:
+    def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
         self.scene = scene
         self.light = light
         self._rays = o3d.t.geometry.RaycastingScene()
         index = np.arange(len(scene.vertices), dtype=np.uint32).reshape(-1, 3)
         self._rays.add_triangles(_tensor(scene.vertices), _tensor(index))
-        self.atlas = build_atlas(scene) if atlas is None else atlas
+        self.atlas = atlas
         self.sky = self._sky_grid() if sky is None else sky
 
     def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
@@ -165,7 +166,8 @@ def render_rays(
     distance, facet = stage.cast(origins, directions)
     scene, atlas, light = stage.scene, stage.atlas, stage.light
     hit = facet >= 0
-    radiance = sky_radiance(light, directions)
+    radiance = np.empty_like(directions)
+    radiance[~hit] = sky_radiance(light, directions[~hit])
     if not hit.any():
         return radiance, distance, facet
     rays, far, on = directions[hit], distance[hit], facet[hit]
@@ -186,6 +188,8 @@ def render_rays(
     _add_sun(stage, received, lifted, facing, jitter[hit])
     for lamp in light.lamps:
         _add_lamp(stage, received, lifted, facing, lamp)
+    if light.lamps:
+        received[scene.kinds[on] == GLOWING] = 1.2
     radiance[hit] = albedo * received
     return radiance, distance, facet
 
@@ -206,15 +210,25 @@ def _add_sun(stage: Stage, received: Float32s, points: Float32s, facing: Float32
 
 def _add_lamp(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
     """Light of one lamp, where it is bright enough to matter."""
-    towards = np.asarray(lamp.position, np.float32) - points
-    square = np.einsum("ni,ni->n", towards, towards)
-    cosine = np.einsum("ni,ni->n", facing, towards) / np.sqrt(square)
-    # lamps shine downward from a hood: little goes up
-    strength = np.maximum(cosine, 0) * np.clip(0.15 + towards[:, 2] / np.sqrt(square), 0.03, 1) / (square + 0.3)
-    lit = np.flatnonzero(strength * max(lamp.power) > 0.004)
+    place, power = np.asarray(lamp.position, np.float32), np.asarray(lamp.power, np.float32)
+    strength = np.empty(len(points), np.float32)
+    _lamp_strength(strength, points, facing, place, float(0.012 / power.max()))
+    lit = np.flatnonzero(strength)
     if len(lit):
-        clear = stage.reaches(points[lit], towards[lit], far=0.97)
-        received[lit] += (strength[lit] * clear)[:, None] * np.asarray(lamp.power, np.float32)
+        clear = stage.reaches(points[lit], place - points[lit], far=0.97)
+        received[lit] += (strength[lit] * clear)[:, None] * power
+
+
+@kernel
+def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, place: Float32s, least: float) -> None:
+    """Falloff and slant of a hooded lamp's light (little goes up), faded to exactly 0 below `least`."""
+    for k in range(points.shape[0]):
+        x, y, z = place[0] - points[k, 0], place[1] - points[k, 1], place[2] - points[k, 2]
+        square = x * x + y * y + z * z
+        distance = np.sqrt(square)
+        cosine = (normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z) / distance
+        hood = min(max(0.15 + z / distance, 0.03), 1.0)
+        strength[k] = max(max(cosine, 0.0) * hood / (square + 0.3) - least, 0.0)
 
 
 def sky_radiance(light: Light, directions: Float32s) -> Float32s:

@@ -16,8 +16,8 @@ from .textures import Texture
 
 Vector = tuple[float, float, float] | Float64s
 
-STATIC, MOVING, WATER = 0, 1, 2
-"""Kinds of facets: what stands still, what moves between captures, and water (drawn, but no truth for a reconstruction)."""
+STATIC, MOVING, WATER, GLOWING = 0, 1, 2, 3
+"""Kinds of facets: what stands still, what moves between captures, water (drawn, but no truth for a reconstruction), lamps."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,12 @@ class SceneBuilder:
         self._axes: list[tuple[Float64s, Float64s, Float64s, tuple[float, float]]] = []
         self._paint: list[tuple[int, int]] = []
         self.kind = STATIC
+
+    def with_same_textures(self) -> SceneBuilder:
+        """A builder without facets that shares this one's textures, and their numbers."""
+        other = SceneBuilder()
+        other._textures, other.kind = self._textures, self.kind
+        return other
 
     def add_texture(self, texture: Texture) -> int:
         """Take a texture into the scene; its number."""

@@ -10,7 +10,7 @@ import numpy as np
 from ..types import Float64s
 from .noise import Rng
 from .scene import SceneBuilder
-from .textures import container_side, painted_steel
+from .textures import container_roof, container_side, painted_steel
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -105,7 +105,7 @@ def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
                     0.05,
                     end,
                 )
-    roof = build.add_texture(container_side(rng, length, width, texel_m, colour, "", ""))
+    roof = build.add_texture(container_roof(rng, length, width, texel_m, colour))
     build.quad(foot - ahead * length / 2 + side * width / 2 + height * UP, ahead * length, -side * width, roof)
 
 
@@ -197,9 +197,30 @@ def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures:
         build.tube((x, y, 0.0), 0.29, 0.88, textures[int(rng.integers(len(textures)))])
 
 
-def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int, bulb: int) -> None:
-    """A post with an arm and a bulb."""
+def heap(
+    build: SceneBuilder, rng: Rng, place: tuple[float, float], radius: float, height: float, texture: int, *, steps: int = 18
+) -> None:
+    """A tipped heap of gravel, rough on the scale of its facets."""
+    side = np.linspace(-radius, radius, steps + 1)
+    x, y = np.meshgrid(side, side)
+    z = height * (1 - (np.hypot(x, y) / radius) ** 1.3) + 0.04 * rng.standard_normal(x.shape)
+    grid = np.stack([x + place[0], y + place[1], z], axis=-1)
+    for i in range(steps):
+        for j in range(steps):
+            a, b, c, d = grid[i, j], grid[i, j + 1], grid[i + 1, j + 1], grid[i + 1, j]
+            for corners in ((a, b, c), (a, c, d)):
+                if max(p[2] for p in corners) > 0:
+                    build.triangle(
+                        np.array(corners),
+                        np.array([1.0, 0, 0]),
+                        np.array([0, 1.0, 0]),
+                        texture,
+                        (x[i, j] + radius, y[i, j] + radius),
+                    )
+
+
+def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int) -> None:
+    """A post with an arm."""
     x, y = place
     build.tube((x, y, 0.0), 0.09, height, steel, sides=8)
     build.beam((x, y, height - 0.1), (x, y + 1.1, height), 0.09, steel)
-    build.ball((x, y + 1.1, height - 0.22), (0.16, 0.16, 0.1), bulb, steps=4)

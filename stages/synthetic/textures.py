@@ -178,6 +178,7 @@ def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Textur
     tracks = _tracks(rng, shape, texel_m, count=7)
     image *= (1 - 0.22 * tracks)[..., None]
     image *= (1 - 0.6 * blobs(rng, shape, texel_m, count=int(width_m * height_m / 22), radius_m=0.22))[..., None]
+    _markings(rng, image, texel_m)
     _covers(rng, image, texel_m, count=int(width_m * height_m / 130) + 1)
     _litter(rng, image, texel_m, count=int(width_m * height_m * 1.6))
     return encode(image, texel_m)
@@ -187,7 +188,7 @@ def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_
     """Cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint."""
     shape = _shape(width_m, height_m, texel_m)
     cover, tone, _ = _stones(rng, shape, texel_m, (slab_m, slab_m * 0.8), 0.03, bond=0.0, jitter=0.0, warp=0.003)
-    base = np.float32(0.36) * (1 + 0.1 * tone + 0.07 * fractal_noise(rng, shape, texel_m, 0.06, octaves=3))
+    base = np.float32(0.27) * (1 + 0.1 * tone + 0.07 * fractal_noise(rng, shape, texel_m, 0.06, octaves=3))
     image = base[..., None] * np.asarray((1.0, 0.965, 0.90), np.float32)
     worn = smoothstep(-0.7, 0.5, fractal_noise(rng, shape, texel_m, 0.5))
     if text:
@@ -230,6 +231,31 @@ def _tracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int) -> 
                 4,
             )
     return cover.astype(np.float32) / np.float32(255) * smoothstep(-1.2, 0.8, fractal_noise(rng, shape, texel_m, 0.5))
+
+
+def _markings(rng: Rng, image: Float32s, texel_m: float) -> None:
+    """Worn paint: bays with numbers, a driveway's broken line, arrows."""
+    shape = (image.shape[0], image.shape[1])
+    paint = np.zeros(shape, np.uint8)
+    wide = max(round(0.12 / texel_m), 1)
+    width_m, height_m = shape[1] * texel_m, shape[0] * texel_m
+
+    def line(*points_m: tuple[float, float]) -> None:
+        path = np.round(np.array(points_m) / texel_m * 16).astype(np.int32)
+        cv2.polylines(paint, [path], False, 255, wide, cv2.LINE_AA, 4)
+
+    for k in range(int(width_m / 3.2)):
+        line((3.2 * k + 0.8, 0.3), (3.2 * k + 0.8, 0.17 * height_m))
+    for k in range(int(width_m / 2.5)):
+        line((2.5 * k, 0.9 * height_m), (2.5 * k + 1.3, 0.9 * height_m))
+    for x, y in ((0.33, 0.5), (0.64, 0.66), (0.52, 0.84), (0.17, 0.78)):
+        line((x * width_m, y * height_m + 1.1), (x * width_m, y * height_m - 1.1))
+        line((x * width_m - 0.5, y * height_m - 0.4), (x * width_m, y * height_m - 1.1), (x * width_m + 0.5, y * height_m - 0.4))
+    cover = paint.astype(np.float32) / np.float32(255)
+    for k in range(int(width_m / 3.2)):
+        cover = np.maximum(cover, lettering(shape, texel_m, str(k + 11), 3.2 * k + 1.7, 0.12 * height_m, 0.8))
+    worn = smoothstep(-0.4, 0.6, fractal_noise(rng, shape, texel_m, 0.4))
+    _mix(image, (0.60, 0.58, 0.50), 0.8 * cover * worn)
 
 
 def _covers(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
@@ -304,6 +330,22 @@ def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, co
     _mix(image, pale, 0.8 * lettering(shape, texel_m, "22G1 MAX 30480 KG", 0.62 * width_m, 0.14 * height_m, 0.08))
     _weather(rng, image, texel_m, strength=0.10, streaks=0.16)
     _rust(rng, image, texel_m, amount=float(rng.uniform(0.2, 0.7)))
+    return encode(image, texel_m)
+
+
+def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
+    """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
+    shape = _shape(width_m, height_m, texel_m)
+    rib = np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28))
+    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * (1 + 0.10 * rib)[None, :, None]
+    number = lettering(shape, texel_m, str(rng.integers(1000, 9999)), 0.2 * width_m, 0.25 * height_m, 0.5 * height_m, bold=0.18)
+    _mix(image, (0.70, 0.68, 0.62), 0.75 * number * smoothstep(-0.6, 0.4, fractal_noise(rng, shape, texel_m, 0.4)))
+    dirt = smoothstep(-0.2, 1.6, fractal_noise(rng, shape, texel_m, 1.1, octaves=7, gain=0.75))
+    _mix(image, (0.17, 0.145, 0.115), 0.75 * dirt)
+    puddles = blobs(rng, shape, texel_m, count=int(2 * width_m), radius_m=0.16)
+    image *= (1 - 0.45 * puddles)[..., None]
+    _weather(rng, image, texel_m, strength=0.12)
+    _rust(rng, image, texel_m, amount=0.6)
     return encode(image, texel_m)
 
 
@@ -388,6 +430,16 @@ def sign_board(
     for edge in (image[:border], image[-border:], image[:, :border], image[:, -border:]):
         edge[:] = np.asarray(ink, np.float32)
     _weather(rng, image, texel_m, strength=0.06, streaks=0.12)
+    return encode(image, texel_m)
+
+
+def gravel(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Crushed stone."""
+    shape = _shape(width_m, height_m, texel_m)
+    cover, tone, relief = _stones(rng, shape, texel_m, (0.085, 0.07), 0.012, bond=0.5, jitter=0.3, warp=0.03)
+    image = _palette(COBBLE_TONES, tone) * (1.15 + 0.4 * relief)[..., None]
+    _mix(image, (0.07, 0.065, 0.06), 1 - cover)
+    _weather(rng, image, texel_m, strength=0.2)
     return encode(image, texel_m)
 
 

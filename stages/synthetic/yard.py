@@ -17,11 +17,11 @@ import numpy.typing as npt
 
 from ..epipolar import project
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
-from .cameras import Mount, camera_of, choose_mounts, distort, pixel_rays
+from .cameras import MOUNTS, Mount, camera_of, choose_mounts, distort, pixel_rays
 from .layout import static_yard, yard_light
 from .movers import movers
 from .reference import reference_cloud
-from .renderer import Light, Stage, render_rays, truth_mask
+from .renderer import Light, Stage, build_atlas, render_rays, truth_mask
 from .scene import Scene, joined
 from .sensor import burn_clock, clock_mask, develop, sensor_of
 
@@ -97,21 +97,29 @@ def yard(
     """
     if captures < 1 or min(size) < 16:
         raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {captures} of {size[0]} x {size[1]}")
-    mounts = choose_mounts(cameras)
-    texel_m = float(np.clip(0.0098 * 1280 / size[0], 0.0098, 0.025))
-    empty = Stage(static_yard(np.random.default_rng([seed, 1]), texel_m, choose_mounts(8)), yard_light(light))
-    traffic = tuple(movers(np.random.default_rng([seed, 2, k]), max(texel_m, 0.02)) for k in range(captures))
-    busy = tuple(Stage(joined(empty.scene, m), empty.light, sky=empty.sky) for m in traffic)
-    night = _Night(empty, busy, traffic, light, seed)
-    with ThreadPoolExecutor(threads) as pool:
-        done = list(pool.map(lambda mount: _photograph(night, mount, size), mounts))
+    done = _photographs(choose_mounts(cameras), size, captures, seed, light, threads)
     # about two pixels in the middle of the yard
     voxel_m = float(np.clip(round(51.2 / size[0], 2), 0.02, 0.1))
     rows = [camera for camera, _ in done]
-    reference = reference_cloud(
-        [c.camera for c in rows], [c.depth for c in rows], [n for _, n in done], [_upright(c) for c in rows], voxel_m
-    )
-    return Yard(tuple(rows), reference, voxel_m)
+    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [_upright(c) for c in rows]
+    return Yard(tuple(rows), reference_cloud(pinholes, depths, [n for _, n in done], colors, voxel_m), voxel_m)
+
+
+def _photographs(
+    mounts: tuple[Mount, ...], size: tuple[int, int], captures: int, seed: int, light: Daytime, threads: int
+) -> list[tuple[YardCamera, Float32s]]:
+    """Build the yard and let every camera work, several at a time; as `_photograph`."""
+    lighting = yard_light(light)
+    texel_m = float(np.clip(0.0098 * 1280 / size[0], 0.0098, 0.1))
+    still = static_yard(np.random.default_rng([seed, 1]), texel_m, choose_mounts(len(MOUNTS)))
+    traffic = tuple(movers(np.random.default_rng([seed, 2]), max(texel_m, 0.02), captures))
+    scenes = [joined(still, each) for each in traffic]
+    atlas = build_atlas(scenes[0].textures)
+    empty = Stage(still, lighting, atlas)
+    busy = tuple(Stage(scene, empty.light, atlas, empty.sky) for scene in scenes)
+    night = _Night(empty, busy, traffic, light, seed)
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(lambda mount: _photograph(night, mount, size), mounts))
 
 
 def _photograph(night: _Night, mount: Mount, size: tuple[int, int]) -> tuple[YardCamera, Float32s]:
@@ -174,33 +182,38 @@ def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 
     """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
-    corners = scene.vertices.astype(np.float64)
-    groups = [corners] if max(light.sun) <= 0 else [corners, _on_ground(corners, corners - 1e4 * np.asarray(light.sun_direction))]
-    # a lamp's shadows matter near the thing itself; further off they are too faint or too soft to see
-    groups += [_on_ground(corners, corners + 2.0 * (corners - np.asarray(lamp.position))) for lamp in light.lamps]
-    for group in groups:
-        pixels, ahead = project(
-            camera, np.concatenate([corners, group]).reshape(2, -1, 3, 3).transpose(1, 0, 2, 3).reshape(-1, 3)
-        )
-        position = distort(lens, pixels).reshape(-1, 6, 2) / tile
-        ok = (
-            (ahead.reshape(-1, 6) > 0.5).all(axis=1)
-            & np.isfinite(position).all(axis=(1, 2))
-            & (np.abs(position) < 1e4).all(axis=(1, 2))
-        )
-        low = np.clip(np.floor(position[ok].min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
-        high = np.clip(np.floor(position[ok].max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
-        for corner_y, corner_x, sign in ((low, low, 1), (low, high, -1), (high, low, -1), (high, high, 1)):
-            np.add.at(mark, (corner_y[:, 1], corner_x[:, 0]), sign)
+    facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
+    swept = [np.concatenate([facets, shadow], axis=1) for shadow in _shadows(facets, light)]
+    for group in [facets, *swept]:
+        pixels, ahead = project(camera, group.reshape(-1, 3))
+        at = distort(lens, pixels).reshape(len(group), -1, 2) / tile
+        at = at[(ahead.reshape(len(group), -1) > 0.5).all(axis=1) & (np.abs(at) < 1e4).all(axis=(1, 2))]
+        low = np.clip(np.floor(at.min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
+        high = np.clip(np.floor(at.max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
+        # +1 and -1 at the corners of each rectangle: their running sum counts the rectangles over a tile
+        for y, x, sign in ((low, low, 1), (low, high, -1), (high, low, -1), (high, high, 1)):
+            np.add.at(mark, (y[:, 1], x[:, 0]), sign)
     covered = mark.cumsum(axis=0).cumsum(axis=1)[:rows, :cols] > 0
     return np.repeat(np.repeat(covered, tile, axis=0), tile, axis=1)[: camera.height, : camera.width]
+
+
+def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
+    """Where shadows of facets (t, 3, 3) fall on the ground, for each light; a lamp's only near it, further off they are faint."""
+    found = []
+    if max(light.sun) > 0:
+        found.append(_on_ground(facets, facets - 1e4 * np.asarray(light.sun_direction)))
+    for lamp in light.lamps:
+        away = facets - np.asarray(lamp.position)
+        near = np.linalg.norm(away, axis=2).max(axis=1) < 9.0
+        found.append(np.where(near[:, None, None], _on_ground(facets, facets + away), facets))
+    return found
 
 
 def _on_ground(start: Float64s, end: Float64s) -> Float64s:
     """Where the way from `start` down to `end` meets z = 0; its end where it doesn't get there."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.clip(np.nan_to_num(start[:, 2] / (start[:, 2] - end[:, 2]), nan=1.0), 0, 1)
-    return np.asarray(start + share[:, None] * (end - start), np.float64)
+        share = np.clip(np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0), 0, 1)
+    return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
 def _upright(camera: YardCamera) -> Uint8s:

@@ -1,0 +1,236 @@
+"""How good is a result, given the truth: clouds, poses, epipolar geometry and matches against exact depth.
+
+Clouds are compared as in the multi-view benchmarks of Knapitsch et al. (Tanks and Temples, ACM TOG 2017) and Schöps et al.
+(ETH3D, CVPR 2017): accuracy (precision) is the share of the reconstruction within tau of the reference, completeness (recall)
+the share of the reference within tau of the reconstruction, F their harmonic mean.  This is the strict form: every point near the
+reference's bounding box counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .epipolar import backproject, project, symmetric_epipolar_distance
+from .kernels import kernel
+from .types import Bools, Camera, Float32s, Float64s, Uint8s
+
+Points = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class CloudScore:
+    """tau: (k,) float64, lengths; accuracy, completeness, F: (k,) float64, 0 to 1, at each tau.
+
+    accuracy_median, completeness_median: median distances from the cloud to the reference and back, nan for an empty cloud;
+    points, reference_points: how many were compared, after thinning.
+    """
+
+    tau: Float64s
+    accuracy: Float64s
+    completeness: Float64s
+    F: Float64s
+    accuracy_median: float
+    completeness_median: float
+    points: int
+    reference_points: int
+
+
+def compare_clouds(
+    points: Points, reference: Points, taus: Sequence[float], *, voxel: float = 0.01, margin: float = 0.5
+) -> CloudScore:
+    """Score a cloud, in the reference's frame and unit.
+
+    Parameters
+    ----------
+    points, reference
+        (n, 3) and (m, 3).
+    taus
+        Distances at which to score.
+    voxel
+        Both clouds are thinned to one point, the mean, per cell of this size, so that density does not weigh; 0: not thinned.
+    margin
+        Points farther than this outside the reference's bounding box are left out.
+
+    Raises
+    ------
+    ValueError
+        The reference is empty.
+    """
+    if not len(reference):
+        raise ValueError("the reference has no points")
+    low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
+    inside = ((points >= low) & (points <= high)).all(axis=1)  # false for nan, too
+    cloud, truth = voxel_means(points[inside], voxel), voxel_means(reference, voxel)
+    to_truth, to_cloud = _nearest(cloud, truth), _nearest(truth, cloud)
+    tau = np.asarray(taus, np.float64)
+    accuracy = np.array([(to_truth <= t).mean() if len(cloud) else 0.0 for t in tau])
+    completeness = np.array([(to_cloud <= t).mean() for t in tau])
+    F = 2 * accuracy * completeness / np.maximum(accuracy + completeness, 1e-12)
+    medians = [float(np.median(d)) if len(cloud) else float("nan") for d in (to_truth, to_cloud)]
+    return CloudScore(tau, accuracy, completeness, F, medians[0], medians[1], len(cloud), len(truth))
+
+
+def voxel_means(points: Points, size: float) -> Float64s:
+    """One point (their mean) for each cell of a grid anchored at 0, in the order of the cells; size 0: the points as they are."""
+    exact = points.astype(np.float64)
+    if size <= 0 or not len(points):
+        return exact
+    cell = np.floor(exact / size).astype(np.int64)
+    cell -= cell.min(axis=0)
+    span = cell.max(axis=0) + 1
+    key = (cell[:, 2] * span[1] + cell[:, 1]) * span[0] + cell[:, 0]
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    return np.column_stack([np.bincount(inverse, exact[:, k]) / count for k in range(3)])
+
+
+def _nearest(points: Float64s, others: Float64s) -> Float64s:
+    """Distance of each point to the nearest of the others; infinite where there are none."""
+    from scipy.spatial import cKDTree
+
+    if not len(points) or not len(others):
+        return np.full(len(points), np.inf)
+    return np.asarray(cKDTree(others).query(points, workers=-1)[0], np.float64)
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """X -> scale R X + t."""
+
+    scale: float
+    R: Float64s
+    t: Float64s
+
+    def __call__(self, X: Points) -> Float64s:
+        return np.asarray(self.scale * X.astype(np.float64) @ self.R.T + self.t, np.float64)
+
+
+def align(source: Float64s, target: Float64s, *, with_scale: bool = True) -> Similarity:
+    """The least-squares similarity from (n, 3) points to their counterparts.
+
+    Raises ValueError for fewer than three points, or points on a line.
+
+    References
+    ----------
+    S. Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991.
+    """
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    U, S, Vt = np.linalg.svd(b.T @ a / max(len(a), 1))
+    if len(source) < 3 or S[1] < 1e-9 * S[0]:
+        raise ValueError("an alignment needs three points that are not on a line")
+    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    R = U @ D @ Vt
+    scale = float(np.trace(np.diag(S) @ D) / (a**2).sum(axis=1).mean()) if with_scale else 1.0
+    return Similarity(scale, R, target.mean(axis=0) - scale * R @ source.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """cameras: ids compared; rotation_deg: (n,) angle between orientations; position: (n,) distance between centres, in the
+    truth's unit; alignment: what was applied to the estimate first, None for nothing."""
+
+    cameras: tuple[str, ...]
+    rotation_deg: Float64s
+    position: Float64s
+    alignment: Similarity | None
+
+
+def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *, aligned: bool = False) -> PoseErrors:
+    """Compare poses of the cameras that both have; `aligned`: after the best similarity of the centres (poses without scale)."""
+    names = tuple(name for name in truth if name in estimated)
+    centres = np.array([estimated[n].C for n in names]).reshape(-1, 3)
+    true_centres = np.array([truth[n].C for n in names]).reshape(-1, 3)
+    moved = align(centres, true_centres) if aligned else None
+    if moved is not None:
+        centres = moved(centres)
+    turn = np.eye(3) if moved is None else moved.R
+    rotation = np.array([angle_deg(estimated[n].R @ turn.T, truth[n].R) for n in names])
+    return PoseErrors(names, rotation, np.linalg.norm(centres - true_centres, axis=1), moved)
+
+
+def angle_deg(R1: Float64s, R2: Float64s) -> float:
+    """Angle (degrees) of the rotation between two orientations, accurate for small ones."""
+    return float(np.degrees(2 * np.arcsin(min(np.linalg.norm(R1 - R2) / np.sqrt(8), 1.0))))
+
+
+def true_correspondences(
+    camera1: Camera, depth1: Float32s, camera2: Camera, depth2: Float32s, *, step: int = 8
+) -> tuple[Float64s, Float64s]:
+    """Pixels x1, x2 (n, 2) of the same surface points, on every `step`-th pixel of image 1 that camera 2 sees, too."""
+    v, u = np.mgrid[step // 2 : camera1.height : step, step // 2 : camera1.width : step].reshape(2, -1)
+    known = depth1[v, u] > 0
+    x1 = np.column_stack([u, v])[known].astype(np.float64)
+    X = backproject(camera1, x1, depth1[v, u][known].astype(np.float64))
+    seen = count_views(X, [camera2], [depth2]) > 0
+    return x1[seen], project(camera2, X[seen])[0]
+
+
+@dataclass(frozen=True)
+class EpipolarErrors:
+    """Symmetric epipolar distances in pixels of true correspondences: mean, median, 95 %; points: how many there were."""
+
+    mean_px: float
+    median_px: float
+    p95_px: float
+    points: int
+
+
+def epipolar_errors(F: Float64s, x1: Float64s, x2: Float64s) -> EpipolarErrors:
+    """How well F explains true correspondences (`true_correspondences`).  Raises ValueError for none."""
+    if not len(x1):
+        raise ValueError("there are no true correspondences to judge F by")
+    d = symmetric_epipolar_distance(F, x1, x2)
+    return EpipolarErrors(float(d.mean()), float(np.median(d)), float(np.percentile(d, 95)), len(d))
+
+
+def correct_matches(
+    x1: Float64s, x2: Float64s, camera1: Camera, depth1: Float32s, camera2: Camera, *, tolerance_px: float = 3.0
+) -> Bools:
+    """(n,) bool: does the surface point seen at x1 project within `tolerance_px` of x2?  False where depth is unknown.
+
+    A keypoint near a silhouette may belong to either side of it: the best of the four pixels around x1 counts.
+    """
+    best = np.full(len(x1), np.inf)
+    for dx in (0, 1):
+        for dy in (0, 1):
+            u = np.clip(np.floor(x1[:, 0]).astype(np.intp) + dx, 0, camera1.width - 1)
+            v = np.clip(np.floor(x1[:, 1]).astype(np.intp) + dy, 0, camera1.height - 1)
+            z = depth1[v, u].astype(np.float64)
+            x, ahead = project(camera2, backproject(camera1, x1, z))
+            distance = np.where((z > 0) & (ahead > 0), np.hypot(*(x - x2).T), np.inf)
+            best = np.minimum(best, distance)
+    return np.asarray(best <= tolerance_px)
+
+
+def count_views(points: Points, cameras: Sequence[Camera], depths: Sequence[Float32s]) -> Uint8s:
+    """(n,) uint8: how many of the cameras see each point, judged by their true depth maps (h, w), 0 where unknown."""
+    views = np.zeros(len(points), np.uint8)
+    for camera, depth in zip(cameras, depths, strict=True):
+        _count(views, points.astype(np.float64), depth.astype(np.float32), camera.K, camera.R, camera.C)
+    return views
+
+
+@kernel
+def _count(views: Uint8s, points: Float64s, depth: Float32s, K: Float64s, R: Float64s, C: Float64s) -> None:
+    """Add 1 to `views` of each point that lies on the surface that one camera sees."""
+    h, w = depth.shape
+    for k in range(points.shape[0]):
+        dx, dy, dz = points[k, 0] - C[0], points[k, 1] - C[1], points[k, 2] - C[2]
+        z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
+        if z <= 0:
+            continue
+        x = (K[0, 0] * (R[0, 0] * dx + R[0, 1] * dy + R[0, 2] * dz) + K[0, 1] * (R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz)) / z
+        y = K[1, 1] * (R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz) / z + K[1, 2]
+        i, j = int(np.floor(y)), int(np.floor(x + K[0, 2]))
+        if i < 0 or j < 0 or i > h - 2 or j > w - 2:
+            continue
+        low, high = np.inf, 0.0
+        for a in range(2):
+            for b in range(2):
+                low, high = min(low, depth[i + a, j + b]), max(high, depth[i + a, j + b])
+        # between its four neighbours in the depth map, and not in the gap of a silhouette
+        if low > 0 and low * 0.999 <= z <= high * 1.001 and high < 1.05 * low:
+            views[k] += 1
