@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from synthetic_site import small_yard
 
+from synthetic_site import small_yard
 from wbflow.cli import main
 
 

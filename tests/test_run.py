@@ -95,6 +95,12 @@ def test_no_capture_at_all_makes_no_cloud_and_leaves_the_last_one_published(toy:
     assert (toy.work / "runs" / "latest").resolve().name == good["run"]
 
 
+def test_one_usable_camera_is_said_to_be_too_few(toy: ToySite) -> None:
+    for camera in toy.cameras[1:]:
+        toy.capture(camera).write_text("broken")
+    assert "only camera gate has a usable capture" in toy.run(code=1)["reason"]
+
+
 def test_what_failed_is_tried_again_and_what_was_rejected_is_not(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     toy.run(code=3)

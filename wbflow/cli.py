@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 USAGE = 2
 FAILED = 1
 LOCKED = 4
+INTERRUPTED = 130
 
 
 _PATH = click.Path(path_type=Path)
@@ -39,7 +40,23 @@ _until = click.option("--until", metavar="STAGE", help="Stop after this stage.")
 _force = click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`.")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Plain(click.Group):
+    """A group whose faults reach the user as one line; with -v, as a traceback."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        try:
+            return super().invoke(ctx)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except KeyboardInterrupt:
+            sys.exit(INTERRUPTED)
+        except Exception as error:
+            if {"-v", "--verbose"} & set(sys.argv):
+                raise
+            _stop(FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
+
+
+@click.group(cls=_Plain, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="wbflow")
 def main() -> None:
     """A metric, coloured point cloud of a site, every night, from fixed cameras far apart.
@@ -98,6 +115,8 @@ def run(
         click.echo(json.dumps(finished.record, indent=1))
     elif not quiet:
         _summary(finished)
+    if finished.record["reason"]:
+        click.echo(f"no cloud: {finished.record['reason']}", err=True)
     sys.exit(finished.record["exit_code"])
 
 
@@ -291,28 +310,35 @@ def _run(site: Site, options: Options, verbose: bool, quiet: bool) -> Finished:
 
 
 def _listener(site: Site, verbose: bool, quiet: bool) -> Listener:
-    """What is said of tasks as they end."""
+    """What is said of tasks as they end: failures and rejections, everything with -v; a counter where somebody watches."""
+    watched = sys.stderr.isatty() and not quiet
+    count = 0
 
     def listen(task: str, state: State, trace: str | None) -> None:
-        if state.outcome in {"failed", "rejected"} or verbose:
-            stream = sys.stderr if quiet or state.outcome == "failed" else sys.stdout
+        nonlocal count
+        count += 1
+        if watched:
+            click.echo("\r\x1b[K", nl=False, err=True)
+        if verbose or state.outcome == "failed" or (state.outcome == "rejected" and not quiet):
             stage, _, subject = task.partition(" ")
-            if not quiet or state.outcome == "failed":
-                click.echo(f"{subject or site.name:20} {stage:10} {state.outcome:9} {state.reason or ''}".rstrip(), file=stream)
+            line = f"{subject or site.name:20} {stage:10} {state.outcome:9} {state.reason or ''}"
+            click.echo(line.rstrip(), err=state.outcome == "failed")
         if trace and verbose:
             click.echo(trace, err=True)
+        if watched:
+            click.echo(f"{count} tasks, last {task}", nl=False, err=True)
 
     return listen
 
 
 def _summary(finished: Finished) -> None:
     record = finished.record
+    if sys.stderr.isatty():
+        click.echo("\r\x1b[K", nl=False, err=True)
     tasks = ", ".join(f"{count} {name}" for name, count in record["tasks"].items() if count)
     click.echo(f"{tasks or 'nothing to do'}; {record['seconds']['wall']:.1f} s, {record['seconds']['cpu']:.1f} CPU s")
     if record["cloud"]:
         click.echo(f"cloud   {finished.folder / 'cloud.ply'}  ({record['cloud']['points']:,} points)")
-    elif record["reason"]:
-        click.echo(f"no cloud: {record['reason']}", err=True)
     click.echo(f"report  {finished.folder / 'report.html'}")
 
 

@@ -326,8 +326,21 @@ class Plan:
             else:
                 faults.append(_because(upstream, state))
         if not items and not need.optional:
-            raise _Impossible(f"no {origin.name} to work on" + (f": {faults[0]}" if faults else ""))
+            raise _Impossible(self._nothing(origin, faults))
         return Joined(items)
+
+    def _nothing(self, origin: Stage, faults: list[str]) -> str:
+        """Why a stage that joins many has none to join."""
+        usable = [c.id for c in self.site.cameras if (state := self.states.get(Task("frames", (c.id,)))) and state.usable]
+        if len(usable) < 2:
+            have = f"only camera {usable[0]} has" if usable else "no camera has"
+            return f"{have} a usable capture, a cloud needs two that see the same things" + (f": {faults[0]}" if faults else "")
+        pairs = self.states.get(Task("pairs", ()))
+        if origin.scope == "pair" and not faults:
+            return (
+                _because(Task("pairs", ()), pairs) if pairs and not pairs.usable else "no two cameras share enough to be matched"
+            )
+        return f"no {origin.name} to work on" + (f": {faults[0]}" if faults else "")
 
     def _joined(self, origin: Stage, need: Need, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
