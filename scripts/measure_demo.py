@@ -20,12 +20,15 @@ def main() -> None:
     cloud = arguments.folder / ".wbflow" / "yard" / "runs" / "latest" / "cloud.ply"
     truth = arguments.folder / "truth" / "reference.ply"
     points, reference = (np.stack([table[axis] for axis in "xyz"], axis=1) for table in (read_ply(cloud), read_ply(truth)))
-    rows = compare_clouds(points, reference, taus=(0.02, 0.05, 0.10, 0.20)).rows
-    print(f"{cloud}\n{'within':>8} {'accuracy':>9} {'completeness':>13} {'F':>6}")
+    score = compare_clouds(points, reference, taus=(0.02, 0.05, 0.10, 0.20))
+    columns = zip(score.tau.tolist(), score.accuracy.tolist(), score.completeness.tolist(), score.F.tolist(), strict=True)
+    rows = [dict(zip(("tau_m", "accuracy", "completeness", "F"), row, strict=True)) for row in columns]
+    print(f"{cloud}\nagainst the rendered truth ({score.reference_points:,} points that at least two cameras see):")
+    print(f"{'within':>8} {'accuracy':>9} {'completeness':>13} {'F':>7}")
     for row in rows:
-        print(f"{row.tau * 100:5.0f} cm {row.accuracy:8.1%} {row.completeness:12.1%} {row.f_score:7.1%}")
+        print(f"{row['tau_m'] * 100:5.0f} cm {row['accuracy']:9.1%} {row['completeness']:13.1%} {row['F']:7.1%}")
     if arguments.json:
-        arguments.json.write_text(json.dumps([vars(row) for row in rows], indent=1))
+        arguments.json.write_text(json.dumps(rows, indent=1))
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from synthetic_site import small_yard
 
+from synthetic_site import small_yard
 from wbflow.captures import Digests, find_captures, night
 from wbflow.demo import write_demo
 from wbflow.ply import read_ply

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from synthetic_site import single_pair, small_yard
 
+from synthetic_site import single_pair, small_yard
 from wbflow_stages.epipolar import backproject, project
 from wbflow_stages.evaluate import correct_matches, true_correspondences
 from wbflow_stages.synthetic.cameras import MOUNTS, camera_of, distort, pixel_rays
