@@ -6,6 +6,7 @@ import datetime
 import json
 import os
 import signal
+import sqlite3
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -181,7 +182,7 @@ def _record(site: Site, night: Night, record: dict[str, Any]) -> None:
             ledger.record_run(
                 record, [(str(t), s.receipt.key if s.receipt else None, s.outcome, s.reason) for t, s in states.items()]
             )
-    except OSError:
+    except (OSError, sqlite3.Error):
         return
 
 
