@@ -23,7 +23,7 @@ from .rectification.hartley import hartley
 from .rectification.mapping import Side, from_rectified, rectified_size, resampling, to_rectified
 from .rectification.polar import polar
 from .rectification.quality import line_uncertainty, order_agreement, parallax_px
-from .types import Camera, Float32s, Float64s, Geometry, Rectification, Rejected
+from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification, Rejected
 
 Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]
 
@@ -50,6 +50,7 @@ def rectify(
     geometry: Geometry,
     left: Camera | None,
     right: Camera | None,
+    verdict: PairVerdict | None = None,
     *,
     method: Method = "congruent",
     min_matches: int = 20,
@@ -65,6 +66,8 @@ def rectify(
         Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no cameras.
     left, right
         Solved or known cameras; F comes from them when both are given.
+    verdict
+        What the cameras of the whole site say of the pair; one that contradicts them is rejected.
     method
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
         the matches; "seed": congruent by the letter of the seed, for study; "calibrated": both cameras turned to a common
@@ -84,6 +87,8 @@ def rectify(
     ----------
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
+    if verdict is not None and not verdict.kept:
+        return Rejected(verdict.reason)
     pair = _obeying(geometry, left, right)
     if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
         raise ValueError("method 'calibrated' needs the cameras of both frames")

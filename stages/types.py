@@ -55,21 +55,46 @@ class Lens:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a camera is said to be.  R: (3, 3), C: (3,) float64, or None where unknown."""
+    """Where a camera is said to be.  R: (3, 3), C: (3,) float64, or None where unknown.
+
+    sigma_m: standard deviation of C in metres, 0 where it is to be held; metric: C is in metres.
+    """
 
     R: Float64s | None = None
     C: Float64s | None = None
+    sigma_m: float = 0.0
+    metric: bool = True
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of a site besides its cameras' poses.  Cameras count by their position in the site file.
+
+    distances: (n, 3) float64 rows of camera, camera, metres between their centres; points: (p, 3) float64 control points, metres;
+    observations: (m, 4) float64 rows of control point, camera, x, y in pixels of the image as captured (upright);
+    cameras: ids in the order of the site file; crs: the coordinate system of the world, "" where it is local.
+    """
+
+    cameras: tuple[str, ...] = ()
+    distances: Float64s = field(default_factory=lambda: np.zeros((0, 3)))
+    points: Float64s = field(default_factory=lambda: np.zeros((0, 3)))
+    observations: Float64s = field(default_factory=lambda: np.zeros((0, 4)))
+    crs: str = ""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at working resolution.  K, R: (3, 3) float64; C: (3,) float64."""
+    """A pinhole camera at working resolution.  K, R: (3, 3) float64; C: (3,) float64.
+
+    component: cameras with the same number share a world; 0 is the main one.
+    """
 
     K: Float64s
     R: Float64s
     C: Float64s
     width: int
     height: int
+    component: int = 0
 
 
 @dataclass(frozen=True)
@@ -198,11 +223,34 @@ class Overlap:
 
 
 @dataclass(frozen=True)
+class PairVerdict:
+    """What the cameras of a whole site say of one pair.
+
+    kept: the pair agrees with them, or they say nothing of it; reason: why it is not kept, or what is to be known;
+    estimated_px, adjusted_px: median epipolar distance of its inliers to its own F, and to the F of the adjusted cameras;
+    rotation_off_deg: between its own relative rotation and that of the cameras; flagged: the adjusted F is noticeably worse than
+    the pair's own.  Figures are nan where there is nothing to compare.
+    """
+
+    kept: bool
+    reason: str = ""
+    estimated_px: float = float("nan")
+    adjusted_px: float = float("nan")
+    rotation_off_deg: float = float("nan")
+    flagged: bool = False
+
+
+@dataclass(frozen=True)
 class Poses:
     """Cameras in one frame.
 
     cameras: solved cameras by id; unsolved: reason by id; dropped: reason by "left--right" of pairs that contradict the rest;
-    metric: lengths are metres; source: "calibration" or "solved".
+    metric: lengths are metres; source: "calibration", "solved" or "mixed".
+    verdicts: by "left--right", of every pair that was looked at; suspects: known poses (by id) that the images contradict, and by
+    how much; focals: ids of cameras whose focal length was solved; components: ids that share a world, the main one first (a
+    camera's `component` is its place here); joins: for each component but the first, the pair that would join it best;
+    scale: what the scale comes from; crs: coordinate system of the main component, "" for a local one;
+    notes: what the operator should know; points: scene points that the cameras rest on; reprojection_px: their median error.
     """
 
     cameras: Mapping[str, Camera]
@@ -210,6 +258,16 @@ class Poses:
     dropped: Mapping[str, str]
     metric: bool
     source: str
+    verdicts: Mapping[str, PairVerdict] = field(default_factory=dict)
+    suspects: Mapping[str, str] = field(default_factory=dict)
+    focals: tuple[str, ...] = ()
+    components: tuple[tuple[str, ...], ...] = ()
+    joins: tuple[str, ...] = ()
+    scale: str = ""
+    crs: str = ""
+    notes: tuple[str, ...] = ()
+    points: int = 0
+    reprojection_px: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from wbflow_stages.types import (
     Matches,
     Overlap,
     Pair,
+    PairVerdict,
     Placement,
     Poses,
     Rectification,
@@ -90,7 +91,9 @@ def solve_poses(
     return Poses(cameras, {}, {}, metric=True, source="calibration")
 
 
-def rectify(geometry: Geometry, left: Camera | None, right: Camera | None, *, margin: float = 0.0) -> Rectification:
+def rectify(
+    geometry: Geometry, left: Camera | None, right: Camera | None, verdict: PairVerdict | None, *, margin: float = 0.0
+) -> Rectification:
     """H1 that remembers F and the cameras."""
     _trouble("rectify")
     assert left is not None

@@ -16,8 +16,9 @@ class Need:
     origin: the stage that makes it, or "site:lens", "site:placement", "site:captures", "site:mask" from the site file;
     which: of the same subject, of the pair's left or right camera, of all subjects that have it (as a mapping), or "around":
     of those that the camera in question makes pairs with and itself, and of these pairs;
-    part: a field of the artifact (see `artifact.parts`); of a mapping field, the entry of the camera in question unless `which`
-    is "same" on a site-wide stage; optional: may be missing (then the function gets None, or an entry less);
+    part: a field of the artifact (see `artifact.parts`); of a mapping field of a site-wide stage, the entry of the camera in
+    question (left, right) or of the pair ("same" on a pair's stage), else all of it;
+    optional: may be missing (then the function gets None, or an entry less);
     unless_posed: not needed (an empty mapping) where the site file gives every camera's intrinsics and pose.
     """
 
@@ -109,6 +110,7 @@ STAGES: tuple[Stage, ...] = (
             "geometry": Need("geometry"),
             "left": Need("poses", "left", part="cameras", optional=True),
             "right": Need("poses", "right", part="cameras", optional=True),
+            "verdict": Need("poses", part="verdicts", optional=True),
         },
     ),
     Stage(

@@ -289,7 +289,8 @@ class Plan:
         camera = {"left": task.subject[:1], "right": task.subject[1:]}.get(need.which, ())
         if camera and origin.scope == "camera":
             subject = camera
-        part = f"{need.part}[{camera[0]}]" if need.part and camera and origin.scope == "site" else need.part
+        entry = "--".join(camera or (task.subject if stage.scope == "pair" else ()))
+        part = f"{need.part}[{entry}]" if need.part and entry and origin.scope == "site" else need.part
         return self._stored(Task(origin.name, subject), part, need, among)
 
     def _stored(self, upstream: Task, part: str, need: Need, among: set[Task]) -> Input:

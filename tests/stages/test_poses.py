@@ -17,7 +17,10 @@ def test_stated_cameras_are_taken_over_and_the_others_say_what_they_lack():
     assert isinstance(poses, Poses)
     assert list(poses.cameras) == ["gate"]
     assert np.array_equal(poses.cameras["gate"].C, C) and poses.cameras["gate"].width == 640
-    assert poses.unsolved == {"roof": "no pose given", "mast": "no intrinsics given"}
+    assert poses.unsolved == {
+        "roof": "no pose given, and no pair to solve it from",
+        "mast": "no intrinsics given, and no pair to solve it from",
+    }
     assert poses.metric and poses.source == "calibration"
 
 

@@ -1,0 +1,134 @@
+"""Bundle adjustment with Ceres as COLMAP drives it (pycolmap): one thread and a fixed gauge, so that results repeat exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from ..types import Bools, Camera, Float64s
+from .tracks import Tracks
+
+pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # a step that Ceres takes back is no news
+
+
+def adjust(
+    cameras: Mapping[int, Camera],
+    tracks: Tracks,
+    X: Float64s,
+    use: Bools,
+    *,
+    held: Collection[int] = (),
+    focals: Mapping[int, int] | None = None,
+    loss_px: float = 1.0,
+    iterations: int = 100,
+) -> tuple[dict[int, Camera], Float64s]:
+    """Move cameras and points so that the observations in `use` are met best.
+
+    Parameters
+    ----------
+    cameras
+        By number of the view.
+    tracks, X, use
+        Observations, (count, 3) their points, and (n,) which observations to look at: all of them need a camera and a point.
+    held
+        Cameras that stay where they are.  Where there are none, one stays, and its distance to another.
+    focals
+        Views whose focal length is solved too, each with the number of its lens: views of one lens share the focal length.
+    loss_px
+        Scale of the Cauchy loss.
+    iterations
+        At most.
+    """
+    focals = focals or {}
+    rows = np.flatnonzero(use)
+    model, points = _model(cameras, tracks, X, rows, focals)
+    config = pycolmap.BundleAdjustmentConfig()
+    for view in cameras:
+        config.add_image(view + 1)
+        if view not in focals:
+            config.set_constant_cam_intrinsics(view + 1)
+    for view in held:
+        config.set_constant_rig_from_world_pose(view + 1)
+    if not held:
+        config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    options = _options(loss_px, iterations, bool(focals))
+    solver = pycolmap.create_default_bundle_adjuster(options, config, model)
+    solver.solve()
+    moved = X.copy()
+    moved[points] = [model.point3D(i + 1).xyz for i in range(len(points))]
+    return {view: _read(model, view, camera, view in focals, view in held) for view, camera in cameras.items()}, moved
+
+
+def _model(
+    cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, rows: Any, focals: Mapping[int, int]
+) -> tuple[pycolmap.Reconstruction, Any]:
+    """COLMAP's form of it, and the tracks its points (1, 2, ...) stand for.
+
+    Pixels keep their origin: Ceres sees only differences to the principal point.
+    """
+    model = pycolmap.Reconstruction()
+    place = np.zeros(len(tracks.track), np.int64)
+    lenses: dict[int, int] = {}
+    for view, camera in cameras.items():
+        lens = view + 1
+        if view in focals:
+            lens = lenses.setdefault(focals[view], view + 1)
+        if lens == view + 1:
+            model.add_camera_with_trivial_rig(_lens(camera, lens, view in focals))
+        mine = rows[tracks.view[rows] == view]
+        place[mine] = np.arange(len(mine))
+        image = pycolmap.Image(name=str(view), keypoints=tracks.xy[mine], camera_id=lens, image_id=view + 1)
+        pose = np.column_stack([camera.R, -camera.R @ camera.C])
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    points, starts = np.unique(tracks.track[rows], return_index=True)
+    views, places = (tracks.view[rows] + 1).tolist(), place[rows].tolist()
+    for point, start, end in zip(points.tolist(), starts.tolist(), [*starts.tolist()[1:], len(rows)], strict=True):
+        track = pycolmap.Track()
+        for k in range(start, end):
+            track.add_element(views[k], places[k])
+        model.add_point3D(X[point], track)
+    return model, points
+
+
+def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:
+    K = camera.K
+    if solved:
+        model, params = "SIMPLE_PINHOLE", [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2]]
+    else:
+        model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
+
+
+def _options(loss_px: float, iterations: int, refine_focal: bool) -> pycolmap.BundleAdjustmentOptions:
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_focal_length = refine_focal
+    options.refine_principal_point = False
+    options.refine_extra_params = False
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = loss_px
+    solver = options.ceres.solver_options
+    solver.num_threads = 1
+    solver.max_num_iterations = iterations
+    solver.function_tolerance = 1e-10
+    solver.gradient_tolerance = 1e-10
+    solver.parameter_tolerance = 1e-12
+    return options
+
+
+def _read(model: pycolmap.Reconstruction, view: int, camera: Camera, solved: bool, fixed: bool) -> Camera:
+    image = model.image(view + 1)
+    if solved:
+        f = model.camera(image.camera_id).params[0]
+        K = camera.K.copy()
+        K[0, 0] = K[1, 1] = f
+        camera = replace(camera, K=K)
+    if fixed:
+        return camera
+    pose = image.cam_from_world()
+    R = np.asarray(pose.rotation.matrix(), dtype=np.float64)
+    return replace(camera, R=R, C=-R.T @ pose.translation)

@@ -1,0 +1,196 @@
+"""Growing a set of cameras: two views first, then one after the other by the points it shares with those that are there.
+
+Every decision is by rank or by the noise of the residuals themselves: no length enters, since the scale is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import poselib
+
+from ..types import Bools, Camera, Float64s, Geometry
+from .bundle import adjust
+from .tracks import Edge, Tracks
+from .triangulation import angles, posed, residuals, triangulate
+
+LOOSE_PX = 4.0
+"""An observation farther from its point than this is wrong, whatever the noise; also the threshold of resection."""
+NOISES = 5.0
+"""In the end, an observation farther from its point than this many standard deviations is wrong."""
+MIN_ANGLE = np.radians(1.0)
+"""Rays that meet at less than this don't make a point."""
+MIN_POINTS = 12
+"""So many points at least must agree on the pose of a view."""
+FOCALS_FROM = 3
+"""Focal lengths are solved once there are so many views: two leave them nearly free."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """cameras: by number of the view; X: (count, 3) points of the tracks, nan where there is none; use: (n,) which observations
+    they rest on."""
+
+    cameras: dict[int, Camera]
+    X: Float64s
+    use: Bools
+
+    def error_px(self, tracks: Tracks) -> Float64s:
+        """(n,) distance of each observation to its projected point; nan or inf where there is none."""
+        return np.asarray(np.linalg.norm(residuals(self.cameras, tracks, self.X), axis=1), dtype=np.float64)
+
+
+def grow(
+    cameras: Mapping[int, Camera],
+    tracks: Tracks,
+    geometries: Mapping[Edge, Geometry],
+    *,
+    known: Collection[int] = (),
+    focals: Mapping[int, int] | None = None,
+) -> Model | None:
+    """Solve as many views as hang together with the best pair (or with the `known` ones).
+
+    Parameters
+    ----------
+    cameras
+        Intrinsics of every view; R and C count for the known ones only.
+    tracks
+        Observations.
+    geometries
+        The pairs that are believed, with relative poses.
+    known
+        Views whose poses are held.
+    focals
+        See `bundle.adjust`.
+
+    Returns
+    -------
+    Model, or None when not even two views can be placed.
+    """
+    model = _from_known(cameras, tracks, known) or _from_best_pair(cameras, tracks, geometries)
+    if model is None:
+        return None
+    failed: dict[int, int] = {}
+    while True:
+        seen = _visible_points(model, tracks, set(cameras) - set(model.cameras))
+        candidates = [view for view, count in seen.items() if count >= MIN_POINTS and failed.get(view, -1) < count]
+        if not candidates:
+            break
+        view = max(candidates, key=lambda v: (seen[v], -v))
+        camera = _resect(cameras[view], view, model, tracks)
+        if camera is None:
+            failed[view] = seen[view]
+            continue
+        model = _settle(replace_cameras(model, {**model.cameras, view: camera}), tracks, known, focals, rounds=1)
+    for _ in range(2):
+        model = _settle(model, tracks, known, focals, rounds=2)
+    return model
+
+
+def refine(
+    model: Model, tracks: Tracks, known: Collection[int] = (), focals: Mapping[int, int] | None = None, rounds: int = 2
+) -> Model:
+    """The model after so many rounds of triangulation, adjustment and sorting out; cameras in `known` stay."""
+    return _settle(model, tracks, known, focals, rounds)
+
+
+def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
+    """The model with other cameras, in the order of their numbers."""
+    return replace(model, cameras=dict(sorted(cameras.items())))
+
+
+def _from_known(cameras: Mapping[int, Camera], tracks: Tracks, known: Collection[int]) -> Model | None:
+    if len(known) < 2:
+        return None
+    model = _retriangulated(Model({view: cameras[view] for view in sorted(known)}, np.zeros(0), np.zeros(0, bool)), tracks)
+    return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None
+
+
+def _from_best_pair(cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry]) -> Model | None:
+    """The pair with most points at a good angle; points that other views share count twice, since these are to follow."""
+    best: tuple[float, Model] | None = None
+    lengths = np.bincount(tracks.track, minlength=tracks.count)
+    for (i, j), geometry in geometries.items():
+        R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+        if R is None or t is None:
+            continue
+        pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
+        model = _retriangulated(Model(pair, np.zeros(0), np.zeros(0, bool)), tracks)
+        wide = angles(pair, tracks, model.X, model.use)
+        worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths > 2))).sum())
+        if best is None or worth > best[0]:
+            best = (worth, model)
+    if best is None or np.isfinite(best[1].X[:, 0]).sum() < MIN_POINTS:
+        return None
+    return _settle(best[1], tracks, (), None, rounds=2)
+
+
+def _visible_points(model: Model, tracks: Tracks, views: Collection[int]) -> dict[int, int]:
+    there = np.isfinite(model.X[tracks.track, 0])
+    return {view: int((there & (tracks.view == view)).sum()) for view in sorted(views)}
+
+
+def _resect(camera: Camera, view: int, model: Model, tracks: Tracks) -> Camera | None:
+    """The view's pose from the points it shares with the model; None when too few agree."""
+    rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
+    x, X = tracks.xy[rows], model.X[tracks.track[rows]]
+    K = camera.K
+    pinhole = {
+        "model": "PINHOLE",
+        "width": camera.width,
+        "height": camera.height,
+        "params": [K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
+    }
+    options = {"max_reproj_error": LOOSE_PX, "max_iterations": 10000, "min_iterations": 200, "seed": 0}
+    pose, found = poselib.estimate_absolute_pose(x, X, pinhole, options, {})
+    if found["num_inliers"] < max(MIN_POINTS, 0.25 * len(rows)):
+        return None
+    R, t = np.asarray(pose.R), np.asarray(pose.t)
+    return replace(camera, R=R, C=-R.T @ t)
+
+
+def _settle(model: Model, tracks: Tracks, known: Collection[int], focals: Mapping[int, int] | None, rounds: int) -> Model:
+    """Triangulate, adjust and sort out, so many times."""
+    free = {view: lens for view, lens in (focals or {}).items() if view in model.cameras}
+    if len(model.cameras) < FOCALS_FROM and not known:
+        free = {}
+    for _ in range(rounds):
+        model = _retriangulated(model, tracks)
+        if not model.use.any():
+            return model
+        held = [view for view in known if view in model.cameras]
+        cameras, X = adjust(model.cameras, tracks, model.X, model.use, held=held, focals=free)
+        model = _filtered(Model(cameras, X, model.use), tracks)
+    return model
+
+
+def _retriangulated(model: Model, tracks: Tracks) -> Model:
+    """All points anew from all observations; then without those that don't fit."""
+    use = posed(model.cameras, tracks)
+    X = triangulate(model.cameras, tracks, use, 1.0)
+    model = _filtered(Model(model.cameras, X, use), tracks)
+    X = triangulate(model.cameras, tracks, model.use, 1.0)
+    return _filtered(Model(model.cameras, X, posed(model.cameras, tracks)), tracks)
+
+
+def _filtered(model: Model, tracks: Tracks) -> Model:
+    """Only observations that fit, and points that two of them see at an angle."""
+    error = model.error_px(tracks)
+    with np.errstate(invalid="ignore"):
+        use = model.use & (error < _limit(error[model.use]))
+    wide = angles(model.cameras, tracks, model.X, use) >= MIN_ANGLE
+    enough = np.bincount(tracks.track[use], minlength=tracks.count) >= 2
+    use &= (wide & enough)[tracks.track]
+    X = np.where((wide & enough)[:, None], model.X, np.nan)
+    return Model(model.cameras, X, use)
+
+
+def _limit(error: Float64s) -> float:
+    """Largest error of a right observation: `NOISES` standard deviations of their core (Rayleigh), at most `LOOSE_PX`."""
+    fits = error[error < LOOSE_PX]
+    if len(fits) == 0:
+        return LOOSE_PX
+    sigma = float(np.median(fits)) / 1.1774
+    return min(LOOSE_PX, max(NOISES * sigma, 1e-9))

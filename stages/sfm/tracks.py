@@ -1,0 +1,101 @@
+"""Tracks: keypoints of several views that show the same point of the scene, chained from the inliers of the pairs.
+
+Matches are joined in the order of their probability, and a match that would put two keypoints of one view into one track is left
+out: one wrong match then costs itself, and not the two tracks that it would have tied together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..kernels import kernel
+from ..types import Float64s, Geometry, Int32s, Int64s
+
+Edge = tuple[int, int]
+"""Two views by number, in the order of the pair."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Observations, sorted by track and then by view.
+
+    track: (n,) int32, 0 to count - 1; view: (n,) int32; xy: (n, 2) float64 pixels; count: number of tracks.
+    """
+
+    track: Int32s
+    view: Int32s
+    xy: Float64s
+    count: int
+
+
+def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:
+    """Chain the inliers of all pairs.  Keypoints of one view at the same place (several orientations) count as one."""
+    nodes, xy, view = _nodes(geometries, views)
+    ends = np.concatenate([np.column_stack(nodes[edge]) for edge in geometries] or [np.zeros((0, 2), np.int64)])
+    probability = np.concatenate([geometry.probability for geometry in geometries.values()] or [np.zeros(0, np.float32)])
+    order = np.argsort(-probability, kind="stable")
+    root = _join(ends[order], view, len(xy))
+    _, track, sizes = np.unique(root, return_inverse=True, return_counts=True)
+    keep = np.flatnonzero(sizes[track] >= 2)
+    _, track = np.unique(track[keep], return_inverse=True)
+    keep, track = keep[order := np.lexsort((view[keep], track))], track[order]
+    return Tracks(track.astype(np.int32), view[keep].astype(np.int32), xy[keep], int(track.max(initial=-1)) + 1)
+
+
+def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, list[Int64s]], Float64s, Int64s]:
+    """For each pair the node numbers of its matches in both images; pixels and view of each node."""
+    nodes: dict[Edge, list[Int64s]] = {edge: [np.zeros(0, np.int64)] * 2 for edge in geometries}
+    places, owners, start = [np.zeros((0, 2))], [np.zeros(0, np.int64)], 0
+    for view in range(views):
+        sides = [(edge, edge.index(view)) for edge in geometries if view in edge]
+        if not sides:
+            continue
+        points = np.concatenate([(geometries[edge].x1, geometries[edge].x2)[side] for edge, side in sides])
+        unique, number = np.unique(np.round(points, 3), axis=0, return_inverse=True)
+        number = number.ravel() + start
+        for edge, side in sides:
+            n = len(geometries[edge].x1)
+            nodes[edge][side], number = number[:n], number[n:]
+        places.append(unique)
+        owners.append(np.full(len(unique), view, np.int64))
+        start += len(unique)
+    return nodes, np.concatenate(places), np.concatenate(owners)
+
+
+@kernel
+def _join(ends: Int64s, view: Int64s, count: int) -> Int64s:
+    """Union-find over nodes that never joins two nodes of one view.  Returns the root of each node."""
+    parent = np.arange(count)
+    following = np.full(count, -1)  # the members of a set as a chain that begins at its root
+    last = np.arange(count)
+    for k in range(len(ends)):
+        a, b = ends[k, 0], ends[k, 1]
+        while parent[a] != a:
+            a = parent[a]
+        while parent[b] != b:
+            b = parent[b]
+        if a == b:
+            continue
+        clash = False
+        i = a
+        while i >= 0 and not clash:
+            j = b
+            while j >= 0 and not clash:
+                clash = view[i] == view[j]
+                j = following[j]
+            i = following[i]
+        if not clash:
+            if b < a:
+                a, b = b, a
+            parent[b] = a
+            following[last[a]] = b
+            last[a] = last[b]
+    for i in range(count):
+        r = i
+        while parent[r] != r:
+            r = parent[r]
+        parent[i] = r
+    return parent
