@@ -46,8 +46,7 @@ def fuse(
     strict
         A point needs so many pairs that agree on it: 2 trades completeness for accuracy.
     voxel_m
-        Edge of the voxels in which points are merged, in metres; None: the larger of a pixel's footprint and the depth's error,
-        in the median over all points.
+        Edge of the voxels in which points are merged, in metres; None: what a pixel covers, in the median over all points.
     noise_px
         Assumed error of a disparity in pixels, standard deviation.
     neighbours
@@ -97,19 +96,18 @@ def view_depth(
 
 
 def _natural_voxel(cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> float:
-    """Median over all views' pixels of the larger of footprint and sigma; every 8th pixel decides."""
-    edges = []
-    for name, depth in depths.items():
-        z, sigma = depth.depth[4::8, 4::8], depth.sigma[4::8, 4::8]
-        edges.append(np.maximum(z / cameras[name].K[0, 0], sigma)[np.isfinite(z)])
-    return float(np.median(np.concatenate(edges)))
+    """What a pixel covers on the surface it sees, in the median over all views; every 8th pixel decides."""
+    footprints = [depth.depth[4::8, 4::8].ravel() / cameras[name].K[0, 0] for name, depth in depths.items()]
+    return float(np.nanmedian(np.concatenate(footprints)))
 
 
 def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, gains: Float64s, strict: int) -> Samples:
-    """The points of one view that its own and the other views' evidence leaves standing."""
-    supported = np.isfinite(depth.depth) & frame.mask & (verdict.pairs >= strict)
-    seen_through = verdict.violating > np.maximum(0, verdict.pairs.astype(np.int32) - 2)
-    y, x = np.nonzero(supported & ~seen_through)
+    """The points of one view that its own and the other views' evidence leaves standing.
+
+    A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.
+    """
+    supported = frame.mask & (verdict.pairs >= strict) & (4 * (verdict.agreeing + 1.0) >= verdict.visible + 1.0)
+    y, x = np.nonzero(np.isfinite(depth.depth) & supported & (2 * verdict.violating <= verdict.agreeing))
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     return Samples(
         backproject(camera, np.column_stack([x, y]).astype(np.float64), z),

@@ -18,10 +18,12 @@ Uint64s = npt.NDArray[np.uint64]
 @dataclass(frozen=True)
 class Verdict:
     """Per pixel of a view, (h, w): pairs: distinct pairs that support the depth; cameras: distinct cameras in them;
-    agreeing, violating: other views whose own depth agrees, or lies behind, so that they look through the point."""
+    visible: other views that have the point in their image and nothing in front of it; agreeing, violating: those among them
+    whose own depth agrees, or lies behind, so that they look through the point."""
 
     pairs: Uint8s
     cameras: Uint16s
+    visible: Uint8s
     agreeing: Uint8s
     violating: Uint8s
 
@@ -58,14 +60,17 @@ def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera],
     h, w = own.depth.shape
     pair_index, bits = _pair_bits(name, others, depths)
     pairs = _own_pairs(own.support, bits[name])
-    agreeing, violating = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint8)
+    visible, agreeing, violating = (np.zeros((h, w), np.uint8) for _ in range(3))
     for other in others:
         M, b = transfer(cameras[name], cameras[other])
         seen = depths[other]
-        _compare(own.depth, own.sigma, M, b, seen.depth, seen.sigma, seen.support, bits[other], agreeing, violating, pairs)
+        _compare(
+            *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
+            *(bits[other], visible, agreeing, violating, pairs),
+        )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, pair_index, count, seen_by)
-    return Verdict(count, seen_by, agreeing, violating)
+    return Verdict(count, seen_by, visible, agreeing, violating)
 
 
 def _pair_bits(name: str, others: Sequence[str], depths: Mapping[str, DepthMap]) -> tuple[Uint8s, dict[str, Uint8s]]:
@@ -108,9 +113,12 @@ def _compare(
     M: Float64s,
     b: Float64s,
     other_depth: Float32s,
+    slope_x: Float32s,
+    slope_y: Float32s,
     other_sigma: Float32s,
     other_support: Uint32s,
     bits: Uint8s,
+    visible: Uint8s,
     agreeing: Uint8s,
     violating: Uint8s,
     pairs: Uint64s,
@@ -130,17 +138,21 @@ def _compare(
             if not (u > -0.5 and v > -0.5 and u < other_w - 0.5 and v < other_h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
-            there = other_depth[j, i]
-            if np.isnan(there):
+            if np.isnan(other_depth[j, i]):
+                visible[y, x] += 1
                 continue
+            there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
             s = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2)
             tolerance = min(3.0 * s + 0.002 * z, 0.016 * z)
-            if abs(there - z) <= tolerance:
+            if there < z - tolerance:
+                continue  # hidden
+            visible[y, x] += 1
+            if there <= z + tolerance:
                 agreeing[y, x] += 1
                 for k in range(32):
                     if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
                         pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
-            elif there - z > 4.0 * tolerance:
+            elif there > z + 4.0 * tolerance:
                 violating[y, x] += 1
 
 
