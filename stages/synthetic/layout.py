@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from . import ground
 from . import textures as paint
-from .cameras import Mount, position
+from .cameras import CENTRE, Mount, position
 from .noise import Rng
 from .renderer import Lamp, Light
 from .scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
 from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
 
-WALL_TOP = 9.2
+WALL_TOP, SHED_TOP = 9.2, 8.0
 SUN = (-0.547, -0.526, 0.652)  # in the south-west, 40 degrees up
 LAMPS = (
     (5.0, 28.2, 6.3), (15.0, 28.2, 6.3), (25.0, 28.2, 6.3), (35.0, 28.2, 6.3),
@@ -19,6 +20,7 @@ LAMPS = (
 )  # fmt: skip
 
 CONTAINERS = (
+    # east, north, level, heading, length, paint, line
     Box(17.6, 19.4, 0, 0.07, 6.06, (0.05, 0.14, 0.36), "NORDSEE"),
     Box(17.5, 19.5, 1, 0.12, 6.06, (0.42, 0.07, 0.05), "HANSA LINE"),
     Box(22.4, 17.2, 0, 1.23, 6.06, (0.55, 0.29, 0.03), "KOGGE"),
@@ -28,6 +30,12 @@ CONTAINERS = (
     Box(9.2, 9.2, 0, -0.4, 6.06, (0.05, 0.22, 0.33), "OSTWIND"),
     Box(20.4, 24.0, 0, -0.05, 6.06, (0.17, 0.18, 0.19), "KONTOR"),
 )
+
+# east, north, and how many
+CRATES = ((9.8, 28.0, 3), (22.4, 28.2, 3), (37.2, 17.4, 2), (2.4, 19.0, 2), (27.4, 20.6, 2), (10.8, 18.6, 2), (18.0, 15.4, 3))
+BARRELS = ((28.0, 28.4, 9), (2.0, 25.5, 7), (24.6, 21.8, 6), (36.6, 27.8, 8), (10.6, 12.2, 5))
+WOOD = ((0.36, 0.25, 0.14), (0.27, 0.21, 0.15), (0.42, 0.33, 0.2))
+DRUMS = ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
 
 
 def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> Scene:
@@ -46,59 +54,36 @@ def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> Scene:
 def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     """Cobbles, the concrete quay with its edge, and the water."""
     east, south = np.array([1.0, 0, 0]), np.array([0, -1.0, 0])
-    stones = build.add_texture(paint.cobbles(rng, 40.0, 24.0, texel_m))
-    quay = build.add_texture(paint.concrete(rng, 60.0, 11.0, texel_m, text="FREIHALTEN   KRAN 07   HALT"))
+    stones = build.add_texture(ground.cobbles(rng, 40.0, 24.0, texel_m))
+    quay = build.add_texture(ground.concrete(rng, 60.0, 11.0, texel_m, text="FREIHALTEN   KRAN 07   HALT"))
     build.quad((0.0, 30.0, 0.0), 40 * east, 24 * south, stones)
     build.quad((-10.0, 6.0, 0.0), 60 * east, 11 * south, quay)
     build.quad((-10.0, -5.0, 0.0), 60 * east, -1.8 * UP, quay)
-    apron = build.add_texture(paint.concrete(rng, 14.0, 30.0, 2 * texel_m))
+    apron = build.add_texture(ground.concrete(rng, 14.0, 30.0, 2 * texel_m))
     for x in (-14.0, 40.0):
         build.quad((x, 36.0, -0.02), 14 * east, 30 * south, apron)
     build.kind = WATER
-    build.quad((-150.0, -5.0, -1.8), 340 * east, 150 * south, build.add_texture(paint.water(rng, 30.0, 30.0, 4 * texel_m)))
+    build.quad((-150.0, -5.0, -1.8), 340 * east, 150 * south, build.add_texture(ground.water(rng, 30.0, 30.0, 4 * texel_m)))
     build.kind = STATIC
 
 
 def _buildings(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     """Two brick warehouses alike, a plastered shed opposite, gatehouse and office: all with the same window."""
     pane = build.add_texture(paint.window(1.2, 1.8, texel_m))
-    sill = build.add_texture(paint.concrete(rng, 2.0, 1.0, texel_m))
-    doors = [
-        build.add_texture(paint.roller_door(rng, 3.4, 3.4, texel_m, colour, str(k + 1)))
-        for k, colour in enumerate(
-            ((0.13, 0.24, 0.19), (0.13, 0.24, 0.19), (0.10, 0.16, 0.30), (0.35, 0.33, 0.30), (0.13, 0.24, 0.19))
-        )
-    ]
-    gate = build.add_texture(paint.planks(rng, 3.4, 3.4, texel_m))
-    north = build.add_texture(paint.brick_wall(rng, 40.0, WALL_TOP, texel_m, sign="WERFT & LAGERHAUS HANSEN"))
-    east_wall = build.add_texture(paint.brick_wall(rng, 18.0, WALL_TOP, texel_m, sign="LAGERHAUS II"))
-    west_wall = build.add_texture(paint.plaster(rng, 17.0, 8.0, texel_m))
-    east, up_north = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    facade(
-        build,
-        np.array([0, 30.0, WALL_TOP]),
-        east,
-        (40.0, WALL_TOP),
-        north,
-        _bays(40.0, pane, [doors[0], gate, doors[1], doors[2]]),
-        sill,
-    )
-    facade(
-        build, np.array([40.0, 30.5, WALL_TOP]), -up_north, (18.0, WALL_TOP), east_wall, _bays(18.0, pane, [doors[4], gate]), sill
-    )
-    facade(build, np.array([0.0, 13.0, 8.0]), up_north, (17.0, 8.0), west_wall, _bays(17.0, pane, [doors[3]], rows=2), sill)
+    stone = build.add_texture(ground.concrete(rng, 2.0, 1.0, texel_m))
+    _facades(build, rng, texel_m, pane, stone)
     tiles = build.add_texture(paint.roof_tiles(rng, 42.0, 6.6, 1.5 * texel_m))
-    build.quad((-1.0, 35.0, WALL_TOP + 3.4), 42 * east, (0, -5.5, -3.6), tiles)
-    build.quad((45.0, 31.5, WALL_TOP + 3.4), -20 * up_north, (-5.5, 0, -3.6), tiles)
-    build.quad((-5.0, 12.4, 10.6), 18.5 * up_north, (5.4, 0, -2.8), tiles)
+    build.quad((-1.0, 35.0, WALL_TOP + 3.4), (42.0, 0, 0), (0, -5.5, -3.6), tiles)
+    build.quad((45.0, 31.5, WALL_TOP + 3.4), (0, -20.0, 0), (-5.5, 0, -3.6), tiles)
+    build.quad((-5.0, 12.4, 10.6), (0, 18.5, 0), (5.4, 0, -2.8), tiles)
     brick = build.add_texture(paint.brick_wall(rng, 7.0, 6.0, texel_m, tint=(0.9, 0.95, 1.0)))
-    build.box((-1.5, 8.0, 0.0), (5.4, 6.0, 5.6), sill, sides=brick)
-    build.box((41.6, 7.6, 0.0), (5.4, 6.2, 6.6), sill, sides=brick)
+    build.box((-1.5, 8.0, 0.0), (5.4, 6.0, 5.6), stone, sides=brick)
+    build.box((41.6, 7.6, 0.0), (5.4, 6.2, 6.6), stone, sides=brick)
     for y in (6.2, 9.4):
-        build.box((1.22, y, 2.6), (1.2, 0.06, 1.8), sill, yaw=np.pi / 2, front=pane)
-        build.box((38.88, y, 3.2), (1.2, 0.06, 1.8), sill, yaw=-np.pi / 2, front=pane)
+        build.box((1.22, y, 2.6), (1.2, 0.06, 1.8), stone, yaw=np.pi / 2, front=pane)
+        build.box((38.88, y, 3.2), (1.2, 0.06, 1.8), stone, yaw=-np.pi / 2, front=pane)
     for x in (6.0, 17.0, 31.0):
-        build.box((x, 33.0, WALL_TOP), (0.9, 0.7, 4.6), sill, sides=brick)
+        build.box((x, 33.0, WALL_TOP), (0.9, 0.7, 4.6), stone, sides=brick)
     steel = build.add_texture(paint.painted_steel(rng, 10.0, 1.0, texel_m, (0.25, 0.26, 0.25)))
     for x in (0.35, 9.85, 20.0, 30.3, 39.5):
         build.tube((x, 29.9, 0.0), 0.07, WALL_TOP, steel, sides=8)
@@ -107,13 +92,30 @@ def _buildings(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     _signs(build, rng, texel_m)
 
 
-def _bays(width: float, pane: int, doors: list[int], *, rows: int = 3) -> list[Opening]:
+def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int) -> None:
+    """The walls that close the yard in the north, east and west."""
+    colours = ((0.13, 0.24, 0.19), (0.13, 0.24, 0.19), (0.10, 0.16, 0.30), (0.35, 0.33, 0.30), (0.13, 0.24, 0.19))
+    doors = [build.add_texture(paint.roller_door(rng, 3.4, 3.4, texel_m, c, str(k + 1))) for k, c in enumerate(colours)]
+    gate = build.add_texture(paint.planks(rng, 3.4, 3.4, texel_m))
+    north = paint.brick_wall(rng, 40.0, WALL_TOP, texel_m, sign="WERFT & LAGERHAUS HANSEN")
+    east = paint.brick_wall(rng, 18.0, WALL_TOP, texel_m, sign="LAGERHAUS II")
+    west = paint.plaster(rng, 17.0, SHED_TOP, texel_m)
+    for texture, corner, right, width, leaves in (
+        (north, (0.0, 30.0, WALL_TOP), (1.0, 0.0, 0.0), 40.0, [doors[0], gate, doors[1], doors[2]]),
+        (east, (40.0, 30.5, WALL_TOP), (0.0, -1.0, 0.0), 18.0, [doors[4], gate]),
+        (west, (0.0, 13.0, SHED_TOP), (0.0, 1.0, 0.0), 17.0, [doors[3]]),
+    ):
+        size = (width, corner[2])
+        facade(build, np.array(corner), np.array(right), size, build.add_texture(texture), _bays(size, pane, leaves), sill)
+
+
+def _bays(size: tuple[float, float], pane: int, doors: list[int]) -> list[Opening]:
     """Rows of the one window every 2.5 m; doors, evenly spread, take the place of ground-floor windows."""
-    height = {3: WALL_TOP, 2: 8.0}[rows]
+    width, height = size
     columns = [0.65 + 2.5 * k for k in range(int((width - 0.65) / 2.5))]
     at = [width * (k + 0.5) / len(doors) - 1.7 for k in range(len(doors))]
     openings = [Opening(x, height - 3.4, 3.4, 3.4, door, depth=0.3) for x, door in zip(at, doors, strict=True)]
-    for row in range(rows):
+    for row in range(int(height / 2.7)):
         top = height - 3.1 - 2.7 * row
         free = [x for x in columns if row > 0 or all(x + 1.4 < a or x > a + 3.6 for a in at)]
         openings += [Opening(x, top, 1.2, 1.8, pane) for x in free if top > 0.2]
@@ -134,51 +136,42 @@ def _signs(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> None:
-    """Crates, drums, a parked lorry, a heap of gravel, bollards, lamp posts and the cameras' masts."""
-    wood = [
-        build.add_texture(paint.planks(rng, 5.0, 1.5, texel_m, tone))
-        for tone in ((0.36, 0.25, 0.14), (0.27, 0.21, 0.15), (0.42, 0.33, 0.2))
-    ]
-    stencilled = build.add_texture(
-        paint.sign_board(rng, 4.0, 1.0, texel_m, ("OBEN", "VORSICHT 40 KG"), (0.38, 0.28, 0.16), (0.05, 0.04, 0.04))
-    )
-    steel = build.add_texture(paint.painted_steel(rng, 3.0, 9.0, texel_m, (0.30, 0.31, 0.31)))
-    drums = [
-        build.add_texture(paint.painted_steel(rng, 1.9, 0.9, texel_m, c))
-        for c in ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
-    ]
-    for x, y, rows in (
-        (9.8, 28.0, 3),
-        (22.4, 28.2, 3),
-        (37.2, 17.4, 2),
-        (2.4, 19.0, 2),
-        (27.4, 20.6, 2),
-        (10.8, 18.6, 2),
-        (18.0, 15.4, 3),
-    ):
-        crates(build, rng, (x, y), [*wood, stencilled], rows=rows, levels=3)
-    for x, y, count in ((28.0, 28.4, 9), (2.0, 25.5, 7), (24.6, 21.8, 6), (36.6, 27.8, 8), (10.6, 12.2, 5)):
+    """Crates, drums, a parked lorry, heaps of gravel, bollards, lamps and the cameras' masts."""
+    wood = [build.add_texture(paint.planks(rng, 5.0, 1.5, texel_m, tone)) for tone in WOOD]
+    stencil = paint.sign_board(rng, 4.0, 1.0, texel_m, ("OBEN", "VORSICHT 40 KG"), (0.38, 0.28, 0.16), (0.05, 0.04, 0.04))
+    wood.append(build.add_texture(stencil))
+    drums = [build.add_texture(paint.painted_steel(rng, 1.9, 0.9, texel_m, tone)) for tone in DRUMS]
+    for x, y, rows in CRATES:
+        crates(build, rng, (x, y), wood, rows=rows, levels=3)
+    for x, y, count in BARRELS:
         barrels(build, rng, (x, y), drums, count=count)
     _lorry(build, rng, texel_m)
-    gravel = build.add_texture(paint.gravel(rng, 4.0, 4.0, texel_m))
+    gravel = build.add_texture(ground.gravel(rng, 4.0, 4.0, texel_m))
     heap(build, rng, (36.2, 20.0), 1.9, 1.3, gravel)
     heap(build, rng, (4.2, 27.8), 1.7, 1.1, gravel)
-    bulb = build.add_texture(paint.cloth(rng, 0.02, (0.9, 0.88, 0.8)))
+    for x in np.arange(-6.0, 48.0, 6.0):
+        build.tube((float(x), -4.3, 0.0), 0.22, 0.7, drums[1], sides=10)
+    steel = build.add_texture(paint.painted_steel(rng, 3.0, 9.0, texel_m, (0.30, 0.31, 0.31)))
+    _lamp_holders(build, rng, steel)
+    for mount in mounts:
+        x, y, z = position(mount)
+        back = 0.45 / mount.distance
+        foot = (x + back * (x - CENTRE[0]), y + back * (y - CENTRE[1]), 0.0)
+        build.tube(foot, 0.1, float(z) + 0.3, steel, sides=8)
+
+
+def _lamp_holders(build: SceneBuilder, rng: Rng, steel: int) -> None:
+    """Arms on the walls, two posts, and a bulb just above each light's position."""
     for x, y, z in LAMPS[6:]:
         lamp_post(build, (x, y - 1.1), z + 0.25, steel)
     walls = [(x, 30.0) for x, _, _ in LAMPS[:4]] + [(40.0, LAMPS[4][1]), (0.0, LAMPS[5][1])]
-    for (x, y, z), (at_x, at_y) in zip(LAMPS[:6], walls, strict=True):
-        build.beam((at_x, at_y, z + 0.15), (x, y, z + 0.25), 0.08, steel)
+    for (x, y, z), (wall_x, wall_y) in zip(LAMPS[:6], walls, strict=True):
+        build.beam((wall_x, wall_y, z + 0.15), (x, y, z + 0.25), 0.08, steel)
+    bulb = build.add_texture(paint.cloth(rng, 0.02, (0.9, 0.88, 0.8)))
     build.kind = GLOWING
     for x, y, z in LAMPS:
         build.ball((x, y, z + 0.12), (0.17, 0.17, 0.1), bulb, steps=4)
     build.kind = STATIC
-    for x in np.arange(-6.0, 48.0, 6.0):
-        build.tube((float(x), -4.3, 0.0), 0.22, 0.7, drums[1], sides=10)
-    for mount in mounts:
-        x, y, z = position(mount)
-        back = 0.45 / mount.distance
-        build.tube((x + back * (x - 20.0), y + back * (y - 18.0), 0.0), 0.1, float(z) + 0.3, steel, sides=8)
 
 
 def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:

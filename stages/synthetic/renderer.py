@@ -15,8 +15,8 @@ import open3d as o3d
 
 from ..kernels import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
+from .paint import Texture
 from .scene import GLOWING, STATIC, WATER, Scene
-from .textures import Texture
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 

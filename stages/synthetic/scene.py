@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..types import Float32s, Float64s, Int32s, Uint8s
-from .textures import Texture
+from .paint import Texture
 
 Vector = tuple[float, float, float] | Float64s
 
