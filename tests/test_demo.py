@@ -111,19 +111,24 @@ def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path, monkeypatch)
     assert load_site(tmp_path / "demo").posed
 
 
-def test_other_peoples_folders_and_edits_are_left_alone(tmp_path):
+def test_other_peoples_folders_are_left_alone(tmp_path):
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(FileExistsError, match="holds other files"):
         write_demo(tmp_path, small=True)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.txt"]
     with pytest.raises(FileExistsError, match="is a file"):
         write_demo(tmp_path / "thesis.txt", small=True)
+
+
+@pytest.mark.parametrize("name", ["site.yaml", "cameras.json"])
+def test_what_was_edited_is_not_overwritten(tmp_path, name):
     write_demo(tmp_path / "demo", small=True)
-    site = tmp_path / "demo" / "site.yaml"
-    site.write_text(site.read_text().replace("degree: 4", "degree: 2"))
+    file = tmp_path / "demo" / name
+    edited = file.read_text() + "\n"
+    file.write_text(edited)
     with pytest.raises(FileExistsError, match="edited"):
         write_demo(tmp_path / "demo", small=True)
-    assert "degree: 2" in site.read_text()
+    assert file.read_text() == edited
 
 
 def test_an_unknown_light_writes_nothing(tmp_path, monkeypatch):

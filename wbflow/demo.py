@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from wbflow_stages.synthetic.yard import Yard, YardCamera
 
 MANIFEST = "demo.json"
+EDITABLE = ("site.yaml", "cameras.json")
 
 
 def write_demo(folder: Path, *, small: bool = False, light: str = "day", captures: int = 3, seed: int = 0) -> None:
@@ -27,7 +28,7 @@ def write_demo(folder: Path, *, small: bool = False, light: str = "day", capture
     Raises
     ------
     FileExistsError
-        The folder holds something else than a demo, or a demo whose site file was edited.
+        The folder holds something else than a demo, or a demo whose site file or calibration was edited.
     ValueError
         An unknown light, or no captures.
     """
@@ -64,9 +65,10 @@ def _claim(folder: Path) -> dict[str, str]:
         known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError):
         raise FileExistsError(f"{manifest} isn't what a demo leaves there; name a new or an empty folder") from None
-    site = folder / "site.yaml"
-    if site.is_file() and "site.yaml" in known and hashlib.sha256(site.read_bytes()).hexdigest() != known["site.yaml"]:
-        raise FileExistsError(f"{site} was edited since the demo was written; move it away, or name another folder")
+    for name in EDITABLE:
+        file = folder / name
+        if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
+            raise FileExistsError(f"{file} was edited since the demo was written; move it away, or name another folder")
     return known
 
 
