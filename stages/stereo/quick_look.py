@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ..types import INVALID, Bools, Float32s
+from ..types import Bools, Float32s
 from .checks import disagreement, within_reach, without_specks
 from .pair import RectifiedPair
 from .sgbm import match_sgbm
@@ -34,7 +34,9 @@ def prepared(pair: RectifiedPair) -> RectifiedPair:
     """The pair with the disparity range that the quick look finds, and both images of one brightness and contrast."""
     small = _shrunk(pair)
     found = match_sgbm(_flattened(small))
-    agreed = _without_specks(found.left, small.valid_left & (disagreement(found.left, found.right, -1) <= 1))
+    agreed = small.valid_left & (disagreement(found.left, found.right, -1) <= 1)
+    kept = without_specks(np.where(agreed, found.left, np.float32(np.nan)), max(agreed.size // 2000, 4))
+    agreed = ~np.isnan(kept)
     common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
     if agreed.sum() < max(_ENOUGH * common.sum(), 50):
         return _flattened(pair)
@@ -91,8 +93,3 @@ def _exposed_alike(pair: RectifiedPair, small: RectifiedPair, disparity: Float32
     if gain >= 1:
         return replace(pair, right=(gain * pair.right + offset).astype(np.float32))
     return replace(pair, left=((pair.left - offset) / gain).astype(np.float32))
-
-
-def _without_specks(disparity: Float32s, agreed: Bools) -> Bools:
-    stored = np.where(agreed, np.rint(16 * np.nan_to_num(disparity)), INVALID).astype(np.int16)
-    return np.asarray(without_specks(stored, max(agreed.size // 2000, 4), 1.5) != INVALID)

@@ -11,7 +11,7 @@ from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
 from wbflow_stages.rectification.mapping import disparity_px
 from wbflow_stages.types import INVALID, Disparity, Frame, Rectification, Rejected
 
-NAMES: tuple[Matcher, ...] = ("sgbm",)
+NAMES: tuple[Matcher, ...] = ("sgbm", "patchmatch")
 
 
 def matched(left: Frame, right: Frame, rectification: Rectification, matcher: Matcher) -> Disparity:

@@ -1,0 +1,180 @@
+"""Census costs and semi-global matching along eight paths (Zabih & Woodfill, ECCV 1994; Hirschmueller, PAMI 2008).
+
+The census of a pixel says which of its 9x7 neighbours are darker: exposure does not matter.  Both views' disparities are read
+from one volume of costs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..kernels import kernel
+from ..types import Bools, Float32s, Uint8s, Uint16s
+from .pair import DenseMatches, RectifiedPair
+
+Uint64s = npt.NDArray[np.uint64]
+
+_SMALL_STEP = 12
+_LARGE_STEP, _LARGE_STEP_AT_LEAST = 100.0, 20.0
+"""Penalties for a disparity that changes by 1 and by more; the latter falls with the image gradient, down to its least."""
+
+_GRADIENT = 0.1
+_UNKNOWN_COST = 35
+"""Cost of a partner that may not be matched: a little above that of unrelated texture."""
+
+
+def match_census_sgm(pair: RectifiedPair) -> DenseMatches:
+    """Disparity of both views, to a fraction of a pixel in the left one, in whole pixels in the right one."""
+    census1 = _census(np.ascontiguousarray(pair.left))
+    census2 = _census(np.ascontiguousarray(pair.right))
+    count = pair.disparity_max - pair.disparity_min + 1
+    volume = _costs(census1, census2, pair.valid_right, pair.disparity_min, count, np.uint8(_UNKNOWN_COST))
+    large = _large_steps(pair.left)
+    summed = np.zeros(volume.shape, dtype=np.uint16)
+    for backward in (False, True):
+        _aggregate(volume, large, np.uint16(_SMALL_STEP), backward, summed)
+    left, right, distinct1, distinct2 = _best(summed, pair.disparity_min)
+    return DenseMatches(left, right, distinct1, distinct2)
+
+
+def _large_steps(image: Float32s) -> Uint16s:
+    """(4, h, w) uint16: penalty of a jump between a pixel and its neighbour to the left, upper left, above, upper right."""
+    height, width = image.shape
+    border = np.pad(image, 1, mode="edge")
+    steps = np.empty((4, height, width), dtype=np.uint16)
+    for k, (dy, dx) in enumerate(((0, -1), (-1, -1), (-1, 0), (-1, 1))):
+        neighbour = border[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
+        penalty = _LARGE_STEP / (1 + _GRADIENT * np.abs(image - neighbour))
+        steps[k] = np.maximum(penalty, _LARGE_STEP_AT_LEAST)
+    return steps
+
+
+@kernel
+def _census(image: Float32s) -> Uint64s:
+    """(h, w) uint64: one bit for each of the 62 neighbours in a 9x7 window, set where it is darker than the centre."""
+    height, width = image.shape
+    bits = np.zeros((height, width), dtype=np.uint64)
+    for y in range(height):
+        for dy in range(-3, 4):
+            row = min(max(y + dy, 0), height - 1)
+            for dx in range(-4, 5):
+                if dx == 0 and dy == 0:
+                    continue
+                for x in range(width):
+                    column = min(max(x + dx, 0), width - 1)
+                    bits[y, x] = (bits[y, x] << np.uint64(1)) | np.uint64(image[row, column] < image[y, x])
+    return bits
+
+
+@kernel
+def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: int, unknown: np.uint8) -> Uint8s:
+    """(h, w, count) uint8: number of neighbours that tell the two pixels apart."""
+    height, width = census1.shape
+    m1, m2, m4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
+    ones = np.uint64(0x0101010101010101)
+    volume = np.full((height, width, count), unknown, dtype=np.uint8)
+    for y in range(height):
+        for x in range(width):
+            first = max(0, x - low - width + 1)
+            last = min(count, x - low + 1)
+            own = census1[y, x]
+            for k in range(first, last):
+                v = own ^ census2[y, x - low - k]
+                v = v - ((v >> np.uint64(1)) & m1)
+                v = (v & m2) + ((v >> np.uint64(2)) & m2)
+                v = (v + (v >> np.uint64(4))) & m4
+                volume[y, x, k] = np.uint8((v * ones) >> np.uint64(56))
+            for k in range(first, last):
+                if not valid2[y, x - low - k]:
+                    volume[y, x, k] = unknown
+    return volume
+
+
+@kernel
+def _path(
+    costs: Uint8s, before: Uint16s, least: np.uint16, large: np.uint16, small: np.uint16, after: Uint16s, total: Uint16s
+) -> np.uint16:
+    """One step along one path: `before` and `after` are (count + 2,) with sentinels at both ends.  Gives the least of `after`."""
+    count = costs.shape[0]
+    limit = np.uint16(least + large)
+    smallest = np.uint16(65535)
+    for k in range(count):
+        straight = before[k + 1]
+        beside = np.uint16(min(before[k], before[k + 2]) + small)
+        best = min(min(straight, beside), limit)
+        value = np.uint16(np.uint16(costs[k]) + np.uint16(best - least))
+        after[k + 1] = value
+        total[k] = np.uint16(total[k] + value)
+        smallest = min(smallest, value)
+    return smallest
+
+
+@kernel
+def _aggregate(volume: Uint8s, large: Uint16s, small: np.uint16, backward: bool, summed: Uint16s) -> None:
+    """Add four of the eight paths to `summed`: those that come from the left and above, or from the right and below."""
+    height, width, count = volume.shape
+    wall = np.uint16(30000)
+    rows = np.full((2, 3, width + 2, count + 2), wall, dtype=np.uint16)
+    rows[:, :, :, 1 : count + 1] = np.uint16(0)
+    least = np.zeros((2, 3, width + 2), dtype=np.uint16)
+    line = np.full((2, count + 2), wall, dtype=np.uint16)
+    for i in range(height):
+        y = height - 1 - i if backward else i
+        now, past = i & 1, 1 - (i & 1)
+        line[:, 1 : count + 1] = np.uint16(0)
+        least_line = np.uint16(0)
+        turn = 0
+        for j in range(width):
+            x = width - 1 - j if backward else j
+            costs, total = volume[y, x], summed[y, x]
+            # the penalty of a step is stored at the pixel right of or below it
+            jump = large[0, y, min(x + 1, width - 1)] if backward else large[0, y, x]
+            least_line = _path(costs, line[turn], least_line, jump, small, line[1 - turn], total)
+            turn = 1 - turn
+            for r in range(3):
+                if backward:
+                    below, beside = min(y + 1, height - 1), min(max(x + r - 1, 0), width - 1)
+                    jump = large[3 - r, below, beside]
+                else:
+                    jump = large[1 + r, y, x]
+                least[now, r, x + 1] = _path(
+                    costs, rows[past, r, x + r], least[past, r, x + r], jump, small, rows[now, r, x + 1], total
+                )
+
+
+@kernel
+def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Float32s]:
+    """Disparity of least summed cost for both views, and how much worse the next best is, 0 to 1."""
+    height, width, count = summed.shape
+    left = np.empty((height, width), dtype=np.float32)
+    right = np.full((height, width), np.nan, dtype=np.float32)
+    distinct1 = np.zeros((height, width), dtype=np.float32)
+    distinct2 = np.zeros((height, width), dtype=np.float32)
+    value2 = np.empty(width, dtype=np.uint16)
+    for y in range(height):
+        value2[:] = np.uint16(65535)
+        for x in range(width):
+            sums = summed[y, x]
+            best = np.argmin(sums)
+            least = sums[best]
+            offset = 0.0
+            if 0 < best < count - 1:
+                before, after = np.float32(sums[best - 1]) - least, np.float32(sums[best + 1]) - least
+                steep = max(before, after)
+                if steep > 0:
+                    offset = 0.5 * (before - after) / steep
+            left[y, x] = low + best + offset
+            rival = np.uint16(65535)
+            for k in range(count):
+                if k < best - 1 or k > best + 1:
+                    rival = min(rival, sums[k])
+            lead = (np.float32(rival) - np.float32(least)) / (np.float32(least) + np.float32(1.0))
+            distinct1[y, x] = min(np.float32(1.0), lead)
+            for k in range(max(0, x - low - width + 1), min(count, x - low + 1)):
+                partner = x - low - k
+                if sums[k] < value2[partner]:
+                    value2[partner] = sums[k]
+                    right[y, partner] = low + k
+                    distinct2[y, partner] = 1.0
+    return left, right, distinct1, distinct2

@@ -1,0 +1,363 @@
+"""Slanted PatchMatch from a census SGM start: a plane of disparity for each pixel, spread to neighbours and refined at random.
+
+After Bleyer, Rhemann & Rother (BMVC 2011), with the start and the cost changed: semi-global matching at a fraction of the size
+tells where to look, so two sweeps are enough; the cost is 1 - ZNCC of windows weighted by likeness, which exposure does not
+change.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..kernels import kernel
+from ..types import Bools, Float32s
+from .census_sgm import match_census_sgm
+from .checks import disagreement, fill_along_rows, without_specks
+from .pair import DenseMatches, RectifiedPair, mirrored
+
+Scalar = np.float32
+
+_SWEEPS = 2
+_RADIUS, _STRIDE = 3, 1
+_LIKENESS = 12.0
+"""Grey levels at which a pixel of the window counts half."""
+
+_DEAREST = 0.6
+"""Planes that cost more are no matches."""
+
+_LARGEST_VOLUME = 250e6
+"""Cells of the SGM volume, three bytes each; larger pairs start from a smaller size."""
+
+_BEYOND = 0.5
+"""Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
+
+
+def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
+    """Disparity of both views to a fraction of a pixel; confidence 1 - cost."""
+    shrink = 2
+    while pair.left.size * (pair.disparity_max - pair.disparity_min + 8) / shrink**3 > _LARGEST_VOLUME:
+        shrink *= 2
+    start1, start2 = _start(pair, shrink)
+    views = [_View(pair, start1, shrink), _View(mirrored(pair), start2[:, ::-1], shrink)]
+    for sweep in range(_SWEEPS):
+        proposals = [view.seen_from_other() for view in views[::-1]] if sweep else [None, None]
+        for view, proposed in zip(views, proposals, strict=True):
+            view.sweep(sweep, proposed)
+    left, right = views[0].smoothed(), views[1].smoothed()[:, ::-1]
+    return DenseMatches(
+        left, np.ascontiguousarray(right), 1 - views[0].cost, np.ascontiguousarray(1 - views[1].cost[:, ::-1])
+    )
+
+
+class _View:
+    """The planes of one view and what they cost; the view is the left one of its pair."""
+
+    def __init__(self, pair: RectifiedPair, start: Float32s, shrink: int) -> None:
+        self.pair = pair
+        start = np.ascontiguousarray(start)
+        self.planes = np.empty((*pair.left.shape, 3), dtype=np.float32)
+        along_x, along_y = _slopes(start)
+        _spread_start(start, along_x, along_y, shrink, self.planes)
+        self.cost = np.empty(pair.left.shape, dtype=np.float32)
+
+    def sweep(self, sweep: int, proposals: Float32s | None) -> None:
+        pair = self.pair
+        beyond = _BEYOND * (pair.disparity_max - pair.disparity_min)
+        low, high = pair.disparity_min - beyond, pair.disparity_max + beyond
+        if proposals is None:
+            proposals = np.full_like(self.planes, np.nan)
+        _sweep(
+            pair.left, pair.right, pair.valid_left, self.planes, self.cost, proposals,
+            sweep, Scalar(low), Scalar(high), Scalar(1.5 * 0.6**sweep), Scalar(0.3 * 0.7**sweep),
+        )  # fmt: skip
+
+    def smoothed(self) -> Float32s:
+        """Disparity (h, w), nan where too costly."""
+        return _smoothed(self.pair.left, self.planes, self.cost, _DEAREST)
+
+    def seen_from_other(self) -> Float32s:
+        return _seen_from_other(self.planes, self.cost)
+
+
+def _start(pair: RectifiedPair, shrink: int) -> tuple[Float32s, Float32s]:
+    """Disparity of both views at 1 / shrink of the size, in its pixels; holes filled."""
+    small = RectifiedPair(
+        left=shrunk(pair.left, shrink),
+        right=shrunk(pair.right, shrink),
+        valid_left=shrunk(pair.valid_left.astype(np.float32), shrink) > 0.99,
+        valid_right=shrunk(pair.valid_right.astype(np.float32), shrink) > 0.99,
+        disparity_min=pair.disparity_min // shrink - 1,
+        disparity_max=-(-pair.disparity_max // shrink) + 1,
+    )
+    found = match_census_sgm(small)
+    starts = []
+    for one, other, valid, sign in (
+        (found.left, found.right, small.valid_left, -1),
+        (found.right, found.left, small.valid_right, 1),
+    ):
+        agreed = np.where(valid & (disagreement(one, other, sign) <= 1), one, np.float32(np.nan)).astype(np.float32)
+        agreed = without_specks(agreed, 60)
+        filled = fill_along_rows(agreed, -sign)
+        middle = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.5 * (small.disparity_min + small.disparity_max)
+        whole = np.where(np.isnan(filled), middle, filled).astype(np.float32)
+        starts.append(np.asarray(cv2.medianBlur(whole, 5), dtype=np.float32))
+    return starts[0], starts[1]
+
+
+def shrunk(image: Float32s, shrink: int) -> Float32s:
+    """Means of shrink x shrink blocks; the image is filled up at the right and the bottom with its border."""
+    height, width = image.shape
+    whole = np.pad(image, ((0, -height % shrink), (0, -width % shrink)), mode="edge")
+    small = cv2.resize(whole, (whole.shape[1] // shrink, whole.shape[0] // shrink), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)
+
+
+@kernel
+def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
+    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without what jumps."""
+    height, width = disparity.shape
+    along_x = np.zeros((height, width), dtype=np.float32)
+    along_y = np.zeros((height, width), dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            centre = disparity[y, x]
+            xx, yy, xy, xd, yd = 1.0, 1.0, 0.0, 0.0, 0.0
+            for dy in range(-5, 6, 2):
+                if not 0 <= y + dy < height:
+                    continue
+                for dx in range(-5, 6, 2):
+                    if not 0 <= x + dx < width:
+                        continue
+                    rise = disparity[y + dy, x + dx] - centre
+                    if abs(rise) <= 1.0 + abs(dx) + 3.0 * abs(dy):
+                        xx += dx * dx
+                        yy += dy * dy
+                        xy += dx * dy
+                        xd += dx * rise
+                        yd += dy * rise
+            det = xx * yy - xy * xy
+            along_x[y, x] = (xd * yy - yd * xy) / det
+            along_y[y, x] = (yd * xx - xd * xy) / det
+    return along_x, along_y
+
+
+@kernel
+def _spread_start(start: Float32s, along_x: Float32s, along_y: Float32s, shrink: int, planes: Float32s) -> None:
+    height, width = planes.shape[:2]
+    centre = 0.5 * (shrink - 1)
+    for y in range(height):
+        for x in range(width):
+            row, column = y // shrink, x // shrink
+            a, b = along_x[row, column], along_y[row, column]
+            planes[y, x, 0] = shrink * start[row, column] + a * (x - shrink * column - centre) + b * (y - shrink * row - centre)
+            planes[y, x, 1] = a
+            planes[y, x, 2] = b
+
+
+@kernel
+def _seen_from_other(planes: Float32s, cost: Float32s) -> Float32s:
+    """(h, w, 3): planes of one view as the other, mirrored, sees them; nan where none lands, the cheapest where several do."""
+    height, width = cost.shape
+    seen = np.full((height, width, 3), np.nan, dtype=np.float32)
+    cheapest = np.full(width, np.inf, dtype=np.float32)
+    for y in range(height):
+        cheapest[:] = np.inf
+        for x in range(width):
+            d, a, b = planes[y, x, 0], planes[y, x, 1], planes[y, x, 2]
+            column = np.int64(np.rint(x - d))
+            if not 0 <= column < width:
+                continue
+            there = width - 1 - column
+            if cost[y, x] >= cheapest[there]:
+                continue
+            cheapest[there] = cost[y, x]
+            steeper = 1 / (1 - a)
+            seen[y, there, 0] = d + a * steeper * (column - (x - d))
+            seen[y, there, 1] = -a * steeper
+            seen[y, there, 2] = b * steeper
+    return seen
+
+
+@kernel
+def _random(state: np.uint64) -> tuple[np.uint64, np.float32]:
+    """Next state of a xorshift generator, and its number from -1 to 1."""
+    state ^= state << np.uint64(13)
+    state ^= state >> np.uint64(7)
+    state ^= state << np.uint64(17)
+    return state, np.float32(np.int64(state >> np.uint64(40)) * (1.0 / (1 << 23)) - 1.0)
+
+
+@kernel
+def _cost(
+    right: Float32s, x: int, y: int, d: Scalar, a: Scalar, b: Scalar, weights: Float32s, pattern: Float32s, spread: Scalar
+) -> Scalar:
+    """1 - ZNCC of the window around (x, y) and its image under the plane.
+
+    `weights` sum to 1; `pattern` are the weights times the window's grey minus its mean, so that they sum to 0; `spread` is the
+    window's deviation."""
+    height, width = right.shape
+    step = np.float32(1.0) - a
+    reach = np.float32(_RADIUS) * abs(step) + np.float32(_RADIUS) * abs(b)
+    middle = np.float32(x) - d
+    if middle - reach < 0 or middle + reach >= width - 1:
+        return np.float32(1.0)
+    mean = np.float32(0.0)
+    square = np.float32(0.0)
+    product = np.float32(0.0)
+    k = 0
+    for dy in range(-_RADIUS, _RADIUS + 1, _STRIDE):
+        row = right[min(max(y + dy, 0), height - 1)]
+        base = middle - b * np.float32(dy)
+        for dx in range(-_RADIUS, _RADIUS + 1, _STRIDE):
+            at = base + np.float32(dx) * step
+            i = np.int32(at)
+            v = row[i] + (at - np.float32(i)) * (row[i + 1] - row[i])
+            w = weights[k]
+            mean += w * v
+            square += w * v * v
+            product += pattern[k] * v
+            k += 1
+    variance = square - mean * mean
+    if variance < np.float32(0.05) or spread < np.float32(0.2236):
+        return np.float32(0.9)
+    cost = np.float32(1.0) - product / (spread * np.sqrt(variance))
+    return min(max(cost, np.float32(0.0)), np.float32(1.0))
+
+
+@kernel
+def _sweep(
+    left: Float32s, right: Float32s, valid: Bools, planes: Float32s, cost: Float32s, proposals: Float32s,
+    sweep: int, low: Scalar, high: Scalar, amplitude: Scalar, tilt: Scalar,
+) -> None:  # fmt: skip
+    """One pass over the image, from the upper left or from the lower right.
+
+    Each pixel tries four neighbours' planes, what the other view proposes, then three random changes."""
+    height, width = left.shape
+    taps = ((2 * _RADIUS) // _STRIDE + 1) ** 2
+    weights = np.empty(taps, dtype=np.float32)
+    pattern = np.empty(taps, dtype=np.float32)
+    forward = sweep % 2 == 0
+    o = -1 if forward else 1
+    soft = np.float32(1.0 / _LIKENESS)
+    for i in range(height):
+        y = i if forward else height - 1 - i
+        for j in range(width):
+            x = j if forward else width - 1 - j
+            if not valid[y, x]:
+                cost[y, x] = np.float32(1.0)
+                continue
+            centre = left[y, x]
+            total = np.float32(0.0)
+            mean = np.float32(0.0)
+            k = 0
+            for dy in range(-_RADIUS, _RADIUS + 1, _STRIDE):
+                row = min(max(y + dy, 0), height - 1)
+                for dx in range(-_RADIUS, _RADIUS + 1, _STRIDE):
+                    column = min(max(x + dx, 0), width - 1)
+                    v = left[row, column]
+                    e = (v - centre) * soft
+                    w = np.float32(1.0) / (np.float32(1.0) + e * e)
+                    if not valid[row, column]:
+                        w = np.float32(0.0)
+                    weights[k] = w
+                    pattern[k] = v
+                    total += w
+                    mean += w * v
+                    k += 1
+            mean /= total
+            variance = np.float32(0.0)
+            for k in range(taps):
+                weights[k] /= total
+                e = pattern[k] - mean
+                variance += weights[k] * e * e
+                pattern[k] = weights[k] * e
+            spread = np.sqrt(variance)
+
+            d, a, b = planes[y, x, 0], planes[y, x, 1], planes[y, x, 2]
+            c = _cost(right, x, y, d, a, b, weights, pattern, spread) if sweep == 0 else cost[y, x]
+            for q in range(4):
+                if q == 0:
+                    dx, dy = o, 0
+                elif q == 1:
+                    dx, dy = 0, o
+                elif q == 2:
+                    dx, dy = 3 * o, 2 * o
+                else:
+                    dx, dy = -3 * o, 3 * o
+                column, row = x + dx, y + dy
+                if not (0 <= column < width and 0 <= row < height) or not valid[row, column]:
+                    continue
+                na, nb = planes[row, column, 1], planes[row, column, 2]
+                nd = planes[row, column, 0] - na * np.float32(dx) - nb * np.float32(dy)
+                if nd < low or nd > high:
+                    continue
+                if abs(nd - d) < 0.01 and abs(na - a) < 0.002 and abs(nb - b) < 0.002:
+                    continue
+                nc = _cost(right, x, y, nd, na, nb, weights, pattern, spread)
+                if nc < c:
+                    c, d, a, b = nc, nd, na, nb
+            nd, na, nb = proposals[y, x, 0], proposals[y, x, 1], proposals[y, x, 2]
+            if low <= nd <= high and (abs(nd - d) >= 0.01 or abs(na - a) >= 0.002 or abs(nb - b) >= 0.002):
+                nc = _cost(right, x, y, nd, na, nb, weights, pattern, spread)
+                if nc < c:
+                    c, d, a, b = nc, nd, na, nb
+            shift, turn = amplitude, tilt
+            state = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)
+            state ^= np.uint64(sweep + 1) * np.uint64(0x165667B19E3779F9)
+            state, _ = _random(state | np.uint64(1))
+            for _q in range(3):
+                state, r1 = _random(state)
+                state, r2 = _random(state)
+                state, r3 = _random(state)
+                nd, na, nb = d + r1 * shift, a + r2 * turn, b + r3 * turn
+                shift *= np.float32(0.3)
+                turn *= np.float32(0.4)
+                if nd < low or nd > high or na > 0.9 or na < -6.0 or abs(nb) > 6.0:
+                    continue
+                nc = _cost(right, x, y, nd, na, nb, weights, pattern, spread)
+                if nc < c:
+                    c, d, a, b = nc, nd, na, nb
+            planes[y, x, 0], planes[y, x, 1], planes[y, x, 2] = d, a, b
+            cost[y, x] = c
+
+
+@kernel
+def _smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float) -> Float32s:
+    """(h, w) disparity: the planes' own, corrected by a least-squares plane through what neighbours within 3 px say.
+
+    They must nearly agree, and weigh by likeness."""
+    height, width = cost.shape
+    out = np.full((height, width), np.nan, dtype=np.float32)
+    soft = np.float32(1.0 / _LIKENESS)
+    for y in range(height):
+        for x in range(width):
+            if cost[y, x] >= dearest:
+                continue
+            d, a, b = planes[y, x, 0], planes[y, x, 1], planes[y, x, 2]
+            grey = image[y, x]
+            near = 1.5 + 0.7 * (abs(a) + abs(b))  # errors between the rows shift a steep plane the more
+            s, sx, sy, sxx, syy, sxy = 0.0, 0.0, 0.0, 2.0, 2.0, 0.0  # 2: slopes stay the plane's own where little speaks
+            v, vx, vy = 0.0, 0.0, 0.0
+            for row in range(max(y - 3, 0), min(y + 4, height)):
+                dy = row - y
+                for column in range(max(x - 3, 0), min(x + 4, width)):
+                    dx = column - x
+                    e = planes[row, column, 0] - (d + a * dx + b * dy)
+                    if cost[row, column] >= dearest or abs(e) > near:
+                        continue
+                    unlike = (image[row, column] - grey) * soft
+                    w = 1.0 / (1.0 + unlike * unlike)
+                    s += w
+                    sx += w * dx
+                    sy += w * dy
+                    sxx += w * dx * dx
+                    syy += w * dy * dy
+                    sxy += w * dx * dy
+                    v += w * e
+                    vx += w * e * dx
+                    vy += w * e * dy
+            minor = sxx * syy - sxy * sxy
+            det = s * minor - sx * (sx * syy - sxy * sy) + sy * (sx * sxy - sxx * sy)
+            out[y, x] = d + (v * minor - sx * (vx * syy - sxy * vy) + sy * (vx * sxy - sxx * vy)) / det
+    return out
