@@ -45,9 +45,7 @@ def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
         for view, proposed in zip(views, proposals, strict=True):
             view.sweep(sweep, proposed)
     left, right = views[0].smoothed(), views[1].smoothed()[:, ::-1]
-    return DenseMatches(
-        left, np.ascontiguousarray(right), 1 - views[0].cost, np.ascontiguousarray(1 - views[1].cost[:, ::-1])
-    )
+    return DenseMatches(left, np.ascontiguousarray(right), 1 - views[0].cost, np.ascontiguousarray(1 - views[1].cost[:, ::-1]))
 
 
 class _View:
