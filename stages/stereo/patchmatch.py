@@ -19,8 +19,8 @@ from .pair import DenseMatches, RectifiedPair, mirrored
 Scalar = np.float32
 
 _SWEEPS = 2
-_RADIUS, _STRIDE = 3, 1
-_LIKENESS = 12.0
+_RADIUS, _STRIDE = 3, 2
+_LIKENESS = 8.0
 """Grey levels at which a pixel of the window counts half."""
 
 _DEAREST = 0.6
