@@ -106,7 +106,8 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, ga
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.
     """
-    supported = frame.mask & (verdict.pairs >= strict) & (4 * (verdict.agreeing + 1.0) >= verdict.visible + 1.0)
+    supported = frame.mask & (depth.sure | (verdict.agreeing > 0))
+    supported &= (verdict.pairs >= strict) & (4 * (verdict.agreeing + 1.0) >= verdict.visible + 1.0)
     y, x = np.nonzero(np.isfinite(depth.depth) & supported & (2 * verdict.violating <= verdict.agreeing))
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     return Samples(

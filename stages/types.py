@@ -348,7 +348,8 @@ class DepthMap:
 
     depth, sigma: (h, w) float32, along the optical axis, in world lengths; nan where unknown;
     slope_x, slope_y: (h, w) float32, change of 1 / depth per pixel: the local plane;
-    support: (h, w) uint32, bit k set where the pair with `partners[k]` supports the depth.
+    support: (h, w) uint32, bit k set where the pair with `partners[k]` supports the depth;
+    sure: (h, w) bool, False where the depth must not be believed unless another view's depth agrees.
     """
 
     depth: Float32s
@@ -357,6 +358,7 @@ class DepthMap:
     slope_y: Float32s
     support: Uint32s
     partners: tuple[str, ...]
+    sure: Bools
 
 
 @dataclass(frozen=True)

@@ -121,6 +121,20 @@ STAGES: tuple[Stage, ...] = (
         picture="wbflow_stages.previews:disparity_preview",
     ),
     Stage(
+        "refine",
+        scope="camera",
+        function="wbflow_stages.refine:refine",
+        needs={
+            "frame": Need("frames"),
+            "frames": Need("frames", "around"),
+            "cameras": Need("poses", part="cameras"),
+            "rectifications": Need("rectify", "around"),
+            "disparities": Need("disparity", "around"),
+        },
+        picture="wbflow_stages.previews:depth_preview",
+        optional=True,
+    ),
+    Stage(
         "fuse",
         scope="site",
         function="wbflow_stages.fuse:fuse",
@@ -129,6 +143,7 @@ STAGES: tuple[Stage, ...] = (
             "cameras": Need("poses", part="cameras"),
             "rectifications": Need("rectify", "all"),
             "disparities": Need("disparity", "all"),
+            "refined": Need("refine", "all", optional=True),
         },
         suffix=".ply",
         picture="wbflow_stages.previews:cloud_preview",

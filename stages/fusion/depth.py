@@ -124,7 +124,7 @@ def fuse_pairs(
     support = np.zeros((h, w), np.uint32)
     _agree(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
     slope_x, slope_y = inverse_depth_slopes(depth, camera.K[0, 0])
-    return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners))
+    return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners), np.isfinite(depth))
 
 
 @kernel

@@ -142,7 +142,8 @@ def test_a_refined_depth_takes_the_place_of_the_pairs():
         depth = true_depth(camera).astype(np.float32)
         partners = tuple(other for other in yard.cameras if other != name)
         support = np.full(depth.shape, 1, np.uint32)
-        refined[name] = DepthMap(depth, 0.001 * depth, *inverse_depth_slopes(depth, camera.K[0, 0]), support, partners)
+        slopes = inverse_depth_slopes(depth, camera.K[0, 0])
+        refined[name] = DepthMap(depth, 0.001 * depth, *slopes, support, partners, support > 0)
     lazy = Counting(yard.disparities)
     cloud = fuse(yard.frames, yard.cameras, yard.rectifications, lazy, refined)
     assert isinstance(cloud, Cloud) and lazy.loads == 0

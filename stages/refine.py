@@ -1,0 +1,155 @@
+"""Depth of one view refined against all views around it at once: the second pass, after the pairs.
+
+Starting from the pairs' depth, planes are improved by what several photographs together show (`fusion.planes`): matches that no
+single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a surface best.
+
+References
+----------
+Bleyer, Rhemann, Rother, PatchMatch Stereo, BMVC 2011; Galliani, Lasinger, Schindler, Massively Parallel Multiview Stereopsis by
+Surface Normal Diffusion, ICCV 2015.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from .fuse import view_depth
+from .fusion.depth import NoiseModel, transfer
+from .fusion.planes import judge_planes, sweep_planes
+from .types import Camera, DepthMap, Disparity, Float32s, Frame, Int32s, Pair, Rectification, Rejected
+
+
+def refine(
+    frame: Frame,
+    frames: Mapping[str, Frame],
+    cameras: Mapping[str, Camera],
+    rectifications: Mapping[Pair, Rectification],
+    disparities: Mapping[Pair, Disparity],
+    *,
+    radius: int = 3,
+    sweeps: int = 2,
+    max_sources: int = 6,
+    min_angle_deg: float = 4.0,
+    max_angle_deg: float = 65.0,
+    max_cost: float = 0.4,
+    noise_px: float = 0.35,
+) -> DepthMap | Rejected:
+    """Refine the depth of one view.
+
+    Parameters
+    ----------
+    frame
+        The view itself.
+    frames
+        Of the view and of those it makes pairs with.
+    cameras
+        Of the site, by id; views without one are passed over.
+    rectifications, disparities
+        Of the pairs that the view is part of.
+    radius
+        The patch that is compared reaches so many pixels from its centre; every second pixel of it is used.
+    sweeps
+        Passes over the image, alternately down and up.
+    max_sources
+        Compare with at most so many views, the nearest in angle.
+    min_angle_deg, max_angle_deg
+        Only with views that see the scene from so many degrees aside.
+    max_cost
+        Keep planes whose best source correlates better than 1 - max_cost.
+    noise_px
+        Assumed error of a match in pixels, standard deviation.
+
+    References
+    ----------
+    See the module.
+    """
+    name = _own_name(frame, frames)
+    if name not in cameras:
+        return Rejected("the camera's pose is not known")
+    start = view_depth(name, cameras, rectifications, disparities, NoiseModel(noise_px=noise_px))
+    if start is None or not np.isfinite(start.depth).any():
+        return Rejected("no pair gave this view any depth", {"pairs": float(len(disparities))})
+    around = _sources(name, [other for other in frames if other in cameras], cameras, start, min_angle_deg, max_angle_deg)
+    around = around[: min(max_sources, 32)]
+    if not around:
+        return Rejected("no other view sees the scene from a useful angle", {"views": float(len(frames) - 1)})
+    image = grey(frame)
+    sources = _stack([grey(frames[other]) for other in around])
+    M, b = (np.stack(part) for part in zip(*(transfer(cameras[name], cameras[other]) for other in around), strict=True))
+    taps = _taps(radius)
+    q = 1.0 / start.depth.astype(np.float64)
+    A, B = start.slope_x.astype(np.float64), start.slope_y.astype(np.float64)
+    known = np.isfinite(q)
+    nearest, farthest = np.percentile(q[known], [99.8, 0.2])
+    cost, best = np.empty(q.shape, np.float32), np.zeros(q.shape, np.uint8)
+    far = max(2, round(5 * max(image.shape) / 768))
+    sweep_planes(
+        *(image, frame.mask, sources, M, b, taps, SOFTNESS, sweeps, far, 0.9 * farthest, 1.1 * nearest, 1),
+        *(q, A, B, cost, best),
+    )
+    support, parallax = np.zeros(q.shape, np.uint32), np.zeros(q.shape, np.float32)
+    first, second = np.empty_like(cost), np.empty_like(cost)
+    judge_planes(image, sources, M, b, taps, SOFTNESS, max_cost, q, A, B, support, parallax, first, second)
+    kept = frame.mask & (first < max_cost)
+    z = np.where(kept, 1.0 / q, np.nan)
+    noise = NoiseModel(noise_px=noise_px)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / parallax + noise.floor**2)
+    return DepthMap(
+        z.astype(np.float32),
+        sigma.astype(np.float32),
+        A.astype(np.float32),
+        B.astype(np.float32),
+        support,
+        tuple(around),
+        kept & (known | (second < 0.3)),
+    )
+
+
+SOFTNESS = 12.0
+"""Grey levels at which a patch's pixel counts half."""
+
+
+def grey(frame: Frame) -> Float32s:
+    """(h, w) float32, never rounded: weak texture lives below one grey level."""
+    return np.asarray(cv2.cvtColor(frame.image.astype(np.float32), cv2.COLOR_RGB2GRAY), dtype=np.float32)
+
+
+def _own_name(frame: Frame, frames: Mapping[str, Frame]) -> str:
+    for name, other in frames.items():
+        if np.array_equal(frame.image, other.image):
+            return name
+    raise ValueError("`frames` must hold the frame itself")
+
+
+def _sources(
+    name: str, others: list[str], cameras: Mapping[str, Camera], start: DepthMap, min_angle_deg: float, max_angle_deg: float
+) -> list[str]:
+    """Views that see the middle of this view's surface from an angle within the limits, the smallest first."""
+    camera = cameras[name]
+    y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
+    z = start.depth[::8, ::8][y, x].astype(np.float64)
+    rays = np.column_stack([8.0 * x, 8.0 * y, np.ones(len(x))]) @ np.linalg.inv(camera.K).T
+    points = (rays * z[:, None]) @ camera.R + camera.C
+    angles = []
+    for other in others:
+        if other != name:
+            a, b = camera.C - points, cameras[other].C - points
+            cosine = np.sum(a * b, axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
+            angles.append((float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))), other))
+    return [other for angle, other in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
+
+
+def _stack(images: list[Float32s]) -> Float32s:
+    """(s, h, w); smaller images are filled up with their edge's values, which correlate with nothing."""
+    h, w = max(image.shape[0] for image in images), max(image.shape[1] for image in images)
+    return np.stack([np.pad(image, ((0, h - image.shape[0]), (0, w - image.shape[1])), mode="edge") for image in images])
+
+
+def _taps(radius: int) -> Int32s:
+    """(n, 2) offsets (x, y) of every second pixel of a square patch, like the black fields of a chessboard."""
+    span = range(-radius, radius + 1)
+    return np.array([(i, j) for j in span for i in span if (i + j) % 2 == 0], np.int32)
