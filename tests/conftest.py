@@ -61,7 +61,10 @@ class ToySite:
         (self.folder / "faults" / name).write_text(text)
 
     def write(self) -> None:
-        stages = {stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()}
+        stages: dict[str, Any] = {
+            stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
+        }
+        stages["refine"] = False
         site = {
             "site": "toy",
             "captures": {"root": "captures", "pattern": "{camera}.txt"},

@@ -23,6 +23,7 @@ from wbflow_stages.types import (
     Camera,
     Capture,
     Cloud,
+    DepthMap,
     Disparity,
     Features,
     Frame,
@@ -117,6 +118,7 @@ def fuse(
     cameras: Mapping[str, Camera],
     rectifications: Mapping[Pair, Rectification],
     disparities: Mapping[Pair, Disparity],
+    refined: Mapping[str, DepthMap],
     *,
     voxel_m: float | None = None,
 ) -> Cloud | Rejected:

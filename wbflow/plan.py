@@ -211,6 +211,8 @@ class Plan:
             if need.origin.startswith("site:") or (need.unless_posed and self.site.posed):
                 continue
             origin = stage_named(need.origin)
+            if need.optional and origin not in self._stages:
+                continue
             if need.which in {"all", "around"}:
                 found += self._joined(origin, need, task)
             elif need.which == "same" or origin.scope == "site":
