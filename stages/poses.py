@@ -17,7 +17,7 @@ from .georeference import Landmark, Similarity, align, upward
 from .sfm.focal import Lenses, guess_lenses, relative_rotations
 from .sfm.mapping import Model, grow, refine, replace_cameras
 from .sfm.rotations import angle_between, average_rotations, components, triangle_support
-from .sfm.tracks import Edge, Tracks, build_tracks
+from .sfm.tracks import Edge, build_tracks, without_distortion
 from .types import Camera, Float64s, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
 
 WORSE = 1.25
@@ -62,13 +62,13 @@ def solve_poses(
         return _as_stated(views, placements, stated)
     problem = _Problem.of(views, geometries)
     trusted, dropped = problem.consistent(np.radians(max_rotation_error_deg))
-    solutions = problem.models(trusted)
-    if not solutions:
+    models = problem.models(trusted)
+    if not models:
         if len(stated) >= 2:
             return _as_stated(views, placements, stated)
         figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
         return Rejected("no two cameras could be placed: " + problem.why_nothing(trusted), figures)
-    worlds = [_to_world(problem, solution, placements, survey or Survey()) for solution in solutions]
+    worlds = [_to_world(problem, model, placements, survey or Survey()) for model in models]
     return _collect(problem, worlds, stated, placements, dropped, max_epipolar_px, survey or Survey())
 
 
@@ -97,22 +97,14 @@ def _as_stated(views: Mapping[str, View], placements: Mapping[str, Placement], s
 
 
 @dataclass(frozen=True)
-class _Solution:
-    """A model of one connected part of the site, with the tracks it was made from."""
-
-    model: Model
-    tracks: Tracks
-
-
-@dataclass(frozen=True)
 class _World:
-    """A solution in the world (or in a frame of its own).
+    """A model of one connected part of the site, in the world or in a frame of its own.
 
     placed: the frame is that of the site's known positions; scale: where it comes from; suspects: known poses that the images
     contradict, by id.
     """
 
-    solution: _Solution
+    model: Model
     placed: bool
     metric: bool
     scale: str
@@ -157,7 +149,7 @@ class _Problem:
                 dropped[edge] = f"contradicts the other pairs: its rotation is {np.degrees(off):.0f} degrees off"
         return trusted, dropped
 
-    def models(self, trusted: list[Edge]) -> list[_Solution]:
+    def models(self, trusted: list[Edge]) -> list[Model]:
         """A model of every part that hangs together, largest first."""
         found = []
         waiting = components(trusted, sorted({view for edge in trusted for view in edge}))
@@ -168,10 +160,10 @@ class _Problem:
             model = grow({view: self.lenses.camera(view) for view in part}, tracks, edges, focals=self.lenses.solved)
             if model is None:
                 continue
-            found.append(_Solution(model, tracks))
+            found.append(model)
             left = [view for view in part if view not in model.cameras]
             waiting += [p for p in components([e for e in edges if e[0] in left and e[1] in left], left) if len(p) > 1]
-        return sorted(found, key=lambda s: (-len(s.model.cameras), min(s.model.cameras)))
+        return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
     def why_nothing(self, trusted: list[Edge]) -> str:
         if not self.geometries:
@@ -179,9 +171,9 @@ class _Problem:
         return "the pairs contradict each other" if not trusted else "too few points are seen at an angle"
 
 
-def _to_world(problem: _Problem, solution: _Solution, placements: Mapping[str, Placement], survey: Survey) -> _World:
-    """The solution in the frame and scale of what is known, which then stays."""
-    cameras = solution.model.cameras
+def _to_world(problem: _Problem, model: Model, placements: Mapping[str, Placement], survey: Survey) -> _World:
+    """The model in the frame and scale of what is known, which then stays."""
+    cameras = model.cameras
     placed = {view: placements[name] for view in cameras if (name := problem.names[view]) in placements}
     landmarks = [
         Landmark(problem.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
@@ -190,25 +182,25 @@ def _to_world(problem: _Problem, solution: _Solution, placements: Mapping[str, P
     ]
     metric = all(p.metric for p in placed.values() if p.C is not None)
     up = upward(list(cameras.values()))
-    depth = _median_depth(solution)
+    depth = _median_depth(model)
     scale, scale_notes = _scale_of_distances(problem, cameras, survey)
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
         known_scale = scale is not None
         factor = scale if scale is not None else 1 / _median_baseline(problem, cameras)
         similarity = _own_frame(cameras, landmarks, up, factor)
-        model = _moved(solution.model, similarity)
+        model = _moved(model, similarity)
         why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
-        return _World(_Solution(model, solution.tracks), bool(landmarks), known_scale, why, {}, scale_notes)
-    model = _moved(solution.model, alignment.similarity)
+        return _World(model, bool(landmarks), known_scale, why, {}, scale_notes)
+    model = _moved(model, alignment.similarity)
     number = {name: view for view, name in enumerate(problem.names)}
     held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) >= 2:
         stated = {view: _at(model.cameras[view], placed[view]) for view in held}
-        model = refine(replace_cameras(model, {**model.cameras, **stated}), solution.tracks, held, problem.lenses.solved)
+        model = refine(replace_cameras(model, {**model.cameras, **stated}), held, problem.lenses.solved)
     suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items()}
     source = f"{len(alignment.trusted)} known positions" if scale is None or len(landmarks) > 1 else "known distances"
-    return _World(_Solution(model, solution.tracks), True, metric or scale is not None, source, suspects, scale_notes)
+    return _World(model, True, metric or scale is not None, source, suspects, scale_notes)
 
 
 def _scale_of_distances(problem: _Problem, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
@@ -249,15 +241,14 @@ def _at(camera: Camera, placement: Placement) -> Camera:
 
 def _moved(model: Model, similarity: Similarity) -> Model:
     cameras = {view: similarity.camera(camera) for view, camera in model.cameras.items()}
-    return Model(cameras, similarity.points(model.X), model.use)
+    return replace(model, cameras=cameras, X=similarity.points(model.X))
 
 
-def _median_depth(solution: _Solution) -> float:
-    model, tracks = solution.model, solution.tracks
+def _median_depth(model: Model) -> float:
     depths = []
     for view, camera in model.cameras.items():
-        rows = model.use & (tracks.view == view)
-        depths.append((model.X[tracks.track[rows]] - camera.C) @ camera.R[2])
+        rows = model.use & (model.tracks.view == view)
+        depths.append((model.X[model.tracks.track[rows]] - camera.C) @ camera.R[2])
     return float(np.median(np.concatenate(depths)))
 
 
@@ -288,7 +279,7 @@ def _collect(
     for world in worlds:
         if not (world.placed and groups):
             groups.append([])
-        for view, camera in world.solution.model.cameras.items():
+        for view, camera in world.model.cameras.items():
             cameras[problem.names[view]] = replace(camera, component=len(groups) - 1)
             groups[-1].append(problem.names[view])
     notes = [note for world in worlds for note in world.notes]
@@ -304,7 +295,7 @@ def _collect(
     }
     unsolved = {name: _why_unsolved(problem, name, dropped) for name in problem.names if name not in cameras}
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
-    errors = np.concatenate([w.solution.model.error_px(w.solution.tracks)[w.solution.model.use] for w in worlds])
+    errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     main = worlds[0]
     return Poses(
         cameras={name: cameras[name] for name in order},
@@ -320,7 +311,7 @@ def _collect(
         scale=main.scale,
         crs=survey.crs if main.placed else "",
         notes=tuple(notes),
-        points=sum(int(np.isfinite(w.solution.model.X[:, 0]).sum()) for w in worlds),
+        points=sum(int(np.isfinite(w.model.X[:, 0]).sum()) for w in worlds),
         reprojection_px=float(np.median(errors)),
     )
 
@@ -338,10 +329,14 @@ def _verdict(
         return PairVerdict(False, why or "its cameras could not be brought into one frame", own)
     F = fundamental_from_cameras(left, right)
     adjusted = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
+    x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
+    straight = float(np.median(symmetric_epipolar_distance(F, x1, x2)))
     R = problem.rotations.get(edge)
     off = float("nan") if R is None else float(np.degrees(angle_between(R, relative_pose(left, right)[0])))
-    if why is None and adjusted > max_epipolar_px:
-        why = f"contradicts the other pairs: its inliers are {adjusted:.1f} px off the epipolar lines of the solved cameras"
+    if straight <= max_epipolar_px:
+        why = None  # cameras that were solved without the pair agree with it after all
+    elif why is None:
+        why = f"contradicts the other pairs: its inliers are {straight:.1f} px off the epipolar lines of the solved cameras"
     flagged = adjusted > max(WORSE * own, own + WORSE_PX)
     note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
     return PairVerdict(why is None, why or note, own, adjusted, off, flagged)

@@ -33,11 +33,13 @@ def adjust(
     cameras
         By number of the view.
     tracks, X, use
-        Observations, (count, 3) their points, and (n,) which observations to look at: all of them need a camera and a point.
+        Observations as they are in the frames, (count, 3) their points, and (n,) which observations to look at: all of them need
+        a camera and a point.
     held
         Cameras that stay where they are.  Where there are none, one stays, and its distance to another.
     focals
-        Views whose focal length is solved too, each with the number of its lens: views of one lens share the focal length.
+        Views whose focal length and radial distortion are solved too, each with the number of its lens: views of one lens share
+        them.
     loss_px
         Scale of the Cauchy loss.
     iterations
@@ -97,7 +99,7 @@ def _model(
 def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:
     K = camera.K
     if solved:
-        model, params = "SIMPLE_PINHOLE", [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2]]
+        model, params = "SIMPLE_RADIAL", [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2], camera.radial]
     else:
         model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
     return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
@@ -108,7 +110,7 @@ def _options(loss_px: float, iterations: int, refine_focal: bool) -> pycolmap.Bu
     options.print_summary = False
     options.refine_focal_length = refine_focal
     options.refine_principal_point = False
-    options.refine_extra_params = False
+    options.refine_extra_params = refine_focal
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = loss_px
     solver = options.ceres.solver_options
@@ -123,10 +125,10 @@ def _options(loss_px: float, iterations: int, refine_focal: bool) -> pycolmap.Bu
 def _read(model: pycolmap.Reconstruction, view: int, camera: Camera, solved: bool, fixed: bool) -> Camera:
     image = model.image(view + 1)
     if solved:
-        f = model.camera(image.camera_id).params[0]
+        f, _, _, radial = model.camera(image.camera_id).params
         K = camera.K.copy()
         K[0, 0] = K[1, 1] = f
-        camera = replace(camera, K=K)
+        camera = replace(camera, K=K, radial=float(radial))
     if fixed:
         return camera
     pose = image.cam_from_world()

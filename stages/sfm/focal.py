@@ -75,7 +75,7 @@ def _vote(
 ) -> dict[int, float]:
     """Focal length (pixels) of each view in `lenses`: the value on a grid that its pairs, each with a bounded vote, like best.
 
-    A pair likes focal lengths that give its essential matrix two equal singular values.  One is tried at a time, until none changes.
+    A pair likes focal lengths that give its essential matrix two equal singular values.  Tried in turn until none changes.
     """
     focal = {k: (start or {}).get(k) or _first_guess(views[k]) for k in lenses}
     for _ in range(SWEEPS):

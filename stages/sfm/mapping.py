@@ -13,7 +13,7 @@ import poselib
 
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
-from .tracks import Edge, Tracks
+from .tracks import Edge, Tracks, straightened, without_distortion
 from .triangulation import angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0
@@ -30,16 +30,22 @@ FOCALS_FROM = 3
 
 @dataclass(frozen=True)
 class Model:
-    """cameras: by number of the view; X: (count, 3) points of the tracks, nan where there is none; use: (n,) which observations
-    they rest on."""
+    """cameras: by number of the view; tracks: the observations, as they are in the frames; X: (count, 3) points of the tracks,
+    nan where there is none; use: (n,) which observations they rest on."""
 
     cameras: dict[int, Camera]
+    tracks: Tracks
     X: Float64s
     use: Bools
 
-    def error_px(self, tracks: Tracks) -> Float64s:
+    @property
+    def straight(self) -> Tracks:
+        """The observations as pinhole cameras would have them."""
+        return straightened(self.tracks, self.cameras)
+
+    def error_px(self) -> Float64s:
         """(n,) distance of each observation to its projected point; nan or inf where there is none."""
-        return np.asarray(np.linalg.norm(residuals(self.cameras, tracks, self.X), axis=1), dtype=np.float64)
+        return np.asarray(np.linalg.norm(residuals(self.cameras, self.straight, self.X), axis=1), dtype=np.float64)
 
 
 def grow(
@@ -74,26 +80,32 @@ def grow(
         return None
     failed: dict[int, int] = {}
     while True:
-        seen = _visible_points(model, tracks, set(cameras) - set(model.cameras))
+        seen = _visible_points(model, set(cameras) - set(model.cameras))
         candidates = [view for view, count in seen.items() if count >= MIN_POINTS and failed.get(view, -1) < count]
         if not candidates:
             break
         view = max(candidates, key=lambda v: (seen[v], -v))
-        camera = _resect(cameras[view], view, model, tracks)
+        camera = _resect(_with_lens(cameras[view], view, model, focals), view, model)
         if camera is None:
             failed[view] = seen[view]
             continue
-        model = _settle(replace_cameras(model, {**model.cameras, view: camera}), tracks, known, focals, rounds=1)
-    for _ in range(2):
-        model = _settle(model, tracks, known, focals, rounds=2)
-    return model
+        model = refine(replace_cameras(model, {**model.cameras, view: camera}), known, focals, rounds=1)
+    return refine(model, known, focals, rounds=4)
 
 
-def refine(
-    model: Model, tracks: Tracks, known: Collection[int] = (), focals: Mapping[int, int] | None = None, rounds: int = 2
-) -> Model:
+def refine(model: Model, known: Collection[int] = (), focals: Mapping[int, int] | None = None, rounds: int = 2) -> Model:
     """The model after so many rounds of triangulation, adjustment and sorting out; cameras in `known` stay."""
-    return _settle(model, tracks, known, focals, rounds)
+    free = {view: lens for view, lens in (focals or {}).items() if view in model.cameras}
+    if len(model.cameras) < FOCALS_FROM and not known:
+        free = {}
+    for _ in range(rounds):
+        model = _retriangulated(model)
+        if not model.use.any():
+            return model
+        held = [view for view in known if view in model.cameras]
+        cameras, X = adjust(model.cameras, model.tracks, model.X, model.use, held=held, focals=free)
+        model = _filtered(replace(model, cameras=cameras, X=X))
+    return model
 
 
 def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
@@ -104,7 +116,7 @@ def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
 def _from_known(cameras: Mapping[int, Camera], tracks: Tracks, known: Collection[int]) -> Model | None:
     if len(known) < 2:
         return None
-    model = _retriangulated(Model({view: cameras[view] for view in sorted(known)}, np.zeros(0), np.zeros(0, bool)), tracks)
+    model = _retriangulated(_unseen({view: cameras[view] for view in sorted(known)}, tracks))
     return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None
 
 
@@ -117,25 +129,39 @@ def _from_best_pair(cameras: Mapping[int, Camera], tracks: Tracks, geometries: M
         if R is None or t is None:
             continue
         pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
-        model = _retriangulated(Model(pair, np.zeros(0), np.zeros(0, bool)), tracks)
+        model = _retriangulated(_unseen(pair, tracks))
         wide = angles(pair, tracks, model.X, model.use)
         worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths > 2))).sum())
         if best is None or worth > best[0]:
             best = (worth, model)
     if best is None or np.isfinite(best[1].X[:, 0]).sum() < MIN_POINTS:
         return None
-    return _settle(best[1], tracks, (), None, rounds=2)
+    return refine(best[1], rounds=2)
 
 
-def _visible_points(model: Model, tracks: Tracks, views: Collection[int]) -> dict[int, int]:
-    there = np.isfinite(model.X[tracks.track, 0])
-    return {view: int((there & (tracks.view == view)).sum()) for view in sorted(views)}
+def _unseen(cameras: dict[int, Camera], tracks: Tracks) -> Model:
+    return Model(cameras, tracks, np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool))
 
 
-def _resect(camera: Camera, view: int, model: Model, tracks: Tracks) -> Camera | None:
+def _visible_points(model: Model, views: Collection[int]) -> dict[int, int]:
+    there = np.isfinite(model.X[model.tracks.track, 0])
+    return {view: int((there & (model.tracks.view == view)).sum()) for view in sorted(views)}
+
+
+def _with_lens(camera: Camera, view: int, model: Model, focals: Mapping[int, int] | None) -> Camera:
+    """The camera with the focal length that views of the same lens have been found to have."""
+    focals = focals or {}
+    for other, found in model.cameras.items():
+        if view in focals and focals.get(other) == focals[view]:
+            return replace(camera, K=found.K, radial=found.radial)
+    return camera
+
+
+def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
     """The view's pose from the points it shares with the model; None when too few agree."""
+    tracks = model.tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
-    x, X = tracks.xy[rows], model.X[tracks.track[rows]]
+    x, X = without_distortion(camera, tracks.xy[rows]), model.X[tracks.track[rows]]
     K = camera.K
     pinhole = {
         "model": "PINHOLE",
@@ -151,40 +177,26 @@ def _resect(camera: Camera, view: int, model: Model, tracks: Tracks) -> Camera |
     return replace(camera, R=R, C=-R.T @ t)
 
 
-def _settle(model: Model, tracks: Tracks, known: Collection[int], focals: Mapping[int, int] | None, rounds: int) -> Model:
-    """Triangulate, adjust and sort out, so many times."""
-    free = {view: lens for view, lens in (focals or {}).items() if view in model.cameras}
-    if len(model.cameras) < FOCALS_FROM and not known:
-        free = {}
-    for _ in range(rounds):
-        model = _retriangulated(model, tracks)
-        if not model.use.any():
-            return model
-        held = [view for view in known if view in model.cameras]
-        cameras, X = adjust(model.cameras, tracks, model.X, model.use, held=held, focals=free)
-        model = _filtered(Model(cameras, X, model.use), tracks)
-    return model
-
-
-def _retriangulated(model: Model, tracks: Tracks) -> Model:
+def _retriangulated(model: Model) -> Model:
     """All points anew from all observations; then without those that don't fit."""
-    use = posed(model.cameras, tracks)
-    X = triangulate(model.cameras, tracks, use, 1.0)
-    model = _filtered(Model(model.cameras, X, use), tracks)
-    X = triangulate(model.cameras, tracks, model.use, 1.0)
-    return _filtered(Model(model.cameras, X, posed(model.cameras, tracks)), tracks)
+    tracks = model.straight
+    everything = posed(model.cameras, tracks)
+    X = triangulate(model.cameras, tracks, everything, 1.0)
+    first = _filtered(replace(model, X=X, use=everything))
+    X = triangulate(model.cameras, tracks, first.use, 1.0)
+    return _filtered(replace(model, X=X, use=everything))
 
 
-def _filtered(model: Model, tracks: Tracks) -> Model:
+def _filtered(model: Model) -> Model:
     """Only observations that fit, and points that two of them see at an angle."""
-    error = model.error_px(tracks)
+    tracks, error = model.tracks, model.error_px()
     with np.errstate(invalid="ignore"):
         use = model.use & (error < _limit(error[model.use]))
     wide = angles(model.cameras, tracks, model.X, use) >= MIN_ANGLE
     enough = np.bincount(tracks.track[use], minlength=tracks.count) >= 2
     use &= (wide & enough)[tracks.track]
     X = np.where((wide & enough)[:, None], model.X, np.nan)
-    return Model(model.cameras, X, use)
+    return replace(model, X=X, use=use)
 
 
 def _limit(error: Float64s) -> float:

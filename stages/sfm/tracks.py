@@ -7,12 +7,12 @@ out: one wrong match then costs itself, and not the two tracks that it would hav
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..kernels import kernel
-from ..types import Float64s, Geometry, Int32s, Int64s
+from ..types import Camera, Float64s, Geometry, Int32s, Int64s
 
 Edge = tuple[int, int]
 """Two views by number, in the order of the pair."""
@@ -29,6 +29,30 @@ class Tracks:
     view: Int32s
     xy: Float64s
     count: int
+
+
+def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
+    """The tracks as pinhole cameras would see them: without the radial distortion that the cameras have."""
+    xy = tracks.xy.copy()
+    for view, camera in cameras.items():
+        if camera.radial != 0.0:
+            rows = tracks.view == view
+            xy[rows] = without_distortion(camera, xy[rows])
+    return replace(tracks, xy=xy)
+
+
+def without_distortion(camera: Camera, x: Float64s) -> Float64s:
+    """(n, 2) pixels of the frame, moved to where a pinhole would have them."""
+    if camera.radial == 0.0:
+        return x
+    centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
+    distorted = (x - centre) / f
+    radius = np.linalg.norm(distorted, axis=1)
+    straight = radius.copy()
+    for _ in range(20):  # Newton; beyond the radius at which the model folds over it stays put
+        slope = np.maximum(1 + 3 * camera.radial * straight**2, 0.2)
+        straight -= (straight * (1 + camera.radial * straight**2) - radius) / slope
+    return np.asarray(centre + f * distorted * (straight / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
 
 
 def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:

@@ -112,4 +112,6 @@ def _step(cameras: Mapping[int, Camera], tracks: Tracks, rows: Int64s, X: Float6
 
 def _sum(index: Int32s, values: Float64s, count: int) -> Float64s:
     """Rows of `values` added up by `index`, always in the same order."""
+    if len(values) == 0:
+        return np.zeros((count, values.shape[1]))
     return np.column_stack([np.bincount(index, weights=column, minlength=count) for column in values.T])
