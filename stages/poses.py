@@ -157,7 +157,7 @@ class _Problem:
             part = waiting.pop(0)
             edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
             tracks = build_tracks(edges, len(self.names))
-            model = grow({view: self.lenses.camera(view) for view in part}, tracks, edges, focals=self.lenses.solved)
+            model = grow({view: self.lenses.camera(view) for view in part}, tracks, edges, lenses=self.lenses.solved)
             if model is None:
                 continue
             found.append(model)
@@ -197,7 +197,7 @@ def _to_world(problem: _Problem, model: Model, placements: Mapping[str, Placemen
     held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) >= 2:
         stated = {view: _at(model.cameras[view], placed[view]) for view in held}
-        model = refine(replace_cameras(model, {**model.cameras, **stated}), held, problem.lenses.solved)
+        model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items()}
     source = f"{len(alignment.trusted)} known positions" if scale is None or len(landmarks) > 1 else "known distances"
     return _World(model, True, metric or scale is not None, source, suspects, scale_notes)

@@ -86,8 +86,8 @@ class Survey:
 class Camera:
     """A pinhole camera at working resolution.  K, R: (3, 3) float64; C: (3,) float64.
 
-    component: cameras with the same number share a world; 0 is the main one; radial: k1 of the distortion that was found to be
-    left in the frame where the lens was unknown (the frame is used as it is).
+    component: cameras with the same number share a world; 0 is the main one; radial: k1 and k2 of the distortion that was
+    found to be left in the frame where the lens was unknown (the frame is used as it is).
     """
 
     K: Float64s
@@ -96,7 +96,7 @@ class Camera:
     width: int
     height: int
     component: int = 0
-    radial: float = 0.0
+    radial: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def _model(
 def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:
     K = camera.K
     if solved:
-        model, params = "SIMPLE_RADIAL", [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2], camera.radial]
+        model, params = "RADIAL", [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2], *camera.radial]
     else:
         model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
     return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
@@ -125,10 +125,10 @@ def _options(loss_px: float, iterations: int, refine_focal: bool) -> pycolmap.Bu
 def _read(model: pycolmap.Reconstruction, view: int, camera: Camera, solved: bool, fixed: bool) -> Camera:
     image = model.image(view + 1)
     if solved:
-        f, _, _, radial = model.camera(image.camera_id).params
+        f, _, _, k1, k2 = model.camera(image.camera_id).params
         K = camera.K.copy()
         K[0, 0] = K[1, 1] = f
-        camera = replace(camera, K=K, radial=float(radial))
+        camera = replace(camera, K=K, radial=(float(k1), float(k2)))
     if fixed:
         return camera
     pose = image.cam_from_world()

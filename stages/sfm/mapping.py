@@ -27,16 +27,23 @@ MIN_POINTS = 12
 FOCALS_FROM = 3
 """Focal lengths are solved once there are so many views: two leave them nearly free."""
 
+LENSES_DIFFER = 0.02
+"""Views don't share a lens if their own focal lengths spread by more than this share..."""
+OWN_LENS_GAIN = 0.85
+"""...and having their own brings the median error below this share of what it was."""
+
 
 @dataclass(frozen=True)
 class Model:
     """cameras: by number of the view; tracks: the observations, as they are in the frames; X: (count, 3) points of the tracks,
-    nan where there is none; use: (n,) which observations they rest on."""
+    nan where there is none; use: (n,) which observations they rest on; lenses: views whose focal length and distortion are solved
+    too, each with the number of the lens that it may share with others."""
 
     cameras: dict[int, Camera]
     tracks: Tracks
     X: Float64s
     use: Bools
+    lenses: Mapping[int, int]
 
     @property
     def straight(self) -> Tracks:
@@ -53,29 +60,26 @@ def grow(
     tracks: Tracks,
     geometries: Mapping[Edge, Geometry],
     *,
-    known: Collection[int] = (),
-    focals: Mapping[int, int] | None = None,
+    lenses: Mapping[int, int] | None = None,
 ) -> Model | None:
-    """Solve as many views as hang together with the best pair (or with the `known` ones).
+    """Solve as many views as hang together with the best pair.
 
     Parameters
     ----------
     cameras
-        Intrinsics of every view; R and C count for the known ones only.
+        Intrinsics of every view, known or guessed; R and C don't count.
     tracks
         Observations.
     geometries
         The pairs that are believed, with relative poses.
-    known
-        Views whose poses are held.
-    focals
-        See `bundle.adjust`.
+    lenses
+        See `Model`.
 
     Returns
     -------
     Model, or None when not even two views can be placed.
     """
-    model = _from_known(cameras, tracks, known) or _from_best_pair(cameras, tracks, geometries)
+    model = _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
         return None
     failed: dict[int, int] = {}
@@ -85,17 +89,17 @@ def grow(
         if not candidates:
             break
         view = max(candidates, key=lambda v: (seen[v], -v))
-        camera = _resect(_with_lens(cameras[view], view, model, focals), view, model)
+        camera = _resect(_with_lens(cameras[view], view, model), view, model)
         if camera is None:
             failed[view] = seen[view]
             continue
-        model = refine(replace_cameras(model, {**model.cameras, view: camera}), known, focals, rounds=1)
-    return refine(model, known, focals, rounds=4)
+        model = refine(replace_cameras(model, {**model.cameras, view: camera}), rounds=1)
+    return _with_own_lenses(refine(model, rounds=4))
 
 
-def refine(model: Model, known: Collection[int] = (), focals: Mapping[int, int] | None = None, rounds: int = 2) -> Model:
+def refine(model: Model, known: Collection[int] = (), rounds: int = 2) -> Model:
     """The model after so many rounds of triangulation, adjustment and sorting out; cameras in `known` stay."""
-    free = {view: lens for view, lens in (focals or {}).items() if view in model.cameras}
+    free = {view: lens for view, lens in model.lenses.items() if view in model.cameras}
     if len(model.cameras) < FOCALS_FROM and not known:
         free = {}
     for _ in range(rounds):
@@ -113,14 +117,9 @@ def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
     return replace(model, cameras=dict(sorted(cameras.items())))
 
 
-def _from_known(cameras: Mapping[int, Camera], tracks: Tracks, known: Collection[int]) -> Model | None:
-    if len(known) < 2:
-        return None
-    model = _retriangulated(_unseen({view: cameras[view] for view in sorted(known)}, tracks))
-    return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None
-
-
-def _from_best_pair(cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry]) -> Model | None:
+def _from_best_pair(
+    cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry], lenses: Mapping[int, int]
+) -> Model | None:
     """The pair with most points at a good angle; points that other views share count twice, since these are to follow."""
     best: tuple[float, Model] | None = None
     lengths = np.bincount(tracks.track, minlength=tracks.count)
@@ -129,7 +128,8 @@ def _from_best_pair(cameras: Mapping[int, Camera], tracks: Tracks, geometries: M
         if R is None or t is None:
             continue
         pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
-        model = _retriangulated(_unseen(pair, tracks))
+        unseen = Model(pair, tracks, np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool), lenses)
+        model = _retriangulated(unseen)
         wide = angles(pair, tracks, model.X, model.use)
         worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths > 2))).sum())
         if best is None or worth > best[0]:
@@ -139,20 +139,15 @@ def _from_best_pair(cameras: Mapping[int, Camera], tracks: Tracks, geometries: M
     return refine(best[1], rounds=2)
 
 
-def _unseen(cameras: dict[int, Camera], tracks: Tracks) -> Model:
-    return Model(cameras, tracks, np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool))
-
-
 def _visible_points(model: Model, views: Collection[int]) -> dict[int, int]:
     there = np.isfinite(model.X[model.tracks.track, 0])
     return {view: int((there & (model.tracks.view == view)).sum()) for view in sorted(views)}
 
 
-def _with_lens(camera: Camera, view: int, model: Model, focals: Mapping[int, int] | None) -> Camera:
-    """The camera with the focal length that views of the same lens have been found to have."""
-    focals = focals or {}
+def _with_lens(camera: Camera, view: int, model: Model) -> Camera:
+    """The camera with the focal length and distortion that views of the same lens have been found to have."""
     for other, found in model.cameras.items():
-        if view in focals and focals.get(other) == focals[view]:
+        if view in model.lenses and model.lenses.get(other) == model.lenses[view]:
             return replace(camera, K=found.K, radial=found.radial)
     return camera
 
@@ -175,6 +170,21 @@ def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
         return None
     R, t = np.asarray(pose.R), np.asarray(pose.t)
     return replace(camera, R=R, C=-R.T @ t)
+
+
+def _with_own_lenses(model: Model) -> Model:
+    """The model with a lens for each view instead of shared ones, where these turn out to differ and that explains the images."""
+    members: dict[int, list[int]] = {}
+    for view in model.cameras:
+        if view in model.lenses:
+            members.setdefault(model.lenses[view], []).append(view)
+    if all(len(views) == 1 for views in members.values()):
+        return model
+    own = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4)
+    focal = {view: np.log(camera.K[0, 0]) for view, camera in own.cameras.items()}
+    spread = max(np.ptp([focal[view] for view in views]) for views in members.values())
+    gain = np.median(own.error_px()[own.use]) / np.median(model.error_px()[model.use])
+    return own if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN else model
 
 
 def _retriangulated(model: Model) -> Model:

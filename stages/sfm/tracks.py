@@ -35,7 +35,7 @@ def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
     """The tracks as pinhole cameras would see them: without the radial distortion that the cameras have."""
     xy = tracks.xy.copy()
     for view, camera in cameras.items():
-        if camera.radial != 0.0:
+        if any(camera.radial):
             rows = tracks.view == view
             xy[rows] = without_distortion(camera, xy[rows])
     return replace(tracks, xy=xy)
@@ -43,15 +43,17 @@ def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
 
 def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     """(n, 2) pixels of the frame, moved to where a pinhole would have them."""
-    if camera.radial == 0.0:
+    if not any(camera.radial):
         return x
     centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
     distorted = (x - centre) / f
     radius = np.linalg.norm(distorted, axis=1)
     straight = radius.copy()
-    for _ in range(20):  # Newton; beyond the radius at which the model folds over it stays put
-        slope = np.maximum(1 + 3 * camera.radial * straight**2, 0.2)
-        straight -= (straight * (1 + camera.radial * straight**2) - radius) / slope
+    k1, k2 = camera.radial
+    for _ in range(20):  # Newton; the slope is bounded, since the model folds over far outside the image
+        square = straight**2
+        slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
+        straight -= (straight * (1 + k1 * square + k2 * square**2) - radius) / slope
     return np.asarray(centre + f * distorted * (straight / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
 
 
