@@ -76,7 +76,7 @@ def rectify(
     min_matches
         Fewer matches than this reject the pair; fewer than 50 warn.
     max_row_error_px
-        Reject if the epipolar lines are likelier than 1 in 20 to be off by more than this, in pixels of the frame.
+        Without cameras, reject if three standard deviations of the epipolar lines exceed this, in pixels of the frame.
     min_angle_deg
         Reject if the rays of the matches converge by less than this (median), in degrees; where no camera tells the angle,
         a homography that explains the pair takes its place.
@@ -257,7 +257,7 @@ def _shown(rectification: Rectification, pair: _Pair, side: Side) -> Float64s:
 
 
 def _row_uncertainty_px(rectification: Rectification, pair: _Pair, geometry: Geometry, disparity: float) -> float:
-    """Two standard deviations of the epipolar lines over the shared area (95 %), pixels of the frame; 0 when cameras gave F."""
+    """Three standard deviations of the epipolar lines over the shared area (95 %), pixels of the frame; 0 when cameras gave F."""
     if pair.camera1 is not None:
         return 0.0
     shown = _shown(rectification, pair, 1)
@@ -266,7 +266,7 @@ def _row_uncertainty_px(rectification: Rectification, pair: _Pair, geometry: Geo
     if not inside.any():
         return 0.0
     at1, at2 = shown[inside], partner[inside]
-    return 2 * float(np.percentile(line_uncertainty(pair.F, pair.x1, pair.x2, at1, at2, _intrinsics_behind(geometry)), 95))
+    return 3 * float(np.percentile(line_uncertainty(pair.F, pair.x1, pair.x2, at1, at2, _intrinsics_behind(geometry)), 95))
 
 
 def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import rankdata
 
 from ..epipolar import epipoles, homogeneous, sampson_distance, skew
 from ..types import Float64s
+
+Int64s = npt.NDArray[np.int64]
 
 
 def order_agreement(y1: Float64s, y2: Float64s, bands: int = 12) -> float:
@@ -37,21 +40,43 @@ def line_uncertainty(
 ) -> Float64s:
     """Standard deviation (m,) in pixels of the epipolar line of at1 (m, 2) beside at2 (m, 2), for F fitted to x1, x2 (n, 2).
 
-    Propagates the residuals through the seven degrees of freedom of F, or the five that are left when F = K2^-T E K1^-1 and
-    `essential` = (K1, K2): few or clustered matches fit well and say little elsewhere, which no residual tells.
-    References: Csurka et al., CVIU 1997.
+    Two parts.  The residuals, propagated through the seven degrees of freedom of F, or the five that are left when
+    F = K2^-T E K1^-1 and `essential` = (K1, K2): few or clustered matches fit well and say little elsewhere, which no residual
+    tells.  And how F changes, to first order, when the matches of one part of the image are left out: wrong matches that agree
+    with each other show there.  References: Csurka et al., CVIU 1997; Efron, The jackknife, 1982.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
     Ni = np.linalg.inv(N)
     Fn = Ni.T @ F @ Ni
-    tangent = _tangent(Fn / np.linalg.norm(Fn), None if essential is None else (N @ essential[0], N @ essential[1]))
+    Fn = Fn / np.linalg.norm(Fn)
+    tangent = _tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
     rows = _derivatives(Fn, homogeneous(x1) @ N.T, homogeneous(x2) @ N.T, half) @ tangent
-    noise = max(1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)))), 0.1)
+    elsewhere = _derivatives(Fn, homogeneous(at1) @ N.T, homogeneous(at2) @ N.T, half) @ tangent
+    residual = sampson_distance(F, x1, x2)
+    noise = max(1.4826 * float(np.median(np.abs(residual))), 0.1)
+
     values, vectors = np.linalg.eigh(rows.T @ rows)
     spread = vectors * (noise / np.sqrt(np.maximum(values, 1e-12 * values.max())))
-    elsewhere = _derivatives(Fn, homogeneous(at1) @ N.T, homogeneous(at2) @ N.T, half) @ tangent @ spread
-    return np.asarray(np.linalg.norm(elsewhere, axis=1), dtype=np.float64)
+    moves = _moves_without_each_part(rows, residual, noise, _parts(x1))
+    moves = (moves - moves.mean(axis=0)) * np.sqrt((len(moves) - 1) / len(moves))
+    both = np.concatenate([elsewhere @ spread, elsewhere @ moves.T], axis=1)
+    return np.asarray(np.linalg.norm(both, axis=1), dtype=np.float64)
+
+
+def _parts(x: Float64s, across: int = 4, down: int = 3) -> list[Int64s]:
+    """Rows of the points (n, 2) in each of 4 x 3 parts of the image that hold equally many."""
+    columns = np.array_split(np.argsort(x[:, 0], kind="stable"), across)
+    return [part for column in columns for part in np.array_split(column[np.argsort(x[column, 1], kind="stable")], down)]
+
+
+def _moves_without_each_part(rows: Float64s, residual: Float64s, noise: float, parts: list[Int64s]) -> Float64s:
+    """(parts, k): the Gauss-Newton step of the robust fit when each part is left out."""
+    weighted = rows / (1 + (residual / (2 * noise)) ** 2)[:, None]
+    normal, right = weighted.T @ rows, weighted.T @ residual
+    ridge = 1e-9 * np.trace(normal) * np.eye(rows.shape[1])
+    left_out = [(weighted[part].T @ rows[part], weighted[part].T @ residual[part]) for part in parts]
+    return np.stack([-np.linalg.solve(normal - A + ridge, right - b) for A, b in left_out])
 
 
 def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float64s:
