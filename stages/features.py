@@ -13,6 +13,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from .matching.neighbours import nearest_elsewhere
 from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Rejected, Uint8s, View
 
 Light = Literal["auto", "plain", "robust"]
@@ -74,7 +75,9 @@ _View = tuple[Float64s, Float64s, Float32s, Float32s]
 def _features(views: list[_View], view: View, light: str) -> Features:
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
-    return Features(xy, frames, descriptors, responses, tilts, view, keypoints=len(views[0][0]), light=light)
+    plain = len(views[0][0])
+    lookalikes = nearest_elsewhere(descriptors, xy, descriptors[:plain], xy[:plain])
+    return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, light)
 
 
 def _needs_robust_light(grey: Uint8s, mask: Bools) -> bool:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from .epipolar import homogeneous, symmetric_epipolar_distance
-from .matching.structural import Correspondences, guided_matches
+from .matching.structural import Correspondences, ViewPair, guided_matches, view_pairs
 from .robust import (
     INLIER_FACTOR,
     TwoView,
@@ -19,9 +19,11 @@ from .robust import (
     rotation_support,
 )
 from .types import Features, Float64s, Geometry, Matches, Rejected, View
+from .verdict import pair_evidence, pair_score, probability
 
-ESSENTIAL_SUPPORT = 0.9
-"""E is kept when it has at least this share of the inliers of F, which has two freedoms more and so always a few more."""
+ESSENTIAL_SUPPORT = 0.7
+"""E is kept when it has at least this share of the inliers of F.  F has two freedoms more: enough to take in, besides the truth,
+what repeats along a facade (a sixth of the inliers of some right pairs), and to be bent by it."""
 PLANAR_SHARE = 0.95
 """A model without depth (homography, rotation) that explains this share of the inliers, or all but the fewest that F needs,
 leaves F undetermined: what is left over may be chance."""
@@ -39,6 +41,7 @@ def estimate_geometry(
     few_inliers: int = 50,
     min_area: float = 0.005,
     small_area: float = 0.03,
+    min_score: float = -4.0,
     seed: int = 0,
 ) -> Geometry | Rejected:
     """Estimate the epipolar geometry of a pair and say whether it can be used.
@@ -54,6 +57,7 @@ def estimate_geometry(
     few_inliers : fewer are warned about.
     min_area : share of the image that the hull of the inliers covers, at least, in both images.
     small_area : less than this is warned about.
+    min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides.
     seed : of the random samples.
 
     Returns
@@ -66,8 +70,9 @@ def estimate_geometry(
     """
     found = _solve(matches, threshold_px, use_intrinsics, seed)
     before = len(matches.x1)
+    problems = view_pairs(left, right, matches.tilted)
     if guided and found is not None:
-        matches, found = _guided_round(matches, found, left, right, threshold_px, use_intrinsics, seed)
+        matches, found = _guided_round(matches, found, left, right, problems, threshold_px, use_intrinsics, seed)
     count = 0 if found is None else int(found.inliers.sum())
     figures = {"matches": float(before), "inliers": float(count)}
     if found is None or count < min_inliers:
@@ -99,8 +104,23 @@ def estimate_geometry(
         warnings.append(f"clustered: inliers on {100 * area:.1f} % of the image")
     if flat:
         warnings.append(f"planar scene: one homography explains {100 * plane_share:.0f} % of the inliers")
-    if found.R is None and _known(matches.view1) and _known(matches.view2) and use_intrinsics:
+    contradicted = found.R is None and _known(matches.view1) and _known(matches.view2) and use_intrinsics
+    if contradicted:
         warnings.append("the intrinsics contradict the matches: F kept instead of E")
+    evidence = pair_evidence(left, right, problems, matches.i1[found.inliers], matches.i2[found.inliers], found, seed)
+    score = pair_score(evidence, contradicted=contradicted)
+    figures |= {
+        "score": score,
+        "distinct_cells": float(evidence.distinct_cells),
+        "distinct_share": evidence.distinct_share,
+        "agreement": evidence.agreement,
+    }
+    if score < min_score:
+        reason = (
+            f"wrong: {count} inliers agree with each other, but {evidence.distinct_cells} cells hold distinctive ones and "
+            f"{100 * evidence.agreement:.0f} % of the clear matches agree with them"
+        )
+        return Rejected(reason, figures)
     R, t = _pose(found, x1, x2, matches.view1, matches.view2)
     return Geometry(
         F=found.F,
@@ -119,8 +139,13 @@ def estimate_geometry(
         epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, x1, x2))),
         angle_deg=_ray_angle_deg(x1, x2, matches.view1, matches.view2, R),
         homography_share=plane_share,
-        score=0.0,
-        good_probability=1.0,
+        score=score,
+        good_probability=probability(score),
+        distinct_cells=evidence.distinct_cells,
+        distinct_share=evidence.distinct_share,
+        agreement=evidence.agreement,
+        half_rotation_deg=evidence.half_rotation_deg,
+        stretch=evidence.stretch,
         warnings=tuple(warnings),
     )
 
@@ -142,6 +167,7 @@ def _guided_round(
     found: TwoView,
     left: Features,
     right: Features,
+    problems: list[ViewPair],
     threshold_px: float,
     use_intrinsics: bool,
     seed: int,
@@ -149,7 +175,7 @@ def _guided_round(
     """Matches and their geometry after the guided round, or what came in where that has more inliers."""
     inside = found.inliers
     known = Correspondences(matches.i1[inside], matches.i2[inside], matches.probability[inside].astype(np.float64))
-    again = guided_matches(left, right, known, found.F, tilted=matches.tilted)
+    again = guided_matches(left, right, problems, known, found.F)
     i1, i2 = again.i1, again.i2
     more = replace(
         matches,

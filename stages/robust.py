@@ -63,7 +63,7 @@ def estimate_essential(
         "min_iterations": min(1000, max_iterations),
         "seed": seed,
     }
-    pose, _ = poselib.estimate_relative_pose(x1, x2, _pinhole(view1), _pinhole(view2), options, {})
+    pose, _ = poselib.estimate_relative_pose(x1, x2, pinhole(view1), pinhole(view2), options, {})
     t = np.asarray(pose.t, dtype=np.float64)
     if not np.isfinite(t).all() or np.linalg.norm(t) < 1e-12:
         return None
@@ -143,7 +143,8 @@ def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
     return params
 
 
-def _pinhole(view: View) -> dict[str, Any]:
+def pinhole(view: View) -> dict[str, Any]:
+    """A view with known K as poselib wants it."""
     assert view.K is not None
     K = view.K
     params = [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]

@@ -133,8 +133,9 @@ class Features:
     xy: (n, 2) float64 pixels of the frame; frames: (n, 2, 2) float64, each keypoint's local frame s R(theta) (canonical patch
     to image; of a tilted view, mapped back into the frame); descriptors: (n, d) float32 of unit length (RootSIFT);
     responses: (n,) float32; tilts: (n,) uint8, 0 for the plain view, 1 for the view compressed by 2 in x. Rows of the plain
-    view come first, each view's strongest keypoint first. keypoints: rows of the plain view; light: "plain" or "robust",
-    how the image was prepared.
+    view come first, each view's strongest keypoint first. lookalikes: (n,) float32, distance to the most similar descriptor of
+    the plain view at least 6 px away: how distinctive a keypoint is in its own image (empty: unknown). keypoints: rows of the
+    plain view; light: "plain" or "robust", how the image was prepared.
     """
 
     xy: Float64s
@@ -143,6 +144,7 @@ class Features:
     responses: Float32s
     tilts: Uint8s
     view: View
+    lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
     keypoints: int = 0
     light: str = "plain"
 
@@ -177,10 +179,11 @@ class Geometry:
     matches: how many there were before geometry; inliers: how many support F; model: "F" or "E", what was kept;
     epipolar_px: median symmetric epipolar distance of the inliers; angle_deg: median angle between the rays of the inliers,
     nan without relative pose; homography_share: share of the inliers that one homography explains too;
-    score and good_probability: is the pair to be believed (see `verdict`), from distinct_cells: cells of a 12x8 grid with
-    distinctive matches, distinct_share: share of the inliers without a look-alike in their own image, half_rotation_deg:
-    difference of the poses of the two halves of the inliers (nan without K), stretch: median log ratio of the axes of the
-    local affine maps; warnings: named degenerate cases that did not reject the pair.
+    score (log odds) and good_probability: is the pair to be believed (see `verdict`), from distinct_cells: cells of a 12x8 grid
+    with distinctive matches, distinct_share: share of the inliers without a look-alike in their own image, agreement: share of
+    the clear matches found without geometry that F explains, half_rotation_deg: angle between the rotations that the two halves
+    of the inliers tell (nan without K), stretch: median log ratio of the axes of the local affine maps;
+    warnings: named degenerate cases that did not reject the pair.
     """
 
     F: Float64s
@@ -203,6 +206,7 @@ class Geometry:
     good_probability: float
     distinct_cells: int = 0
     distinct_share: float = 0.0
+    agreement: float = 0.0
     half_rotation_deg: float = float("nan")
     stretch: float = 0.0
     warnings: tuple[str, ...] = ()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..kernels import kernel
-from ..types import Float32s, Int32s
+from ..types import Float32s, Float64s, Int32s
 
 _BLOCK = 512
 
@@ -33,6 +33,17 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     for start in range(0, n1 if k else 0, _BLOCK):
         _keep_best(descriptors1[start : start + _BLOCK] @ other, start, rows, row_best, columns, column_best)
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
+
+
+def nearest_elsewhere(
+    descriptors: Float32s, xy: Float64s, others: Float32s, others_xy: Float64s, apart_px: float = 6.0
+) -> Float32s:
+    """(n,) distance of each descriptor to the most similar of `others` that lies at least `apart_px` from it in the image."""
+    best = np.full(len(descriptors), -2, np.float32)
+    transposed = np.ascontiguousarray(others.T)
+    for start in range(0, len(descriptors), _BLOCK):
+        _best_elsewhere(descriptors[start : start + _BLOCK] @ transposed, start, xy, others_xy, apart_px**2, best)
+    return _distance(np.maximum(best, -1))
 
 
 def _distance(similarity: Float32s) -> Float32s:
@@ -66,3 +77,15 @@ def _keep_best(
                     at -= 1
                 column_best[j, at] = s
                 columns[j, at] = row
+
+
+@kernel
+def _best_elsewhere(
+    similarity: Float32s, start: int, xy: Float64s, others_xy: Float64s, limit: float, best: Float32s
+) -> None:
+    for i in range(similarity.shape[0]):
+        row = start + i
+        for j in range(similarity.shape[1]):
+            s = similarity[i, j]
+            if s > best[row] and (xy[row, 0] - others_xy[j, 0]) ** 2 + (xy[row, 1] - others_xy[j, 1]) ** 2 >= limit:
+                best[row] = s

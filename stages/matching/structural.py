@@ -87,29 +87,29 @@ def structural_matches(
     tilted: bring in the views compressed in x; dominance: the least odds of an accepted match; neighbours: candidates that each
     keypoint proposes; rounds: of expectation and maximisation.
     """
-    problems = _problems(left, right, tilted, neighbours)
-    seeds = _seeds(problems)
-    return _solve(left, right, problems, seeds, dominance, rounds, None)
+    problems = view_pairs(left, right, tilted, neighbours)
+    return _solve(left, right, problems, _seeds(problems), dominance, rounds, None)
 
 
 def guided_matches(
     left: Features,
     right: Features,
+    problems: list[ViewPair],
     known: Correspondences,
     F: Float64s,
     *,
-    tilted: bool = False,
     dominance: float = 0.8,
-    neighbours: int = 3,
     rounds: int = 3,
 ) -> Correspondences:
-    """Match again around the inliers `known` of F, with the distance to the epipolar lines as evidence."""
-    problems = _problems(left, right, tilted, neighbours)
+    """Match again around the inliers `known` of F, with the distance to the epipolar lines as evidence.
+
+    problems: from `view_pairs`.
+    """
     return _solve(left, right, problems, known, dominance, rounds, F)
 
 
 @dataclass(frozen=True)
-class _Problem:
+class ViewPair:
     """One view of the left frame against one of the right: rows of the `Features`, and the candidates i--j by descriptor."""
 
     rows1: Int32s
@@ -128,13 +128,14 @@ class _Problem:
     q: Float64s
 
 
-def _problems(left: Features, right: Features, tilted: bool, neighbours: int) -> list[_Problem]:
+def view_pairs(left: Features, right: Features, tilted: bool, neighbours: int = 3) -> list[ViewPair]:
+    """What is matched with what: the plain views, and each compressed view with the other's plain one."""
     views = [(PLAIN, PLAIN), (TILTED, PLAIN), (PLAIN, TILTED)] if tilted else [(PLAIN, PLAIN)]
-    found = (_problem(left, right, a, b, neighbours) for a, b in views)
+    found = (_view_pair(left, right, a, b, neighbours) for a, b in views)
     return [problem for problem in found if problem is not None]
 
 
-def _problem(left: Features, right: Features, view1: int, view2: int, neighbours: int) -> _Problem | None:
+def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbours: int) -> ViewPair | None:
     rows1 = np.flatnonzero(left.tilts == view1).astype(np.int32)
     rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
     if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
@@ -150,17 +151,40 @@ def _problem(left: Features, right: Features, view1: int, view2: int, neighbours
     ei, ej = (edges // len(d2)).astype(np.int32), (edges % len(d2)).astype(np.int32)
     q = np.empty(len(ei))
     _relative_distances(d1, d2, noise1, noise2, ei, ej, q)
-    return _Problem(
+    return ViewPair(
         rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], _inverses(right.frames[rows2]),
         d1, d2, near, noise1, noise2, ei, ej, q,
     )  # fmt: skip
 
 
-def _seeds(problems: list[_Problem]) -> Correspondences:
+def rival_distances(
+    left: Features, right: Features, problems: list[ViewPair], i1: Int32s, i2: Int32s, apart_px: float = 6.0
+) -> Float64s:
+    """(n,) descriptor distance of each match's nearest rival: of those that its two keypoints have in the other image, at least
+    `apart_px` from the match.  Among the nearest few only: where all lie at the match itself, the last of them."""
+    rivals = np.full(len(i1), 2.0)
+    for problem in problems:
+        mine = np.flatnonzero(np.isin(i1, problem.rows1) & np.isin(i2, problem.rows2))
+        at1, at2 = np.searchsorted(problem.rows1, i1[mine]), np.searchsorted(problem.rows2, i2[mine])
+        near = problem.near
+        forward = _first_apart(problem.x2[near.rows[at1]], right.xy[i2[mine]], near.row_distance[at1], apart_px)
+        backward = _first_apart(problem.x1[near.columns[at2]], left.xy[i1[mine]], near.column_distance[at2], apart_px)
+        rivals[mine] = np.minimum(forward, backward)
+    return rivals
+
+
+def _first_apart(places: Float64s, match: Float64s, distance: Float32s, apart_px: float) -> Float64s:
+    """Distance of the nearest neighbour (of (n, k), nearest first) that lies apart from the match."""
+    apart = np.linalg.norm(places - match[:, None], axis=2) >= apart_px
+    apart[:, -1] = True
+    return np.asarray(distance[np.arange(len(distance)), apart.argmax(axis=1)], dtype=np.float64)
+
+
+def _seeds(problems: list[ViewPair]) -> Correspondences:
     """Mutual nearest neighbours that are clearly nearest, or that their neighbours confirm; weight 1 each."""
     if not problems:
         return Correspondences(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))
-    i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_mutual, problems), strict=True))
+    i1, i2, x1, x2, affine, ratio = (np.concatenate(parts) for parts in zip(*map(_clear, problems), strict=True))
     if len(problems) > 1:
         keep = without_repeats(x1, x2, 1 - ratio)
         i1, i2, x1, x2, affine, ratio = (part[keep] for part in (i1, i2, x1, x2, affine, ratio))
@@ -172,13 +196,19 @@ def _seeds(problems: list[_Problem]) -> Correspondences:
     return Correspondences(i1[good], i2[good], np.ones(int(good.sum())))
 
 
-def _mutual(problem: _Problem) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
+def mutual_neighbours(problem: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
+    """i, j of mutual nearest neighbours of a view pair, and first over second distance, the worse of both ways."""
     near = problem.near
     i = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows)))
     j = near.rows[i, 0]
     forward = near.row_distance[i, 0] / np.maximum(near.row_distance[i, 1], 1e-9)
     backward = near.column_distance[j, 0] / np.maximum(near.column_distance[j, 1], 1e-9)
-    ratio = np.maximum(forward, backward).astype(np.float64)
+    return i, j, np.maximum(forward, backward).astype(np.float64)
+
+
+def _clear(problem: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s, Float64s]:
+    """Rows of the `Features`, places, frame affines and ratios of the mutual nearest neighbours that may be seeds."""
+    i, j, ratio = mutual_neighbours(problem)
     keep = ratio < SEED_RATIO
     i, j = i[keep], j[keep]
     affine = np.linalg.inv(problem.unframes2[j]) @ _inverses(problem.frames1[i])
@@ -197,7 +227,7 @@ def _votes(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
 def _solve(
     left: Features,
     right: Features,
-    problems: list[_Problem],
+    problems: list[ViewPair],
     seeds: Correspondences,
     dominance: float,
     rounds: int,
@@ -226,7 +256,7 @@ def _solve(
 
 
 def _expect(
-    problem: _Problem, field: AffineField, odds: float, last: bool, search: bool, F: Float64s | None
+    problem: ViewPair, field: AffineField, odds: float, last: bool, search: bool, F: Float64s | None
 ) -> tuple[Int32s, Int32s, Float64s]:
     """Candidates whose probability has at least `odds` against all rivals together, as rows of the `Features`."""
     sigma = np.maximum(field.sigma_px, MIN_SIGMA_PX)
@@ -253,7 +283,7 @@ def _expect(
     return problem.rows1[i[keep]], problem.rows2[j[keep]], p[keep]
 
 
-def _near_predictions(problem: _Problem, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
+def _near_predictions(problem: ViewPair, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
     """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted."""
     asking = np.flatnonzero((trust > 0.5) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)

@@ -39,7 +39,8 @@ def observed(
     i, frames = np.arange(n, dtype=np.int32), np.repeat(np.eye(2)[None], n, axis=0)
     d = rng.random((n, 128)).astype(np.float32)
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    left, rightf = (Features(x, frames, d, np.ones(n, np.float32), np.zeros(n, np.uint8), view, n) for x in (x1, x2))
+    ones = np.ones(n, np.float32)
+    left, rightf = (Features(x, frames, d, ones, np.zeros(n, np.uint8), view) for x in (x1, x2))
     return Matches(x1, x2, i, i, np.ones(n, np.float32), frames, view, view), left, rightf
 
 

@@ -14,14 +14,16 @@ def random_features(n: int, rng: np.random.Generator = RNG) -> Features:
     descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
     xy = rng.uniform(0, [640, 480], (n, 2))
     frames = np.repeat(np.eye(2)[None] * 4, n, axis=0)
-    return Features(xy, frames, descriptors, np.ones(n, np.float32), np.zeros(n, np.uint8), View(640, 480), keypoints=n)
+    ones = np.ones(n, np.float32)
+    return Features(xy, frames, descriptors, ones, np.zeros(n, np.uint8), View(640, 480))
 
 
 def seen_again(left: Features, order: np.ndarray, move: np.ndarray) -> Features:
     """The same keypoints in another order, their descriptors a little different, moved in the image."""
     noisy = left.descriptors[order] + RNG.normal(0, 0.01, (len(order), 128)).astype(np.float32)
     noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-    return Features(left.xy[order] + move, left.frames[order], noisy, left.responses[order], left.tilts[order], left.view)
+    ones, plain = left.responses[order], left.tilts[order]
+    return Features(left.xy[order] + move, left.frames[order], noisy, ones, plain, left.view)
 
 
 MATCHERS = ["structural", "dominant", "mutual", "kdtree"]
@@ -86,7 +88,8 @@ def repeated_windows(seed: int) -> tuple[Features, Features]:
         noisy = np.abs(descriptors[order] + rng.normal(0, 0.02, (len(order), 128)).astype(np.float32))
         noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
         n = len(order)
-        return Features(points[order], frames[order], noisy, np.ones(n, np.float32), np.zeros(n, np.uint8), View(640, 480), n)
+        ones = np.ones(n, np.float32)
+        return Features(points[order], frames[order], noisy, ones, np.zeros(n, np.uint8), View(640, 480))
 
     n = len(xy)
     frames = np.repeat(np.eye(2)[None] * 4, n, axis=0)

@@ -1,0 +1,241 @@
+"""Photographed and rendered pairs with known cameras, and the judgement of matches and geometries against them.
+
+For the benchmarks of matching.  fountain is judged by laser depth, the demo yard by its exact depth, entry by its cameras alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from wbflow_stages.epipolar import (
+    backproject,
+    fundamental_from_cameras,
+    project,
+    relative_pose,
+    scaled_intrinsics,
+    symmetric_epipolar_distance,
+)
+from wbflow_stages.features import detect
+from wbflow_stages.frames import clean_frame
+from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, View
+
+DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+CORRECT_PX = 3.0
+"""A match is correct within this many pixels of the truth, in an image 1536 pixels wide."""
+
+
+@dataclass(frozen=True)
+class TrueView:
+    """A frame with its true camera; depth: (h, w) along the axis, 0 where unknown, None for a scene without depth."""
+
+    scene: str
+    name: str
+    frame: Frame
+    camera: Camera
+    depth: Float64s | None = None
+    depth_camera: Camera | None = None
+
+    @cached_property
+    def features(self) -> Features:
+        found = detect(self.frame)
+        if not isinstance(found, Features):
+            raise SystemExit(f"{self.scene} {self.name}: {found.reason}")
+        return found
+
+    def without_lens(self) -> Features:
+        """The features of a camera whose intrinsics nobody knows."""
+        return replace(self.features, view=View(self.camera.width, self.camera.height))
+
+    def depth_at(self, x: Float64s) -> Float64s:
+        """(n,) depth at pixels x of the frame, nan where unknown."""
+        assert self.depth is not None and self.depth_camera is not None
+        h, w = self.depth.shape
+        at = np.rint((x + 0.5) * (w / self.camera.width) - 0.5).astype(int)
+        inside = ((at >= 0) & (at < [w, h])).all(axis=1)
+        z = np.zeros(len(x))
+        z[inside] = self.depth[at[inside, 1], at[inside, 0]]
+        return np.where(z > 0, z, np.nan)
+
+
+def photographed(scene: str, width: int, names: list[str] | None = None) -> dict[str, TrueView]:
+    """The views of fountain or entry at a working width, by number."""
+    folder = DATA / scene
+    if not folder.exists():
+        raise SystemExit(f"no {folder}: say where the photographs are in WBFLOW_DATA")
+    cameras = json.loads((folder / "cameras.json").read_text())
+    views = {}
+    for file, c in sorted(cameras.items()):
+        name = str(int(Path(file).stem))
+        if names is None or name in names:
+            views[name] = _photograph(scene, name, folder / "images" / file, c, width)
+    return views
+
+
+def _photograph(scene: str, name: str, file: Path, c: dict[str, list[float]], width: int) -> TrueView:
+    pixels = cv2.imread(str(file))[..., ::-1]
+    s = width / pixels.shape[1]
+    small = cv2.resize(pixels, None, fx=s, fy=s, interpolation=cv2.INTER_AREA)
+    h, w = small.shape[:2]
+    R, C = np.array(c["R"]), np.array(c["C"])
+    K = scaled_intrinsics(np.array(c["K"]), s, s)
+    depth_file = file.parents[1] / "depth" / f"{file.stem}.npz"
+    depth = None
+    if depth_file.exists():
+        stored = np.load(depth_file)["depth"]
+        half_step = np.spacing(stored) / 2  # the maps were truncated to half precision
+        depth = np.where(stored > 0, stored.astype(np.float32) + half_step, 0)
+    frame = Frame(np.ascontiguousarray(small), np.ones((h, w), bool), View(w, h, K))
+    whole = Camera(np.array(c["K"]), R, C, pixels.shape[1], pixels.shape[0])
+    return TrueView(scene, name, frame, Camera(K, R, C, w, h), depth, whole)
+
+
+def rendered(light: str, cache: Path, width: int = 1280) -> dict[str, TrueView]:
+    """The demo yard by "day", "dusk" or "night"; rendered once (about 40 s) into `cache`."""
+    from wbflow_stages.synthetic.yard import yard
+
+    cache.mkdir(parents=True, exist_ok=True)
+    views = {}
+    file = cache / f"yard-{light}-{width}.npz"
+    if not file.exists():
+        arrays = {}
+        for c in yard(light=light, size=(width, width * 9 // 16)).cameras:  # type: ignore[arg-type]
+            frame = clean_frame([_png(i) for i in c.captures], c.lens, _png(c.mask.astype(np.uint8) * 255), resolution=None)
+            arrays |= {
+                f"{c.name} image": frame.image, f"{c.name} mask": frame.mask, f"{c.name} K": frame.view.K,
+                f"{c.name} depth": c.depth, f"{c.name} K0": c.camera.K, f"{c.name} R": c.camera.R, f"{c.name} C": c.camera.C,
+            }  # fmt: skip
+        np.savez(file, **arrays)
+    stored = np.load(file)
+    for name in dict.fromkeys(key.split(" ")[0] for key in stored.files):
+        image, mask, K, depth, K0, R, C = (stored[f"{name} {part}"] for part in ("image", "mask", "K", "depth", "K0", "R", "C"))
+        h, w = mask.shape
+        whole = Camera(K0, R, C, depth.shape[1], depth.shape[0])
+        views[name] = TrueView(f"yard-{light}", name, Frame(image, mask, View(w, h, K)), Camera(K, R, C, w, h), depth, whole)
+    return views
+
+
+def _png(image: np.ndarray) -> Capture:
+    data = cv2.imencode(".png", image[..., ::-1] if image.ndim == 3 else image)[1].ravel()
+    return Capture("rendered.png", data)
+
+
+def axes_angle_deg(left: Camera, right: Camera) -> float:
+    """Angle between the optical axes."""
+    return float(np.degrees(np.arccos(np.clip(left.R[2] @ right.R[2], -1, 1))))
+
+
+def transfer_error(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) -> Float64s:
+    """(n,) pixels between a match and the truth, by the depth of whichever view knows it; nan where neither does."""
+    errors = []
+    for a, b, xa, xb in ((left, right, x1, x2), (right, left, x2, x1)):
+        z = a.depth_at(xa)
+        known = np.isfinite(z)
+        error = np.full(len(xa), np.nan)
+        image, ahead = project(b.camera, backproject(_moved(a), xa[known], z[known]))
+        error[known] = np.where(ahead > 0, np.linalg.norm(image - xb[known], axis=1), np.inf)
+        errors.append(error)
+    return np.fmin(*errors)
+
+
+def _moved(view: TrueView) -> Camera:
+    """The camera of the frame (its K may differ from that of the depth map by a resize)."""
+    return view.camera
+
+
+def correct(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) -> tuple[int, int]:
+    """How many matches are correct, of how many that could be judged."""
+    limit = CORRECT_PX * left.camera.width / 1536
+    if left.depth is None:
+        error = symmetric_epipolar_distance(fundamental_from_cameras(left.camera, right.camera), x1, x2)
+    else:
+        error = transfer_error(left, right, x1, x2)
+        error = error[np.isfinite(error)]
+    return int((error < limit).sum()), len(error)
+
+
+def true_correspondences(left: TrueView, right: TrueView, columns: int = 96) -> tuple[Float64s, Float64s]:
+    """Exact correspondences (n, 2) of points that both views see, on a grid of the left one."""
+    w, h = left.camera.width, left.camera.height
+    step = w / columns
+    gx, gy = np.meshgrid(np.arange(step / 2, w, step), np.arange(step / 2, h, step))
+    x1 = np.rint(np.column_stack([gx.ravel(), gy.ravel()]))
+    if left.depth is None:
+        return _on_true_lines(left.camera, right.camera, x1)
+    z = left.depth_at(x1)
+    X = backproject(left.camera, x1, z)
+    x2, ahead = project(right.camera, X)
+    inside = np.isfinite(z) & (ahead > 0) & (x2 > 0).all(axis=1) & (x2 < [w - 1, h - 1]).all(axis=1)
+    x1, x2, ahead = x1[inside], x2[inside], ahead[inside]
+    seen = np.abs(right.depth_at(x2) / ahead - 1) < 0.01
+    return x1[seen], x2[seen]
+
+
+def _on_true_lines(left: Camera, right: Camera, x1: Float64s) -> tuple[Float64s, Float64s]:
+    """Without depth: three depths along each ray, as far as both cameras see them."""
+    scale = float(np.linalg.norm(left.C - right.C))
+    points1, points2 = [], []
+    for factor in (1.5, 3.0, 6.0):
+        x2, ahead = project(right, backproject(left, x1, np.full(len(x1), factor * scale)))
+        inside = (ahead > 0) & (x2 > 0).all(axis=1) & (x2 < [right.width - 1, right.height - 1]).all(axis=1)
+        points1.append(x1[inside])
+        points2.append(x2[inside])
+    return np.concatenate(points1), np.concatenate(points2)
+
+
+def pose_error_deg(left: Camera, right: Camera, R: Float64s | None, t: Float64s | None) -> tuple[float, float]:
+    """Angle of the rotation error and between the translation directions, degrees; 180 where there is no pose."""
+    if R is None or t is None:
+        return 180.0, 180.0
+    true_R, true_t = relative_pose(left, right)
+    turn = np.linalg.norm(true_R.T @ R - np.eye(3)) / (2 * np.sqrt(2))  # = sin(angle / 2), exact for small angles
+    shift = true_t @ t / np.linalg.norm(true_t) / np.linalg.norm(t)
+    return float(np.degrees(2 * np.arcsin(min(turn, 1.0)))), float(np.degrees(np.arccos(np.clip(shift, -1, 1))))
+
+
+WALLS = (
+    # section of a wall: camera positions (x, y) and the points that they look at, metres; all windows are the same
+    ("north-a", ((2.5, 19.0), (5.5, 18.0), (9.5, 19.5)), (5.0, 30.0)),
+    ("north-b", ((12.0, 22.0), (14.5, 21.5), (17.0, 22.5)), (14.5, 30.0)),
+    ("north-c", ((24.0, 21.5), (26.5, 20.5), (29.0, 21.5)), (26.0, 30.0)),
+    ("north-d", ((32.0, 26.0), (35.0, 25.0), (37.0, 26.0)), (36.5, 30.0)),
+    ("east", ((30.0, 18.5), (29.0, 21.0), (31.0, 23.0)), (40.0, 20.5)),
+    ("west", ((10.0, 17.5), (9.0, 20.0), (11.0, 23.0)), (0.0, 21.0)),
+)
+
+
+def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
+    """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
+    from wbflow_stages.synthetic.cameras import choose_mounts, look_at
+    from wbflow_stages.synthetic.layout import static_yard, yard_light
+    from wbflow_stages.synthetic.renderer import Stage
+    from wbflow_stages.synthetic.sensor import develop, sensor_of
+    from wbflow_stages.synthetic.yard import render_view, true_depth
+
+    cache.mkdir(parents=True, exist_ok=True)
+    height = width * 9 // 16
+    K = np.array([[1.1 * width, 0, (width - 1) / 2], [0, 1.1 * width, (height - 1) / 2], [0, 0, 1]])
+    file = cache / f"walls-{width}.npz"
+    arrays = dict(np.load(file)) if file.exists() else {}
+    stage = None if arrays else Stage(static_yard(np.random.default_rng([0, 1]), 0.0098, choose_mounts(8)), yard_light("day"))
+    views = {}
+    for section, places, target in WALLS:
+        for k, place in enumerate(places):
+            name = f"{section}-{k}"
+            C = np.array([*place, 4.5 + 0.4 * k])
+            camera = Camera(K, look_at(C, np.array([*target, 4.6])), C, width, height)
+            if stage is not None:
+                rng = np.random.default_rng([7, len(arrays)])
+                arrays[f"{name} image"] = develop(render_view(stage, camera, None), sensor_of(rng, "day"), 1.0, rng)
+                arrays[f"{name} depth"] = true_depth(stage, camera)[0]
+            frame = Frame(arrays[f"{name} image"], np.ones((height, width), bool), View(width, height, K))
+            views[name] = TrueView("walls", name, frame, camera, arrays[f"{name} depth"], camera)
+    if stage is not None:
+        np.savez(file, **arrays)
+    return views
