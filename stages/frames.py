@@ -174,7 +174,8 @@ class _Pinhole:
 
     def view(self, width: int, height: int) -> View:
         K = None if self.K is None else scaled_intrinsics(self.K, width / self.width, height / self.height)
-        return View(width, height, K, self.focal_known and K is not None)
+        removed = np.zeros(5) if K is None else self.distortion
+        return View(width, height, K, self.focal_known and K is not None, self.width, self.height, removed)
 
 
 def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, bool]:

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .control_points import control_landmarks
 from .epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
 from .georeference import Landmark, Similarity, align, upward
-from .sfm.focal import Lenses, guess_lenses, relative_rotations
+from .sfm.focal import Lenses, camera_of, guess_lenses, relative_rotations
 from .sfm.mapping import Model, grow, refine, replace_cameras
 from .sfm.rotations import angle_between, average_rotations, components, triangle_support
 from .sfm.tracks import Edge, build_tracks, without_distortion
@@ -58,7 +59,8 @@ def solve_poses(
     if len(views) < 2:
         return Rejected("one camera makes no cloud: two or more that see the same things are needed", {"cameras": len(views)})
     stated = stated_cameras(views, placements)
-    if len(stated) == len(views) or not geometries:
+    exact = [name for name in stated if placements[name].sigma_m == 0]
+    if len(exact) == len(views) or not geometries:
         return _as_stated(views, placements, stated)
     problem = _Problem.of(views, geometries)
     trusted, dropped = problem.consistent(np.radians(max_rotation_error_deg))
@@ -78,7 +80,7 @@ def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement
     for name, view in views.items():
         stated = placements.get(name, Placement())
         if view.K is not None and view.focal_known and stated.R is not None and stated.C is not None:
-            found[name] = Camera(view.K, stated.R, stated.C, view.width, view.height)
+            found[name] = camera_of(view, view.K, stated.R, stated.C)
     return found
 
 
@@ -180,6 +182,7 @@ def _to_world(problem: _Problem, model: Model, placements: Mapping[str, Placemen
         for view, p in placed.items()
         if p.C is not None
     ]
+    landmarks += control_landmarks(cameras, problem.names, problem.views, survey)
     metric = all(p.metric for p in placed.values() if p.C is not None)
     up = upward(list(cameras.values()))
     depth = _median_depth(model)
@@ -199,8 +202,17 @@ def _to_world(problem: _Problem, model: Model, placements: Mapping[str, Placemen
         stated = {view: _at(model.cameras[view], placed[view]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items()}
-    source = f"{len(alignment.trusted)} known positions" if scale is None or len(landmarks) > 1 else "known distances"
+    source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
     return _World(model, True, metric or scale is not None, source, suspects, scale_notes)
+
+
+def _source(trusted: tuple[str, ...], known: int) -> str:
+    """What scale and frame come from, in words."""
+    if not trusted:
+        return f"{known} known positions, which the images contradict"
+    points = sum(name.startswith("control point") for name in trusted)
+    parts = [(len(trusted) - points, "known positions"), (points, "control points")]
+    return " and ".join(f"{count} {what}" for count, what in parts if count)
 
 
 def _scale_of_distances(problem: _Problem, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
@@ -260,7 +272,8 @@ def _median_baseline(problem: _Problem, cameras: Mapping[int, Camera]) -> float:
 
 def _suspicion(name: str, length: float, degrees: float) -> str:
     turned = "" if np.isnan(degrees) else f" and {degrees:.1f} degrees"
-    return f"the known pose of {name} contradicts the images: it seems off by {length:.3g} m{turned}; solved without it"
+    what = name if name.startswith("control point") else f"the known pose of {name}"
+    return f"{what} contradicts the images: it seems off by {length:.3g} m{turned}; left out"
 
 
 def _collect(

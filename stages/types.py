@@ -87,7 +87,8 @@ class Camera:
     """A pinhole camera at working resolution.  K, R: (3, 3) float64; C: (3,) float64.
 
     component: cameras with the same number share a world; 0 is the main one; radial: k1 and k2 of the distortion that was
-    found to be left in the frame where the lens was unknown (the frame is used as it is).
+    found to be left in the frame where the lens was unknown (the frame is used as it is); captured_width, captured_height,
+    distortion: of the capture, see `View`.
     """
 
     K: Float64s
@@ -97,6 +98,9 @@ class Camera:
     height: int
     component: int = 0
     radial: tuple[float, float] = (0.0, 0.0)
+    captured_width: int = 0
+    captured_height: int = 0
+    distortion: Float64s = field(default_factory=lambda: np.zeros(5))
 
 
 @dataclass(frozen=True)
@@ -104,13 +108,17 @@ class View:
     """The pinhole of a frame, without its pixels.
 
     K: (3, 3) float64 of the frame (working resolution, distortion removed), None when nothing is known;
-    focal_known: False when K is only a guess, from a field of view.
+    focal_known: False when K is only a guess, from a field of view; captured_width, captured_height: size of the capture
+    (0: as the frame); distortion: (5,) float64 what was removed from the capture (see `Lens`).
     """
 
     width: int
     height: int
     K: Float64s | None = None
     focal_known: bool = True
+    captured_width: int = 0
+    captured_height: int = 0
+    distortion: Float64s = field(default_factory=lambda: np.zeros(5))
 
 
 @dataclass(frozen=True)

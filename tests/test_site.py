@@ -78,7 +78,18 @@ CASES = {
         "field of view: intrinsics: {hfov: 72}",
     ),
     "a word for a number": ("  - {id: a, intrinsics: {hfov: wide}}", "4:32: cameras[0].intrinsics.hfov: input should be"),
-    "no direction": ("  - {id: a, pose: {position: [0, 0, 0]}}", "4:19: cameras[0].pose: the direction is missing"),
+    "no position": ("  - {id: a, pose: {look_at: [0, 0, 0]}}", "4:19: cameras[0].pose: 'position' is missing"),
+    "half a position": ("  - {id: a, pose: {latitude: 53, longitude: 9}}", "4:19: cameras[0].pose: 'height' is missing"),
+    "two positions": (
+        "  - {id: a, pose: {position: [0, 0, 0], latitude: 53}}",
+        "4:19: cameras[0].pose: 'position' and 'latitude' say the same thing twice",
+    ),
+    "distance to nowhere": ("distances: [[gate, rof, 3]]", "2:20: distances[0][1]: there is no camera 'rof'"),
+    "no distance": ("distances: [[gate, roof, far]]", "2:26: distances[0][2]: 'far' is no distance in metres"),
+    "seen once": (
+        "control_points: [{position: [0, 0, 0], pixels: {gate: [1, 2]}}]",
+        "2:18: control_points[0]: fewer than two cameras see it",
+    ),
     "straight down": ("  - {id: a, pose: {position: [0, 0, 9], look_at: [0, 0, 0]}}", "4:19: cameras[0].pose: looks straight"),
     "skewed": (
         "  - {id: a, pose: {position: [0, 0, 9], rotation: [[1, 0, 0], [0, 1, 0], [0, 1, 0]]}}",
@@ -158,8 +169,62 @@ def test_a_calibration_gives_lens_and_pose_and_the_site_file_overrides_it(tmp_pa
     site = calibrated(tmp_path, {"gate.jpg": entry, "roof.jpg": entry})
     assert site.cameras[0].lens["K"] == entry["K"]
     assert site.cameras[0].posed
-    assert site.cameras[1].lens["hfov_deg"] == 70.0
+    assert site.cameras[1].lens["K"] == entry["K"], "a field of view is only a guess beside a calibration"
     assert site.cameras[1].placement["C"] == [0, 0, 5]
+
+
+def test_a_bare_position_gives_way_to_the_pose_that_was_solved_from_it(tmp_path: Path) -> None:
+    entry = {
+        "K": [[5, 0, 3], [0, 5, 2], [0, 0, 1]],
+        "width": 6,
+        "height": 4,
+        "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "C": [1, 2, 3],
+    }
+    (tmp_path / "cameras.json").write_text(json.dumps({"gate": entry, "roof": entry | {"metric": False}}))
+    text = GOOD.replace(", look_at: [10, 0, 0]", "") + "calibration: cameras.json\n"
+    site = load_site(site_at(tmp_path, text))
+    assert site.posed
+    assert site.cameras[1].placement["C"] == [1, 2, 3]
+    assert site.cameras[1].placement["metric"] is False
+
+
+def test_distances_and_control_points_count_cameras_by_their_place(tmp_path: Path) -> None:
+    text = GOOD + (
+        "distances: [[roof, gate, 7]]\ncontrol_points: [{position: [1, 2, 3], pixels: {gate: [5, 6.5], roof: [7, 8]}}]\n"
+    )
+    survey = load_site(site_at(tmp_path, text)).survey
+    assert survey["distances"] == [[1.0, 0.0, 7.0]]
+    assert survey["points"] == [[1, 2, 3]]
+    assert survey["observations"] == [[0.0, 0.0, 5, 6.5], [0.0, 1.0, 7, 8]]
+
+
+def test_a_distance_between_cameras_whose_ids_are_numbers(tmp_path: Path) -> None:
+    text = GOOD.replace("- gate", "- 0000") + "distances: [[0000, roof, 7]]\n"
+    assert load_site(site_at(tmp_path, text)).survey["distances"] == [[0.0, 1.0, 7.0]]
+
+
+def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    text = GOOD[: GOOD.index("  - gate")] + (
+        "  - {id: gate, pose: {latitude: 53.5, longitude: 10.0, height: 20.0}}\n"
+        "  - {id: roof, pose: {latitude: 53.501, longitude: 10.0, height: 25.0, position_sigma_m: 0.5}}\n"
+    )
+    site = load_site(site_at(tmp_path, text))
+    gate, roof = (camera.placement for camera in site.cameras)
+    assert gate["C"] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert gate["sigma_m"] == 3.0, "as a plain receiver gives it"
+    # a thousandth of a degree of latitude is 111.3 m here; the ellipsoid falls away by 1 mm
+    assert roof["C"] == pytest.approx([0, 111.29, 5.0], abs=0.01)
+    assert roof["sigma_m"] == 0.5
+    assert "+lat_0=53.5 +lon_0=10.0" in site.survey["crs"]
+    assert not site.posed
+
+
+def test_local_and_geodetic_positions_do_not_mix(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    text = GOOD.replace("  - gate", "  - {id: gate, pose: {latitude: 53.5, longitude: 10.0, height: 20.0}}")
+    assert any("how they lie to each other is unknown" in problem for problem in problems(tmp_path, text))
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ from wbflow_stages.types import (
     Poses,
     Rectification,
     Rejected,
+    Survey,
     View,
 )
 
@@ -84,7 +85,7 @@ def estimate_geometry(matches: Matches, left: Features, right: Features) -> Geom
 
 
 def solve_poses(
-    views: Mapping[str, View], placements: Mapping[str, Placement], geometries: Mapping[Pair, Geometry]
+    views: Mapping[str, View], placements: Mapping[str, Placement], geometries: Mapping[Pair, Geometry], survey: Survey
 ) -> Poses | Rejected:
     """Cameras in a row."""
     _trouble("poses")

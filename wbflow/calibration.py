@@ -20,7 +20,7 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True)
 class Calibrated:
-    """K, R: 3x3; C: 3; distortion: k1 k2 p1 p2 k3; None where the file does not say."""
+    """K, R: 3x3; C: 3; distortion: k1 k2 p1 p2 k3; None where the file does not say.  metric: C is in metres."""
 
     K: Matrix
     width: int
@@ -28,6 +28,7 @@ class Calibrated:
     distortion: list[float] | None = None
     R: Matrix | None = None
     C: list[float] | None = None
+    metric: bool = True
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:
@@ -88,7 +89,7 @@ def _entry(path: Path, name: str, entry: Any) -> Calibrated:
     if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
         raise CalibrationError(f"{path}: {name}.K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
     distortion = numbers("distortion", 5) if entry.get("distortion") is not None else None
-    return Calibrated(K, size[0], size[1], distortion, R, C)
+    return Calibrated(K, size[0], size[1], distortion, R, C, entry.get("metric") is not False)
 
 
 def _is_number(value: Any) -> bool:

@@ -13,7 +13,8 @@ Which = Literal["same", "left", "right", "all", "around"]
 class Need:
     """One input of a stage.
 
-    origin: the stage that makes it, or "site:lens", "site:placement", "site:captures", "site:mask" from the site file;
+    origin: the stage that makes it, or "site:lens", "site:placement", "site:captures", "site:mask", "site:survey" from
+    the site file;
     which: of the same subject, of the pair's left or right camera, of all subjects that have it (as a mapping), or "around":
     of those that the camera in question makes pairs with and itself, and of these pairs;
     part: a field of the artifact (see `artifact.parts`); of a mapping field of a site-wide stage, the entry of the camera in
@@ -99,6 +100,7 @@ STAGES: tuple[Stage, ...] = (
             "views": Need("frames", "all", part="view"),
             "placements": Need("site:placement", "all"),
             "geometries": Need("geometry", "all", unless_posed=True),
+            "survey": Need("site:survey"),
         },
         optional=True,
     ),

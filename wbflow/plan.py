@@ -361,6 +361,8 @@ class Plan:
             cameras = self.site.cameras if need.which == "all" else [self._camera(task.subject[0])]
             values: dict[Subject, Value | Stored] = {(camera.id,): Value(kind, getattr(camera, what)) for camera in cameras}
             return Joined(values) if need.which == "all" else values[task.subject]
+        if what == "survey":
+            return Value("wbflow_stages.types:Survey", self.site.survey)
         camera = task.subject[0]
         if what == "mask":
             file = self.masks.get(camera)

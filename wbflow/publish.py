@@ -31,18 +31,23 @@ class Publication:
 
 
 def cameras_json(poses: Any) -> str:
-    """Cameras in the form that `calibration:` reads."""
-    entries = {
-        name: {
-            "K": camera.K.tolist(),
-            "R": camera.R.tolist(),
-            "C": camera.C.tolist(),
-            "width": camera.width,
-            "height": camera.height,
-        }
-        for name, camera in poses.cameras.items()
-    }
+    """Cameras of the main component in the form that `calibration:` reads, for captures as they are."""
+    entries = {name: _entry(camera, poses.metric) for name, camera in poses.cameras.items() if camera.component == 0}
     return json.dumps(entries, indent=1)
+
+
+def _entry(camera: Any, metric: bool) -> dict[str, Any]:
+    """One camera: K and size of its captures, and the distortion that is in them, whether it was known or solved."""
+    width, height = camera.captured_width or camera.width, camera.captured_height or camera.height
+    K = camera.K.tolist()
+    for row, scale in ((0, width / camera.width), (1, height / camera.height)):
+        # pixel centres are whole numbers, so the principal point moves by half a pixel
+        K[row] = [K[row][0] * scale, K[row][1] * scale, (K[row][2] + 0.5) * scale - 0.5]
+    entry = {"K": K, "R": camera.R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
+    distortion = camera.distortion.tolist()
+    if not any(distortion):
+        distortion = [*camera.radial, 0.0, 0.0, 0.0]
+    return entry | ({"distortion": distortion} if any(distortion) else {}) | ({} if metric else {"metric": False})
 
 
 def publish(night: Night, record: dict[str, Any], events: list[dict[str, Any]], products: Publication) -> Path:

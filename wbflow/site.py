@@ -16,8 +16,11 @@ from .calibration import Calibrated, CalibrationError, find_camera, read_calibra
 from .functions import FunctionError, FunctionReader
 from .orientation import look_at, yaw_pitch_roll
 from .pipeline import STAGES, Stage
+from .survey import PLACE_REMEDY, ControlPoint, Distance, LocalFrame, Position, local_frame, read_survey
 from .yamlfile import Document, Place, Problem, SiteError, load_yaml
 
+GEODETIC_SIGMA_M = 3.0
+"""Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
 ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
@@ -27,7 +30,8 @@ Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 class SiteCamera:
     """One camera of a site, in plain values.
 
-    lens: K (3x3 or None), distortion (5), hfov_deg, width, height (0: unstated); placement: R (3x3) and C (3), or None each;
+    lens: K (3x3 or None), distortion (5), hfov_deg, width, height (0: unstated); placement: R (3x3) and C (3), or None each,
+    sigma_m and metric where the file says so;
     images: file names below the captures' root, where the site file lists them; place: where it stands in the site file.
     """
 
@@ -40,8 +44,9 @@ class SiteCamera:
 
     @property
     def posed(self) -> bool:
-        """Are intrinsics and pose both given?"""
-        return self.lens["K"] is not None and self.placement["R"] is not None and self.placement["C"] is not None
+        """Are intrinsics and pose both given, to be taken as they are?"""
+        stated = self.lens["K"] is not None and self.placement["R"] is not None and self.placement["C"] is not None
+        return stated and not self.placement.get("sigma_m")
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,7 @@ class StageSettings:
 
 @dataclass(frozen=True)
 class Site:
-    """A valid site description."""
+    """A valid site description.  survey: fields of `wbflow_stages.types.Survey`."""
 
     name: str
     document: Document
@@ -67,6 +72,7 @@ class Site:
     stages: dict[str, StageSettings]
     work: Path
     reader: FunctionReader
+    survey: dict[str, Any] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:
@@ -118,8 +124,8 @@ class _Intrinsics(_Model):
         return self
 
 
-class _Pose(_Model):
-    position: Vector3
+class _Pose(Position):
+    position_sigma_m: float | None = Field(None, ge=0)
     rotation: Matrix3 | None = None
     look_at: Vector3 | None = None
     yaw_pitch_roll: Vector3 | None = None
@@ -127,24 +133,33 @@ class _Pose(_Model):
     @model_validator(mode="after")
     def _one_direction(self) -> _Pose:
         given = [n for n in ("rotation", "look_at", "yaw_pitch_roll") if getattr(self, n) is not None]
-        if len(given) != 1:
-            what = f"{' and '.join(given)} are both given" if given else "the direction is missing"
-            raise PydanticCustomError("pose", what)
+        if len(given) > 1:
+            raise PydanticCustomError("pose", f"{' and '.join(given)} are both given")
+        if self.look_at is not None and self.position is None:
+            raise PydanticCustomError("pose", "'look_at' needs 'position' in the same coordinates")
         self.matrix()
         return self
 
-    def matrix(self) -> list[list[float]]:
-        """R, whichever way it is stated."""
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position: as stated, else what a satellite receiver gives, else exact."""
+        if self.position_sigma_m is not None:
+            return self.position_sigma_m
+        return GEODETIC_SIGMA_M if self.geodetic else 0.0
+
+    def matrix(self) -> list[list[float]] | None:
+        """R, whichever way it is stated; None where only the position is."""
         try:
-            if self.look_at is not None:
+            if self.look_at is not None and self.position is not None:
                 return look_at(self.position, self.look_at)
             if self.yaw_pitch_roll is not None:
                 return yaw_pitch_roll(*self.yaw_pitch_roll)
         except ValueError as error:
             raise PydanticCustomError("pose", str(error)) from None
-        assert self.rotation is not None
         R = self.rotation
-        if any(abs(sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j)) > 1e-3 for i in range(3) for j in range(3)):
+        if R is not None and any(
+            abs(sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j)) > 1e-3 for i in range(3) for j in range(3)
+        ):
             raise PydanticCustomError("pose", "'rotation' is not a rotation matrix (rows of unit length, at right angles)")
         return R
 
@@ -171,6 +186,8 @@ class _Site(_Model):
     captures: _Captures
     cameras: Annotated[list[_Camera], Field(min_length=1)]
     calibration: str | None = None
+    distances: list[Distance] = Field(default_factory=list)
+    control_points: list[ControlPoint] = Field(default_factory=list)
     resolution: int | None = Field(1600, ge=64)
     pairs: _Pairs = _Pairs.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
@@ -179,7 +196,9 @@ class _Site(_Model):
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
-    "pose": "give position: [x, y, z] and one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3",
+    "pose": f"{PLACE_REMEDY}; where known too, one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3",
+    "distances": "write [camera, camera, metres], e.g. distances: [[gate, roof, 12.4]]",
+    "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them",
@@ -215,7 +234,14 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         if salvaged is None:
             raise SiteError(problems) from None
         model = salvaged
-    cameras = _cameras(model, document, problems)
+    places: list[tuple[Place, Position]] = [
+        (("cameras", i, "pose"), camera.pose) for i, camera in enumerate(model.cameras) if camera.pose
+    ]
+    places += [(("control_points", i), point) for i, point in enumerate(model.control_points)]
+    frame = local_frame(iter(places), document, problems)
+    cameras = _cameras(model, frame, document, problems)
+    ids = [camera.id for camera in model.cameras]
+    survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
     if work is None:
         work = _beside(path, model.work) if model.work else path.resolve().parent / ".wbflow" / model.site
     reader = FunctionReader(work / "cache" / "functions.json")
@@ -230,7 +256,9 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     if problems:
         raise SiteError(sorted(problems, key=lambda p: (str(p.file), p.line, p.column)))
     pairs = {name: getattr(model.pairs, name) for name in ("degree", "min_angle", "max_angle", "include", "exclude")}
-    return Site(model.site, document, root, model.captures.pattern, tuple(cameras), model.resolution, pairs, stages, work, reader)
+    return Site(
+        model.site, document, root, model.captures.pattern, tuple(cameras), model.resolution, pairs, stages, work, reader, survey
+    )
 
 
 def _beside(file: Path, path: str) -> Path:
@@ -262,6 +290,13 @@ def _with_texts(document: Document) -> Any:
                     [texts.get(("pairs", name, i, j), item) for j, item in enumerate(row)] if isinstance(row, list) else row
                     for i, row in rows
                 ]
+    if isinstance(data.get("distances"), list):
+        data["distances"] = [
+            [texts.get(("distances", i, j), item) if j < 2 else item for j, item in enumerate(row)]
+            if isinstance(row, list)
+            else row
+            for i, row in enumerate(data["distances"])
+        ]
     return data
 
 
@@ -303,7 +338,7 @@ def _problems(error: ValidationError, document: Document) -> list[Problem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "pattern"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -330,13 +365,20 @@ def _without_faults(data: dict[str, Any], error: ValidationError) -> _Site | Non
 
 def _fields_at(place: Place) -> list[str]:
     model: Any = _Site
-    sections = {"captures": _Captures, "cameras": _Camera, "intrinsics": _Intrinsics, "pose": _Pose, "pairs": _Pairs}
+    sections = {
+        "captures": _Captures,
+        "cameras": _Camera,
+        "intrinsics": _Intrinsics,
+        "pose": _Pose,
+        "pairs": _Pairs,
+        "control_points": ControlPoint,
+    }
     for step in place:
         model = sections.get(str(step), model)
     return list(model.model_fields)
 
 
-def _cameras(model: _Site, document: Document, problems: list[Problem]) -> list[SiteCamera]:
+def _cameras(model: _Site, frame: LocalFrame | None, document: Document, problems: list[Problem]) -> list[SiteCamera]:
     calibrated: dict[str, Calibrated] = {}
     if model.calibration:
         try:
@@ -367,7 +409,7 @@ def _cameras(model: _Site, document: Document, problems: list[Problem]) -> list[
         if mask and not mask.is_file():
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
             problems.append(document.problem((*place, "mask"), f"there is no file {mask}", remedy))
-        lens, placement = _lens(camera, entry), _placement(camera, entry)
+        lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
         found.append(SiteCamera(camera.id, lens, placement, mask, images, place))
     return found
@@ -382,7 +424,7 @@ def _lens(camera: _Camera, entry: Calibrated | None) -> dict[str, Any]:
     lens: dict[str, Any] = {"K": None, "distortion": [0.0] * 5, "hfov_deg": None, "width": 0, "height": 0}
     if entry:
         lens |= {"K": entry.K, "width": entry.width, "height": entry.height, "distortion": entry.distortion or [0.0] * 5}
-    if own := camera.intrinsics:
+    if (own := camera.intrinsics) and not (entry and own.hfov is not None):  # a calibration knows better than a field of view
         K = None if own.hfov is not None else [[own.fx, 0.0, own.cx], [0.0, own.fy, own.cy], [0.0, 0.0, 1.0]]
         lens |= {"K": K, "hfov_deg": own.hfov, "width": own.width or 0, "height": own.height or 0}
     if camera.distortion is not None:
@@ -390,10 +432,14 @@ def _lens(camera: _Camera, entry: Calibrated | None) -> dict[str, Any]:
     return lens
 
 
-def _placement(camera: _Camera, entry: Calibrated | None) -> dict[str, Any]:
-    if camera.pose:
-        return {"R": camera.pose.matrix(), "C": camera.pose.position}
-    return {"R": entry.R, "C": entry.C} if entry else {"R": None, "C": None}
+def _placement(camera: _Camera, entry: Calibrated | None, frame: LocalFrame | None) -> dict[str, Any]:
+    if (pose := camera.pose) and not (pose.matrix() is None and entry and entry.R and entry.C):
+        geodetic = pose.geodetic
+        C = frame.metres(*geodetic) if frame and geodetic else pose.position
+        return {"R": pose.matrix(), "C": C} | ({"sigma_m": pose.sigma_m} if pose.sigma_m else {})
+    if entry is None:
+        return {"R": None, "C": None}
+    return {"R": entry.R, "C": entry.C} | ({} if entry.metric else {"metric": False})
 
 
 def _stages(model: _Site, document: Document, reader: FunctionReader, problems: list[Problem]) -> dict[str, StageSettings]:

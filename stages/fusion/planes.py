@@ -51,8 +51,21 @@ def _reference(
 
 @kernel
 def _dissimilarity(
-    source: Float32s, M: Float64s, b: Float64s, x: int, y: int, q: float, A: float, B: float, reach: int, taps: Int32s,
-    values: Float32s, weights: Float32s, total: float, mean: float, variance: float,
+    source: Float32s,
+    M: Float64s,
+    b: Float64s,
+    x: int,
+    y: int,
+    q: float,
+    A: float,
+    B: float,
+    reach: int,
+    taps: Int32s,
+    values: Float32s,
+    weights: Float32s,
+    total: float,
+    mean: float,
+    variance: float,
 ) -> float:
     """1 - ZNCC of a plane's patch in one source, 0 to 1; UNSEEN where the patch leaves the image or lies behind the camera."""
     W = M[2, 0] * x + M[2, 1] * y + M[2, 2] + b[2] * q
@@ -105,8 +118,23 @@ def _pixels_per_inverse_depth(sources: Float32s, M: Float64s, b: Float64s, x: in
 
 @kernel
 def sweep_planes(
-    image: Float32s, usable: Bools, sources: Float32s, M: Float64s, b: Float64s, taps: Int32s, softness: float, sweeps: int,
-    far: int, q_low: float, q_high: float, seed: int, q: Float64s, A: Float64s, B: Float64s, cost: Float32s, best: Uint8s,
+    image: Float32s,
+    usable: Bools,
+    sources: Float32s,
+    M: Float64s,
+    b: Float64s,
+    taps: Int32s,
+    softness: float,
+    sweeps: int,
+    far: int,
+    q_low: float,
+    q_high: float,
+    seed: int,
+    q: Float64s,
+    A: Float64s,
+    B: Float64s,
+    cost: Float32s,
+    best: Uint8s,
 ) -> None:
     """Improve planes in place: propagation from neighbours, holes (nan) included, and shrinking random changes.
 
@@ -191,8 +219,20 @@ def sweep_planes(
 
 @kernel
 def judge_planes(
-    image: Float32s, sources: Float32s, M: Float64s, b: Float64s, taps: Int32s, softness: float, limit: float, q: Float64s,
-    A: Float64s, B: Float64s, support: npt.NDArray[np.uint32], parallax: Float32s, first: Float32s, second: Float32s,
+    image: Float32s,
+    sources: Float32s,
+    M: Float64s,
+    b: Float64s,
+    taps: Int32s,
+    softness: float,
+    limit: float,
+    q: Float64s,
+    A: Float64s,
+    B: Float64s,
+    support: npt.NDArray[np.uint32],
+    parallax: Float32s,
+    first: Float32s,
+    second: Float32s,
 ) -> None:
     """What all sources say of the final planes, (h, w) each: the lowest two costs; bits of the sources below `limit`; and the sum
     of |dpixel/dq|^2 over these, the information on q per squared pixel of noise."""

@@ -39,7 +39,13 @@ class Lenses:
 
     def camera(self, view: int) -> Camera:
         """A camera with these intrinsics, at the origin."""
-        return Camera(self.K[view], np.eye(3), np.zeros(3), self.views[view].width, self.views[view].height)
+        return camera_of(self.views[view], self.K[view], np.eye(3), np.zeros(3))
+
+
+def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
+    """The camera of a view."""
+    captured = view.captured_width or view.width, view.captured_height or view.height
+    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion)
 
 
 def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -> Lenses:
