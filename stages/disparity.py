@@ -22,6 +22,8 @@ MATCHERS: dict[str, DenseMatcher] = {"sgbm": match_sgbm, "patchmatch": match_pat
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
 """Both views, and the sign with which a disparity leads to the other one."""
 
+_WHOLE_PX = 32
+
 _WIDEST_RANGE_PX = 4000
 """What int16 sixteenths can hold."""
 
@@ -82,8 +84,11 @@ def match_dense(
 
 
 def _rectified(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
-    """Both rectified images in grey, padded to one width, and what of them may be matched."""
-    width = max(rectification.size1[0], rectification.size2[0])
+    """Both rectified images in grey, padded to one width, and what of them may be matched.
+
+    The width is even at every size that matchers go down to: a mirror image of half the size is then half the mirror image.
+    """
+    width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
     images, masks = [], []
     for frame, (side, _) in zip((left, right), _SIDES, strict=True):
         grey = warp(rectification, side, _grey(frame.image))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -60,3 +61,21 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
         disparity_min=pair.disparity_min,
         disparity_max=pair.disparity_max,
     )
+
+
+def halved(pair: RectifiedPair) -> RectifiedPair:
+    """The pair at half its size, filled up at the right and the bottom with its border; valid where all four pixels are."""
+    return RectifiedPair(
+        left=_half(pair.left),
+        right=_half(pair.right),
+        valid_left=_half(pair.valid_left.astype(np.float32)) > 0.99,
+        valid_right=_half(pair.valid_right.astype(np.float32)) > 0.99,
+        disparity_min=pair.disparity_min // 2 - 1,
+        disparity_max=-(-pair.disparity_max // 2) + 1,
+    )
+
+
+def _half(image: Float32s) -> Float32s:
+    whole = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2)), mode="edge")
+    small = cv2.resize(whole, (whole.shape[1] // 2, whole.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)

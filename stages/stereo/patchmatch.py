@@ -14,7 +14,7 @@ from ..kernels import kernel
 from ..types import Bools, Float32s
 from .census_sgm import match_census_sgm
 from .checks import disagreement, fill_along_rows, without_specks
-from .pair import DenseMatches, RectifiedPair, mirrored
+from .pair import DenseMatches, RectifiedPair, halved, mirrored
 
 Scalar = np.float32
 
@@ -26,8 +26,8 @@ _LIKENESS = 8.0
 _DEAREST = 0.6
 """Planes that cost more are no matches."""
 
-_LARGEST_VOLUME = 250e6
-"""Cells of the SGM volume, three bytes each; larger pairs start from a smaller size."""
+_DIRECT_PX = 1.0e6
+"""Larger pairs start from PatchMatch at half the size, others from SGM at half the size."""
 
 _BEYOND = 0.5
 """Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
@@ -35,28 +35,20 @@ _BEYOND = 0.5
 
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence 1 - cost."""
-    shrink = 2
-    while pair.left.size * (pair.disparity_max - pair.disparity_min + 8) / shrink**3 > _LARGEST_VOLUME:
-        shrink *= 2
-    start1, start2 = _start(pair, shrink)
-    views = [_View(pair, start1, shrink), _View(mirrored(pair), start2[:, ::-1], shrink)]
-    for sweep in range(_SWEEPS):
-        proposals = [view.seen_from_other() for view in views[::-1]] if sweep else [None, None]
-        for view, proposed in zip(views, proposals, strict=True):
-            view.sweep(sweep, proposed)
-    left, right = views[0].smoothed(), views[1].smoothed()[:, ::-1]
-    return DenseMatches(left, np.ascontiguousarray(right), 1 - views[0].cost, np.ascontiguousarray(1 - views[1].cost[:, ::-1]))
+    view1, view2 = _matched_views(pair)
+    left, right = view1.smoothed(), view2.smoothed()[:, ::-1]
+    return DenseMatches(left, np.ascontiguousarray(right), 1 - view1.cost, np.ascontiguousarray(1 - view2.cost[:, ::-1]))
 
 
 class _View:
-    """The planes of one view and what they cost; the view is the left one of its pair."""
+    """The planes of one view, which is the left one of its pair, and what they cost.
 
-    def __init__(self, pair: RectifiedPair, start: Float32s, shrink: int) -> None:
+    planes: (h, w, 3) float32 disparity and its slopes along x and y; cost: (h, w) float32, 0 to 1."""
+
+    def __init__(self, pair: RectifiedPair, coarse_planes: Float32s) -> None:
         self.pair = pair
-        start = np.ascontiguousarray(start)
         self.planes = np.empty((*pair.left.shape, 3), dtype=np.float32)
-        along_x, along_y = _slopes(start)
-        _spread_start(start, along_x, along_y, shrink, self.planes)
+        _spread(coarse_planes, self.planes)
         self.cost = np.empty(pair.left.shape, dtype=np.float32)
 
     def sweep(self, sweep: int, proposals: Float32s | None) -> None:
@@ -78,37 +70,38 @@ class _View:
         return _seen_from_other(self.planes, self.cost)
 
 
-def _start(pair: RectifiedPair, shrink: int) -> tuple[Float32s, Float32s]:
-    """Disparity of both views at 1 / shrink of the size, in its pixels; holes filled."""
-    small = RectifiedPair(
-        left=shrunk(pair.left, shrink),
-        right=shrunk(pair.right, shrink),
-        valid_left=shrunk(pair.valid_left.astype(np.float32), shrink) > 0.99,
-        valid_right=shrunk(pair.valid_right.astype(np.float32), shrink) > 0.99,
-        disparity_min=pair.disparity_min // shrink - 1,
-        disparity_max=-(-pair.disparity_max // shrink) + 1,
-    )
-    found = match_census_sgm(small)
-    starts = []
-    for one, other, valid, sign in (
-        (found.left, found.right, small.valid_left, -1),
-        (found.right, found.left, small.valid_right, 1),
-    ):
-        agreed = np.where(valid & (disagreement(one, other, sign) <= 1), one, np.float32(np.nan)).astype(np.float32)
-        agreed = without_specks(agreed, 60)
-        filled = fill_along_rows(agreed, -sign)
-        middle = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.5 * (small.disparity_min + small.disparity_max)
-        whole = np.where(np.isnan(filled), middle, filled).astype(np.float32)
-        starts.append(np.asarray(cv2.medianBlur(whole, 5), dtype=np.float32))
-    return starts[0], starts[1]
+def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
+    """The view of the left image, and that of the right one in a mirror."""
+    small = halved(pair)
+    if pair.left.size > _DIRECT_PX:
+        coarse1, coarse2 = (view.planes for view in _matched_views(small))
+        sweeps = 1
+    else:
+        coarse1, coarse2 = _start(small)
+        sweeps = _SWEEPS
+    views = _View(pair, coarse1), _View(mirrored(pair), coarse2)
+    for sweep in range(sweeps):
+        proposals = [view.seen_from_other() for view in views[::-1]] if sweep else [None, None]
+        for view, proposed in zip(views, proposals, strict=True):
+            view.sweep(sweep, proposed)
+    return views
 
 
-def shrunk(image: Float32s, shrink: int) -> Float32s:
-    """Means of shrink x shrink blocks; the image is filled up at the right and the bottom with its border."""
-    height, width = image.shape
-    whole = np.pad(image, ((0, -height % shrink), (0, -width % shrink)), mode="edge")
-    small = cv2.resize(whole, (whole.shape[1] // shrink, whole.shape[0] // shrink), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.float32)
+def _start(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
+    """Planes (h, w, 3) of both views, those of the right one in a mirror, from semi-global matching; holes filled."""
+    found = match_census_sgm(pair)
+    planes1 = _planes_of(found.left, found.right, pair.valid_left, -1)
+    planes2 = _planes_of(found.right, found.left, pair.valid_right, 1)
+    return planes1, planes2[:, ::-1] * np.array([1, -1, 1], dtype=np.float32)
+
+
+def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
+    agreed = np.where(valid & (disagreement(one, other, sign) <= 1), one, np.float32(np.nan)).astype(np.float32)
+    agreed = without_specks(agreed, 60)
+    filled = fill_along_rows(agreed, -sign)
+    middle = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.0
+    whole = cv2.medianBlur(np.where(np.isnan(filled), middle, filled).astype(np.float32), 5)
+    return np.dstack([whole, *_slopes(np.asarray(whole, dtype=np.float32))])
 
 
 @kernel
@@ -141,14 +134,13 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
 
 
 @kernel
-def _spread_start(start: Float32s, along_x: Float32s, along_y: Float32s, shrink: int, planes: Float32s) -> None:
+def _spread(coarse: Float32s, planes: Float32s) -> None:
+    """Planes of an image from those of half its size."""
     height, width = planes.shape[:2]
-    centre = 0.5 * (shrink - 1)
     for y in range(height):
         for x in range(width):
-            row, column = y // shrink, x // shrink
-            a, b = along_x[row, column], along_y[row, column]
-            planes[y, x, 0] = shrink * start[row, column] + a * (x - shrink * column - centre) + b * (y - shrink * row - centre)
+            d, a, b = coarse[y // 2, x // 2]
+            planes[y, x, 0] = 2 * d + a * (x % 2 - 0.5) + b * (y % 2 - 0.5)
             planes[y, x, 1] = a
             planes[y, x, 2] = b
 

@@ -1,0 +1,120 @@
+"""The dense matchers by themselves: slanted planes, wide ranges, the same bytes, and the real photographs where they lie here."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from dots import stereo_pair, texture, true_disparity
+from wbflow_stages.stereo.census_sgm import match_census_sgm
+from wbflow_stages.stereo.pair import DenseMatcher, RectifiedPair, halved, mirrored
+from wbflow_stages.stereo.patchmatch import match_patchmatch
+from wbflow_stages.stereo.quick_look import prepared
+from wbflow_stages.stereo.sgbm import match_sgbm
+
+MATCHERS = [match_sgbm, match_census_sgm, match_patchmatch]
+
+
+def pair_of(left: np.ndarray, right: np.ndarray, low: int, high: int) -> RectifiedPair:
+    valid = np.ones(left.shape, dtype=bool)
+    return RectifiedPair(left.astype(np.float32), right.astype(np.float32), valid, valid, low, high)
+
+
+def well_inside(truth: np.ndarray) -> np.ndarray:
+    x = np.arange(truth.shape[1]) - truth
+    return (x > 10) & (x < truth.shape[1] - 11)
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+@pytest.mark.parametrize("offset", [-40.0, 0.0, 15.0, 40.0])
+def test_any_sign_of_disparity_is_found(matcher: DenseMatcher, offset: float) -> None:
+    left, right = stereo_pair(120, 224, offset)
+    truth = true_disparity(120, 224, offset)
+    found = matcher(pair_of(left, right, int(offset) - 4, int(offset) + 28))
+    inside = well_inside(truth)
+    assert np.mean(np.abs(found.left - truth)[inside] < 1) > 0.85
+    assert found.left.shape == found.right.shape == (120, 224)
+
+
+@pytest.mark.parametrize("slope", [-0.6, 0.3, 0.5])
+def test_patchmatch_follows_slanted_planes_more_exactly_than_semi_global_matching(slope: float) -> None:
+    right = texture(160, 256)
+    y, x = np.mgrid[0:160, 0:256].astype(np.float64)
+    truth = 20 + slope * (x - 128) + 0.4 * (y - 80)
+    left = _drawn(right, x - truth)
+    pair = pair_of(left, right, int(truth.min()) - 2, int(truth.max()) + 2)
+    inside = well_inside(truth) & (np.abs(y - 80) < 70)
+    errors = [np.abs(matcher(pair).left - truth)[inside] for matcher in (match_patchmatch, match_sgbm)]
+    assert np.nanmedian(errors[0]) < 0.08
+    assert np.mean(errors[0] < 0.5) > np.mean(errors[1] < 0.5)
+    assert np.mean(errors[0] < 0.5) > 0.95
+
+
+def _drawn(right: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    rows = np.mgrid[0 : right.shape[0], 0 : right.shape[1]][0].astype(np.float32)
+    return np.asarray(cv2.remap(right, columns.astype(np.float32), rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT))
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_both_views_tell_the_same_story(matcher: DenseMatcher) -> None:
+    left, right = stereo_pair(120, 224)
+    pair = pair_of(left, right, 16, 48)
+    found, swapped = matcher(pair), matcher(mirrored(pair))
+    close = np.abs(found.right - swapped.left[:, ::-1]) < 1
+    assert np.mean(close[~np.isnan(found.right)]) > 0.85
+
+
+def test_patchmatch_gives_the_same_bytes_twice() -> None:
+    left, right = stereo_pair(96, 160)
+    pair = pair_of(left, right, 16, 44)
+    first, second = match_patchmatch(pair), match_patchmatch(pair)
+    assert first.left.tobytes() == second.left.tobytes()
+    assert first.confidence_right.tobytes() == second.confidence_right.tobytes()
+
+
+def test_patchmatch_of_a_large_pair_starts_from_half_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    from wbflow_stages.stereo import patchmatch
+
+    left, right = stereo_pair(192, 256)
+    truth = true_disparity(192, 256)
+    pair = pair_of(left, right, 16, 50)
+    monkeypatch.setattr(patchmatch, "_DIRECT_PX", 20000)
+    error = np.abs(match_patchmatch(pair).left - truth)[well_inside(truth)]
+    assert np.mean(error < 1) > 0.9
+
+
+def test_the_faint_texture_of_a_white_wall_is_matched() -> None:
+    left, right = (240 + (image - 125) / 50 for image in stereo_pair(120, 224))
+    truth = true_disparity(120, 224)
+    found = match_patchmatch(pair_of(left, right, 16, 44)).left
+    assert np.mean(np.abs(found - truth)[well_inside(truth)] < 1) > 0.85
+
+
+def test_halving_keeps_disparity_half_as_large() -> None:
+    left, right = stereo_pair(120, 224)
+    small = halved(pair_of(left, right, 16, 44))
+    assert small.left.shape == (60, 112)
+    assert small.disparity_min <= 8 and small.disparity_max >= 22
+    truth = true_disparity(120, 224)[::2, ::2] / 2
+    found = match_census_sgm(small).left
+    assert np.median(np.abs(found - truth)[well_inside(truth)]) < 0.3
+
+
+def test_the_quick_look_finds_the_range_and_makes_exposures_alike() -> None:
+    left, right = stereo_pair(240, 320, 30.0)
+    truth = true_disparity(240, 320, 30.0)
+    pair = pair_of(left, 0.5 * right + 60, 30, 42)
+    ready = prepared(pair)
+    assert ready.disparity_min <= truth.min() and ready.disparity_max >= np.percentile(truth, 98)
+    assert abs(np.std(ready.right) / np.std(ready.left) - 1) < 0.1
+    assert abs(np.mean(ready.right) - np.mean(ready.left)) < 8
+
+
+def test_images_without_texture_keep_the_range_of_the_matches() -> None:
+    blank = np.full((80, 160), 128.0)
+    pair = dataclasses.replace(pair_of(blank, blank, 3, 17), valid_left=np.zeros((80, 160), dtype=bool))
+    ready = prepared(pair)
+    assert (ready.disparity_min, ready.disparity_max) == (3, 17)
