@@ -82,9 +82,7 @@ def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
     cells, inliers, stretch = log(1 + e.distinct_cells), log(1 + e.inliers), log(e.stretch + 0.01)
     if isfinite(e.half_rotation_deg):
         halves = log(e.half_rotation_deg + 0.01)
-        score = (
-            0.54 * cells + 8.9 * e.distinct_share + 4.8 * e.agreement + 2.7 * stretch + 0.53 * inliers - 0.84 * halves - 4.0
-        )
+        score = 0.54 * cells + 8.9 * e.distinct_share + 4.8 * e.agreement + 2.7 * stretch + 0.53 * inliers - 0.84 * halves - 4.0
     else:
         score = 0.9 * cells + 12.0 * e.distinct_share + 5.5 * e.agreement + 3.0 * stretch + 0.6 * inliers - 6.5
     return min(score, 0.0) if contradicted else score
@@ -174,9 +172,7 @@ def site_verdict(geometries: Mapping[Pair, Geometry]) -> dict[Pair, PairVerdict]
     belief = _beliefs(prior, members, closed)
     count = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
-    reasons = {
-        pair: _reason(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)
-    }
+    reasons = {pair: _reason(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
     believed = {pair: float(belief[index[pair]]) for pair in posed if reasons[pair] is None}
     for pair, degrees in _against_tree(posed, believed).items():
         reasons[pair] = f"wrong: turned by {degrees:.1f} degrees against the pairs that are believed most"

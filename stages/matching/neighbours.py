@@ -80,9 +80,7 @@ def _keep_best(
 
 
 @kernel
-def _best_elsewhere(
-    similarity: Float32s, start: int, xy: Float64s, others_xy: Float64s, limit: float, best: Float32s
-) -> None:
+def _best_elsewhere(similarity: Float32s, start: int, xy: Float64s, others_xy: Float64s, limit: float, best: Float32s) -> None:
     for i in range(similarity.shape[0]):
         row = start + i
         for j in range(similarity.shape[1]):
