@@ -8,15 +8,16 @@ import numpy as np
 
 from .rectification.mapping import Side, warp, warp_mask
 from .stereo.checks import agreeing, disagreement, lands_on, within_reach, without_specks
+from .stereo.graphcut import match_graphcut
 from .stereo.pair import DenseMatcher, DenseMatches, RectifiedPair
 from .stereo.patchmatch import match_patchmatch
 from .stereo.quick_look import prepared
 from .stereo.sgbm import match_sgbm
 from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Rejected, Uint8s
 
-Matcher = Literal["sgbm", "patchmatch"]
+Matcher = Literal["patchmatch", "sgbm", "graphcut"]
 
-MATCHERS: dict[str, DenseMatcher] = {"sgbm": match_sgbm, "patchmatch": match_patchmatch}
+MATCHERS: dict[str, DenseMatcher] = {"patchmatch": match_patchmatch, "sgbm": match_sgbm, "graphcut": match_graphcut}
 """Every function of this signature plugs in."""
 
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
@@ -48,7 +49,8 @@ def match_dense(
         How the frames are resampled.
     matcher
         "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
-        OpenCV's semi-global matching, three times faster.
+        OpenCV's semi-global matching, three times faster.  "graphcut": expansion moves at no more than 384 x 256 pixels, for
+        comparison (slow; needs the extra `graphcut`).
     tolerance_px
         The two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.
     speck_share
@@ -94,7 +96,7 @@ def _rectified(left: Frame, right: Frame, rectification: Rectification) -> Recti
         grey = warp(rectification, side, _grey(frame.image))
         mask = warp_mask(rectification, side, frame.mask & ~_saturated(frame.image))
         padding = (0, 0), (0, width - grey.shape[1])
-        images.append(np.pad(grey, padding))
+        images.append(np.pad(grey, padding, mode="edge"))
         masks.append(np.pad(mask, padding))
     low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
     return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high)

@@ -26,16 +26,21 @@ _UNKNOWN_COST = 35
 
 def match_census_sgm(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views, to a fraction of a pixel in the left one, in whole pixels in the right one."""
-    census1 = _census(np.ascontiguousarray(pair.left))
-    census2 = _census(np.ascontiguousarray(pair.right))
-    count = pair.disparity_max - pair.disparity_min + 1
-    volume = _costs(census1, census2, pair.valid_right, pair.disparity_min, count, np.uint8(_UNKNOWN_COST))
+    volume = census_costs(pair)
     large = _large_steps(pair.left)
     summed = np.zeros(volume.shape, dtype=np.uint16)
     for backward in (False, True):
         _aggregate(volume, large, np.uint16(_SMALL_STEP), backward, summed)
     left, right, distinct1, distinct2 = _best(summed, pair.disparity_min)
     return DenseMatches(left, right, distinct1, distinct2)
+
+
+def census_costs(pair: RectifiedPair) -> Uint8s:
+    """(h, w, disparities) uint8: in how many of 62 neighbours a pixel differs from its partner at each disparity of the range."""
+    census1 = _census(np.ascontiguousarray(pair.left))
+    census2 = _census(np.ascontiguousarray(pair.right))
+    count = pair.disparity_max - pair.disparity_min + 1
+    return _costs(census1, census2, pair.valid_right, pair.disparity_min, count, np.uint8(_UNKNOWN_COST))
 
 
 def _large_steps(image: Float32s) -> Uint16s:
