@@ -53,6 +53,7 @@ def rectify(
     verdict: PairVerdict | None = None,
     *,
     method: Method = "congruent",
+    fallback: bool = True,
     min_matches: int = 20,
     max_row_error_px: float = 0.5,
     min_angle_deg: float = 0.7,
@@ -73,6 +74,8 @@ def rectify(
         the matches; "seed": congruent by the letter of the seed, for study; "calibrated": both cameras turned to a common
         orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows.  Homographies that tear
         the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
+    fallback
+        Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
     min_matches
         Fewer matches than this reject the pair; fewer than 50 warn.
     max_row_error_px
@@ -97,7 +100,7 @@ def rectify(
         return refusal
     reason, found = "as asked", None
     for homographies in dict.fromkeys((method, "hartley")) if method != "polar" else ():  # hartley bends x least
-        attempt = _by_homographies(pair, homographies, reason)
+        attempt = _by_homographies(pair, homographies, reason, torn_too=not fallback)
         if isinstance(attempt, Rectification):
             found = attempt
             break
@@ -149,7 +152,7 @@ def _angle_deg(geometry: Geometry, pair: _Pair) -> float:
     return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
 
 
-def _by_homographies(pair: _Pair, method: str, reason: str) -> Rectification | str:
+def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> Rectification | str:
     """A rectification by two homographies, or why there can be none."""
     try:
         H1, H2 = _homographies(pair, method)
@@ -166,6 +169,8 @@ def _by_homographies(pair: _Pair, method: str, reason: str) -> Rectification | s
         shown = _shown(result, pair, side)
         if len(shown) == 0 or (homogeneous(shown) @ H[2]).min() <= 0:
             return "the line sent to infinity crosses the image"
+        if torn_too:
+            continue
         area, longer, shorter = _shapes(result, pair, side)
         low, high = np.sqrt(np.percentile(np.abs(area), [5, 95]))
         if high > 4 * low:

@@ -1,0 +1,90 @@
+"""Photographed pairs with the project's own geometry, and the judgement of rectified and densely matched pairs against the truth.
+
+For the benchmarks of rectification and dense matching.  Geometry comes from keypoints at `FEATURE_WIDTH`, scaled to the width
+asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pairs_with_truth import TrueView, photographed, true_correspondences
+
+from wbflow_stages.geometry import estimate_geometry
+from wbflow_stages.matches import match
+from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified
+from wbflow_stages.types import Disparity, Float32s, Float64s, Geometry, Matches, Rectification
+
+FEATURE_WIDTH = 1536
+SWEEP = "5-4 5-3 5-2 5-1 5-6 5-7 5-8 5-9"
+
+
+@dataclass(frozen=True)
+class TruePair:
+    """Two views at working width, their geometry, and exact correspondences x1, x2 (n, 2) of what both see."""
+
+    name: str
+    left: TrueView
+    right: TrueView
+    geometry: Geometry
+    x1: Float64s
+    x2: Float64s
+
+
+def true_pairs(names: list[str], width: int, scene: str = "fountain") -> list[TruePair]:
+    """Pairs such as "5-4" that have a geometry; the others are left out with a word."""
+    chosen = [tuple(name.split("-")) for name in names]
+    numbers = sorted({number for pair in chosen for number in pair})
+    views, sharp = photographed(scene, width, numbers), photographed(scene, FEATURE_WIDTH, numbers)
+    pairs = []
+    for a, b in chosen:
+        matches = match(sharp[a].features, sharp[b].features)
+        geometry = estimate_geometry(matches, sharp[a].features, sharp[b].features) if isinstance(matches, Matches) else matches
+        if isinstance(geometry, Geometry):
+            geometry = scaled(geometry, views[a], views[b])
+            truth = true_correspondences(views[a], views[b], width // 2)
+            pairs.append(TruePair(f"{a}-{b}", views[a], views[b], geometry, *truth))
+        else:
+            print(f"{a}-{b} has no geometry: {geometry.reason}")
+    return pairs
+
+
+def scaled(geometry: Geometry, left: TrueView, right: TrueView) -> Geometry:
+    """The geometry of the same pair at another width."""
+    s1, s2 = left.camera.width / geometry.view1.width, right.camera.width / geometry.view2.width
+    T1, T2 = (np.array([[s, 0, 0.5 * s - 0.5], [0, s, 0.5 * s - 0.5], [0, 0, 1]]) for s in (s1, s2))
+    F = np.linalg.inv(T2).T @ geometry.F @ np.linalg.inv(T1)
+    x1, x2 = ((x + 0.5) * s - 0.5 for x, s in ((geometry.x1, s1), (geometry.x2, s2)))
+    return replace(geometry, F=F / np.linalg.norm(F), x1=x1, x2=x2, view1=left.frame.view, view2=right.frame.view)
+
+
+def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:
+    """(n,) pixels between the rows of true correspondences that both rectified images show."""
+    y1, y2 = to_rectified(rectification, 1, pair.x1), to_rectified(rectification, 2, pair.x2)
+    shown = np.ones(len(y1), dtype=bool)
+    for y, size in ((y1, rectification.size1), (y2, rectification.size2)):
+        shown &= (y >= -0.5).all(axis=1) & (y <= np.array(size) - 0.5).all(axis=1)
+    return np.abs(y1[shown, 1] - y2[shown, 1])
+
+
+def dense_errors(rectification: Rectification, disparity: Disparity, pair: TruePair) -> Float64s:
+    """(n,) pixels of image 2 between where the left disparity sends a true point and where it is; nan where it has no value."""
+    at = to_rectified(rectification, 1, pair.x1)
+    d = sampled(disparity_px(disparity, 1), at)
+    found = from_rectified(rectification, 2, np.column_stack([at[:, 0] - d, at[:, 1]]))
+    return np.linalg.norm(found - pair.x2, axis=1)
+
+
+def sampled(values: Float32s, at: Float64s) -> Float64s:
+    """Values (n,) between pixels by linear interpolation; the nearest pixel's where the four neighbours jump or lack one."""
+    h, w = values.shape
+    corner = np.floor(at).astype(int)
+    inside = (corner >= 0).all(axis=1) & (corner < [w - 1, h - 1]).all(axis=1)
+    x, y = np.clip(corner[:, 0], 0, w - 2), np.clip(corner[:, 1], 0, h - 2)
+    f, g = (at - corner).T
+    four = np.stack([values[y, x], values[y, x + 1], values[y + 1, x], values[y + 1, x + 1]])
+    weights = np.stack([(1 - f) * (1 - g), f * (1 - g), (1 - f) * g, f * g])
+    smooth = np.ptp(four, axis=0) < 2.5
+    nearest = four[weights.argmax(axis=0), np.arange(len(at))]
+    return np.where(inside, np.where(smooth, (four * weights).sum(axis=0), nearest), np.nan)
