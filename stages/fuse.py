@@ -27,6 +27,7 @@ def fuse(
     disparities: Mapping[Pair, Disparity],
     refined: Mapping[str, DepthMap] | None = None,
     *,
+    component: int = 0,
     strict: int = 1,
     voxel_m: float | None = None,
     noise_px: float = 0.35,
@@ -43,6 +44,8 @@ def fuse(
         Of each pair both of whose cameras are in `cameras`; looked at one at a time.
     refined
         Depth of views refined over all views around them: taken for these instead of their pairs' disparities.
+    component
+        Only cameras of this component: those that share a world.
     strict
         A point needs so many pairs that agree on it: 2 trades completeness for accuracy.
     voxel_m
@@ -55,6 +58,7 @@ def fuse(
         Each view is compared with so many others that see most of the same.
     """
     noise = NoiseModel(noise_px=noise_px)
+    cameras = {name: camera for name, camera in cameras.items() if camera.component == component}
     depths: dict[str, DepthMap] = {}
     for name in cameras:
         depth = (refined or {}).get(name) or view_depth(name, cameras, rectifications, disparities, noise)

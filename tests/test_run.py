@@ -95,6 +95,15 @@ def test_no_capture_at_all_makes_no_cloud_and_leaves_the_last_one_published(toy:
     assert (toy.work / "runs" / "latest").resolve().name == good["run"]
 
 
+def test_each_group_of_cameras_that_share_a_world_gets_a_cloud_of_its_own(toy: ToySite) -> None:
+    toy.parameters = {"poses": {"worlds": 2}}
+    toy.write()
+    record = toy.run()
+    assert [cloud["path"] for cloud in record["other_clouds"]] == ["cloud-component-2.ply"]
+    assert (toy.work / "runs" / "latest" / "cloud-component-2.ply").is_file()
+    assert toy.run()["tasks"]["ran"] == 0
+
+
 def test_one_usable_camera_is_said_to_be_too_few(toy: ToySite) -> None:
     for camera in toy.cameras[1:]:
         toy.capture(camera).write_text("broken")

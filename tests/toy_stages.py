@@ -85,12 +85,19 @@ def estimate_geometry(matches: Matches, left: Features, right: Features) -> Geom
 
 
 def solve_poses(
-    views: Mapping[str, View], placements: Mapping[str, Placement], geometries: Mapping[Pair, Geometry], survey: Survey
+    views: Mapping[str, View],
+    placements: Mapping[str, Placement],
+    geometries: Mapping[Pair, Geometry],
+    survey: Survey,
+    *,
+    worlds: int = 1,
 ) -> Poses | Rejected:
-    """Cameras in a row."""
+    """Cameras in a row, in so many worlds."""
     _trouble("poses")
-    cameras = {name: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8) for i, name in enumerate(views)}
-    return Poses(cameras, {}, {}, metric=True, source="calibration")
+    names = list(views)
+    groups = tuple(tuple(names[k::worlds]) for k in range(worlds))
+    cameras = {n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds) for i, n in enumerate(names)}
+    return Poses(cameras, {}, {}, metric=True, source="calibration", components=groups)
 
 
 def rectify(
@@ -121,6 +128,7 @@ def fuse(
     disparities: Mapping[Pair, Disparity],
     refined: Mapping[str, DepthMap],
     *,
+    component: int = 0,
     voxel_m: float | None = None,
 ) -> Cloud | Rejected:
     """A point for each pair."""

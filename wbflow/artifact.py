@@ -82,7 +82,7 @@ def parts(value: Any) -> dict[str, str]:
 
 
 def figures(value: Any) -> dict[str, Any]:
-    """Fields of a dataclass that are scalars, or tuples of them, by name; the number of rows of its arrays as `<field>_count`."""
+    """Plain fields of a dataclass (scalars, tuples and mappings of them) by name; rows of its arrays as `<field>_count`."""
     found: dict[str, Any] = {}
     for name in (f.name for f in dataclasses.fields(value)):
         field = getattr(value, name)
@@ -96,6 +96,8 @@ def figures(value: Any) -> dict[str, Any]:
 def _is_plain(value: Any) -> bool:
     if isinstance(value, tuple):
         return all(map(_is_plain, value))
+    if isinstance(value, Mapping):
+        return all(isinstance(key, str) and _is_plain(entry) for key, entry in value.items())
     return value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))
 
 

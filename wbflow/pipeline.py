@@ -37,7 +37,8 @@ class Stage:
     needs: inputs by the function's argument name; suffix: of the artifact's file; picture: function that draws the artifact
     (called with the result and the same inputs, or those of `picture_needs` by the same names; returns encoded bytes);
     optional: the site file may switch it off;
-    settings: the section of the site file that also feeds its parameters.
+    settings: the part of the site file that also feeds its parameters, or "component": done once for each group of cameras
+    that share a world.
     """
 
     name: str
@@ -48,7 +49,7 @@ class Stage:
     picture: str | None = None
     picture_needs: dict[str, Need] = field(default_factory=dict)
     optional: bool = False
-    settings: Literal["", "pairs", "resolution"] = ""
+    settings: Literal["", "pairs", "resolution", "component"] = ""
 
 
 STAGES: tuple[Stage, ...] = (
@@ -129,7 +130,7 @@ STAGES: tuple[Stage, ...] = (
         needs={
             "frame": Need("frames"),
             "frames": Need("frames", "around"),
-            "cameras": Need("poses", part="cameras"),
+            "cameras": Need("poses", "around", part="cameras"),
             "rectifications": Need("rectify", "around"),
             "disparities": Need("disparity", "around"),
         },
@@ -149,6 +150,7 @@ STAGES: tuple[Stage, ...] = (
         },
         suffix=".ply",
         picture="wbflow_stages.previews:cloud_preview",
+        settings="component",
     ),
 )
 

@@ -213,7 +213,7 @@ class Plan:
             origin = stage_named(need.origin)
             if need.optional and origin not in self._stages:
                 continue
-            if need.which in {"all", "around"}:
+            if need.which in {"all", "around"} and origin.scope != "site":
                 found += self._joined(origin, need, task)
             elif need.which == "same" or origin.scope == "site":
                 found.append(Task(origin.name, task.subject if origin.scope != "site" else ()))
@@ -230,6 +230,8 @@ class Plan:
             return [Task(stage.name, (camera.id,)) for camera in self.site.cameras]
         if stage.scope == "pair":
             return [Task(stage.name, pair) for pair in self._pairs() or ()]
+        if stage.settings == "component":
+            return [Task(stage.name, ())] + [Task(stage.name, (component_name(k),)) for k in range(1, self._components())]
         return [Task(stage.name, ())]
 
     def _pairs(self) -> list[tuple[str, str]] | None:
@@ -237,6 +239,12 @@ class Plan:
         if state is None:
             return None
         return [tuple(pair) for pair in state.receipt.figures["pairs"]] if state.usable and state.receipt else []
+
+    def _components(self) -> int:
+        """Into how many worlds of at least two cameras the site falls, as far as is known."""
+        state = self.states.get(Task("poses", ()))
+        groups = state.receipt.figures.get("components", ()) if state and state.usable and state.receipt else ()
+        return sum(len(group) > 1 for group in groups)
 
     def _settle(self, stage: Stage, task: Task) -> None:
         try:
@@ -260,7 +268,7 @@ class Plan:
         info = self._info(stage)
         inputs = {name: self._input(stage, task, need, among or set()) for name, need in stage.needs.items()}
         forced = bool(self.force & {task.stage, str(task)})
-        parameters = self._parameters(stage, info)
+        parameters = self._parameters(stage, info, task)
         drawn = {name: self._input(stage, task, need, set()) for name, need in stage.picture_needs.items()}
         return TaskSpec(task, info.dotted, info.code, parameters, inputs, stage.suffix, stage.picture, drawn, forced)
 
@@ -270,12 +278,14 @@ class Plan:
             self._infos[stage.name] = self.site.reader.read((settings and settings.use) or stage.function)
         return self._infos[stage.name]
 
-    def _parameters(self, stage: Stage, info: FunctionInfo) -> dict[str, Any]:
+    def _parameters(self, stage: Stage, info: FunctionInfo, task: Task) -> dict[str, Any]:
         values = {name: parameter.default for name, parameter in info.parameters.items()}
         if stage.settings == "pairs":
             values |= self.site.pairs
         if stage.settings == "resolution":
             values["resolution"] = self.site.resolution
+        if stage.settings == "component" and "component" in values:
+            values["component"] = next((k for k in range(1, self._components()) if task.subject == (component_name(k),)), 0)
         settings = self.site.stages.get(stage.name)
         return values | (settings.parameters if settings else {})
 
@@ -318,6 +328,8 @@ class Plan:
             return Joined({})
         if not self.pairs_known() and (origin.scope == "pair" or need.which == "around"):
             raise _Waiting(None)
+        if origin.scope == "site":
+            return self._entries(origin, need, task)
         items: dict[Subject, Value | Stored] = {}
         faults = []
         for upstream in self._joined(origin, need, task):
@@ -331,6 +343,23 @@ class Plan:
         if not items and not need.optional:
             raise _Impossible(self._nothing(origin, faults))
         return Joined(items)
+
+    def _entries(self, origin: Stage, need: Need, task: Task) -> Input:
+        """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question."""
+        items: dict[Subject, Value | Stored] = {}
+        for camera in self._around(task.subject[0]):
+            part = f"{need.part}[{camera}]"
+            stored = self._stored(Task(origin.name, ()), part, dataclasses.replace(need, optional=True), set())
+            if isinstance(stored, Stored):
+                items[camera,] = stored
+        if not items:
+            raise _Impossible(_because(Task(origin.name, ()), self.states[Task(origin.name, ())]))
+        return Joined(items)
+
+    def _around(self, camera: str) -> list[str]:
+        """A camera and those that it makes pairs with, in the order of the site file."""
+        around = {camera, *(c for pair in self._pairs() or () if camera in pair for c in pair)}
+        return [c.id for c in self.site.cameras if c.id in around]
 
     def _nothing(self, origin: Stage, faults: list[str]) -> str:
         """Why a stage that joins many has none to join."""
@@ -350,9 +379,9 @@ class Plan:
         if need.which == "all":
             return self._tasks(origin)
         camera = task.subject[0]
-        pairs = [pair for pair in self._pairs() or () if camera in pair]
-        around = {camera, *(c for pair in pairs for c in pair)}
-        return [t for t in self._tasks(origin) if (t.subject in pairs if origin.scope == "pair" else t.subject[0] in around)]
+        if origin.scope == "pair":
+            return [t for t in self._tasks(origin) if camera in t.subject]
+        return [Task(origin.name, (c,)) for c in self._around(camera)]
 
     def _from_site(self, need: Need, task: Task) -> Input:
         what = need.origin.partition(":")[2]
@@ -391,6 +420,11 @@ def make_plan(
     """A plan for one night, not yet refreshed."""
     expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))
+
+
+def component_name(number: int) -> str:
+    """What a component of cameras other than the main one is called: component-2 is the second."""
+    return f"component-{number + 1}"
 
 
 def cached_state(receipt: Receipt) -> State:

@@ -3,31 +3,35 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from . import artifact
 from .files import sync_folder, write_atomic
 from .night import Night
-from .plan import Plan, State, Task
+from .plan import Plan, Task
 
 
 @dataclass(frozen=True)
 class Publication:
-    """The products of a run, read back from the cache and found intact: cloud (PLY bytes) and cameras (JSON text)."""
+    """The products of a run, read back from the cache and found intact: clouds (PLY, by file name) and cameras (JSON)."""
 
-    cloud: bytes | None = None
+    clouds: dict[str, bytes] = field(default_factory=dict)
     cameras: str | None = None
 
     @staticmethod
     def collect(plan: Plan) -> Publication:
         """Raises DamagedArtifact."""
-        fuse, poses = plan.states.get(Task("fuse", ())), plan.states.get(Task("poses", ()))
-        cloud = _bytes(plan, Task("fuse", ()), fuse)
-        solved = _bytes(plan, Task("poses", ()), poses)
+        clouds = {cloud_file(task): _bytes(plan, task) for task in plan.states if task.stage == "fuse"}
+        solved = _bytes(plan, Task("poses", ()))
         cameras = None if solved is None else cameras_json(artifact.decode(solved))
-        return Publication(cloud, cameras)
+        return Publication({name: data for name, data in clouds.items() if data is not None}, cameras)
+
+
+def cloud_file(task: Task) -> str:
+    """The file of a component's cloud in a run's folder: cloud.ply for the main one."""
+    return f"cloud{''.join(f'-{name}' for name in task.subject)}.ply"
 
 
 def cameras_json(poses: Any) -> str:
@@ -56,8 +60,8 @@ def publish(night: Night, record: dict[str, Any], events: list[dict[str, Any]], 
     name = str(record["run"])
     folder, final = runs / f".{name}.tmp", runs / name
     folder.mkdir(parents=True)
-    if products.cloud is not None:
-        write_atomic(folder / "cloud.ply", products.cloud)
+    for cloud, data in products.clouds.items():
+        write_atomic(folder / cloud, data)
     if products.cameras is not None:
         write_atomic(folder / "cameras.json", products.cameras.encode())
     write_atomic(folder / "log.jsonl", "".join(json.dumps(event) + "\n" for event in events).encode())
@@ -70,7 +74,7 @@ def publish(night: Night, record: dict[str, Any], events: list[dict[str, Any]], 
         write_atomic(folder / "report.html", f"<!doctype html><title>wbflow</title><p>No report: {error!r}".encode())
     folder.rename(final)
     sync_folder(runs)
-    if products.cloud is not None:
+    if "cloud.ply" in products.clouds:
         link = runs / ".latest.tmp"
         link.unlink(missing_ok=True)
         link.symlink_to(final.name)
@@ -80,7 +84,8 @@ def publish(night: Night, record: dict[str, Any], events: list[dict[str, Any]], 
     return final
 
 
-def _bytes(plan: Plan, task: Task, state: State | None) -> bytes | None:
+def _bytes(plan: Plan, task: Task) -> bytes | None:
+    state = plan.states.get(task)
     if state is None or not state.usable or state.receipt is None:
         return None
     return plan.cache.read(str(task), plan.cache.path(state.receipt), state.receipt.digest)

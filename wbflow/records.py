@@ -8,6 +8,7 @@ from typing import Any
 
 from . import __version__
 from .plan import Plan, State, Task
+from .publish import cloud_file
 
 STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
@@ -39,8 +40,6 @@ def run_record(run: str, plan: Plan, measures: Measures, finished: datetime.date
         counts[state.outcome] += 1
     cameras = [_camera(plan, camera.id) for camera in plan.site.cameras]
     fuse = plan.states.get(Task("fuse", ()))
-    figures = fuse.receipt.figures if fuse and fuse.usable and fuse.receipt else None
-    cloud = {"path": "cloud.ply", "points": figures["points_count"], "bounds": figures["bounds"]} if figures else None
     return {
         "run": run,
         "site": plan.site.name,
@@ -58,7 +57,9 @@ def run_record(run: str, plan: Plan, measures: Measures, finished: datetime.date
         "peak_rss_mb": round(measures.peak_rss_mb),
         "cameras": cameras,
         "pairs": [_pair(plan, pair) for pair in _pairs(plan)],
-        "cloud": cloud,
+        "cloud": _cloud(plan, Task("fuse", ())),
+        "other_clouds": [c for task in plan.states if task.stage == "fuse" and task.subject and (c := _cloud(plan, task))],
+        "poses": _poses(plan),
         "reason": fuse.reason if fuse and not fuse.usable else None,
     }
 
@@ -72,14 +73,34 @@ def exit_code(plan: Plan, cameras: list[dict[str, Any]]) -> int:
     return 3 if lost else 0
 
 
+def _cloud(plan: Plan, task: Task) -> dict[str, Any] | None:
+    state = plan.states.get(task)
+    if state is None or not state.usable:
+        return None
+    figures = _figures(state)
+    return {"path": cloud_file(task), "points": figures["points_count"], "bounds": figures["bounds"]}
+
+
+def _poses(plan: Plan) -> dict[str, Any] | None:
+    """How the cameras came to stand where they do, without the cameras themselves (those are in cameras.json)."""
+    state = plan.states.get(Task("poses", ()))
+    return {name: _rounded(value) for name, value in _figures(state).items()} if state and state.usable else None
+
+
 def _camera(plan: Plan, camera: str) -> dict[str, Any]:
     states = [plan.states.get(Task(stage, (camera,))) for stage in ("frames", "features")]
     record: dict[str, Any] = {"id": camera, "outcome": "ok", "keypoints": None, "reason": None, "notes": []}
     for state in filter(None, states):
         if not state.usable:
             return record | {"outcome": state.outcome, "reason": state.reason}
-        record["notes"] += _figures(state).get("notes", [])
+        record["notes"] = [*record["notes"], *_figures(state).get("notes", [])]
         record["keypoints"] = _figures(state).get("xy_count", record["keypoints"])
+    poses = plan.states.get(Task("poses", ()))
+    solved = _figures(poses) if poses else {}
+    if camera in solved.get("suspects", {}):
+        record["notes"] = [*record["notes"], solved["suspects"][camera]]
+    if camera in solved.get("unsolved", {}):
+        return record | {"outcome": "unsolved", "reason": solved["unsolved"][camera]}
     return record
 
 

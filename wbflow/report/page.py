@@ -109,8 +109,17 @@ def _cloud(record: dict[str, Any], pictures: dict[str, str]) -> str:
     low, high = record["cloud"]["bounds"]
     size = " x ".join(f"{b - a:.1f}" for a, b in zip(low, high, strict=True))
     picture = f'<p><img class="wide" src="{pictures["fuse"]}" alt="the cloud"></p>' if "fuse" in pictures else ""
-    words = f"<p><a href='cloud.ply'>cloud.ply</a>: {record['cloud']['points']:,} points, {size} m</p>"
-    return f"<h2>The cloud</h2>{picture}{words}"
+    poses = record.get("poses") or {}
+    unit = "m" if poses.get("metric", True) else "units (nothing says how long a metre is)"
+    words = f"<p><a href='cloud.ply'>cloud.ply</a>: {record['cloud']['points']:,} points, {size} {unit}</p>"
+    others = "".join(
+        f"<li><a href='{c['path']}'>{c['path']}</a>: {c['points']:,} points</li>" for c in record.get("other_clouds", [])
+    )
+    if others:
+        joins = "".join(f"<li>{escape(join)}</li>" for join in poses.get("joins", ()))
+        words += f"<p>The pairs do not connect all cameras; the others have clouds of their own:</p><ul>{others}{joins}</ul>"
+    notes = "".join(f"<li>{escape(note)}</li>" for note in poses.get("notes", ()))
+    return f"<h2>The cloud</h2>{picture}{words}<ul>{notes}</ul>"
 
 
 def _graph(record: dict[str, Any], folder: Path) -> str:
