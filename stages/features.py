@@ -20,6 +20,8 @@ Light = Literal["auto", "plain", "robust"]
 
 PLAIN = 0
 TILTED = 1
+DARK_GREY, FLAT_RANGE = 50.0, 25.0
+"""Grey levels of 255: a median below the first, or a span of the middle 80 % below the second, asks for robust light."""
 ANGLE_SEAM_DEG = 45.0
 """SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
 alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
@@ -46,7 +48,8 @@ def detect(
     contrast_threshold : least contrast of a keypoint, as share of the grey range (OpenCV's meaning).
     grid_columns : square cells across the image among which the keypoints are spread.
     crowding : a cell gives at most this many times its even share, as long as others have keypoints to give; no unit.
-    light : "robust" equalises the local contrast first, for dusk, night and lamps; "auto" looks at the image to decide.
+    light : "robust" smooths the noise and equalises the local contrast first, for night, lamps and fog; "auto" looks at the
+        image to decide, because by day this finds less.
     min_keypoints : fewer than this in the plain view reject the frame.
 
     Returns
@@ -56,7 +59,7 @@ def detect(
     grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
     robust = light == "robust" or (light == "auto" and _needs_robust_light(grey, frame.mask))
     if robust:
-        grey, contrast_threshold = _equalised(grey), max(contrast_threshold, 0.02)
+        grey = _equalised(grey)
     sift = cv2.SIFT.create(contrastThreshold=contrast_threshold, enable_precise_upscale=True)
     plain = _detect_view(sift, grey, frame.mask, keypoints, grid_columns, crowding)
     if len(plain[0]) < min_keypoints:
@@ -81,16 +84,20 @@ def _features(views: list[_View], view: View, light: str) -> Features:
 
 
 def _needs_robust_light(grey: Uint8s, mask: Bools) -> bool:
-    """True for a dark image, or one that lives in a small part of the grey range."""
+    """True for a dark image (night, lamps), or one that lives in a small part of the grey range (fog)."""
     if not mask.any():
         return False
     low, median, high = np.percentile(grey[mask], [10, 50, 90])
-    return bool(median < 50 or high - low < 50)
+    return bool(median < DARK_GREY or high - low < FLAT_RANGE)
 
 
 def _equalised(grey: Uint8s) -> Uint8s:
-    """Contrast-limited adaptive histogram equalisation; the tiles are 1/8 of the image."""
-    return np.asarray(cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8)).apply(grey), dtype=np.uint8)
+    """Smoothed against the sensor's noise, then contrast-limited adaptive histogram equalisation on 8 x 8 tiles.
+
+    Equalising without smoothing first amplifies the noise of a night image, and finds less than the image left alone.
+    """
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.2)
+    return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(smooth), dtype=np.uint8)
 
 
 def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
