@@ -49,7 +49,7 @@ def fuse(
     strict
         A point needs so many pairs that agree on it: 2 trades completeness for accuracy.
     voxel_m
-        Edge of the voxels in which points are merged, in metres; None: what a pixel covers, in the median over all points.
+        Edge of the voxels in which points are merged, in metres; None: what a pixel covers, in the median.
     noise_px
         Assumed error of a disparity in pixels, standard deviation.
     neighbours
@@ -68,7 +68,9 @@ def fuse(
         return Rejected("no pair gave any depth", {"cameras": float(len(cameras)), "pairs": float(len(disparities))})
     near = {name: nearest_views(name, cameras, depths, check_views) for name in depths}
     gains = exposure_gains(cameras, depths, {name: thumbnail(frames[name].image) for name in depths}, near)
-    grid = VoxelGrid(voxel_m or _natural_voxel(cameras, depths), np.mean([cameras[name].C for name in depths], axis=0))
+    edge = voxel_m or _natural_voxel(cameras, depths)
+    centre = np.mean([cameras[name].C for name in depths], axis=0)
+    grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
     for name, depth in depths.items():
         verdict = cross_check(name, near[name], cameras, depths)
         grid.add(_samples(frames[name], cameras[name], depth, verdict, gains[name], strict))
@@ -100,9 +102,18 @@ def view_depth(
 
 
 def _natural_voxel(cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> float:
-    """What a pixel covers on the surface it sees, in the median over all views; every 8th pixel decides."""
+    """What a pixel covers on the surface it sees, in the median over all views, rounded down to a preferred number.
+
+    Rounded, so that the grid stays the same when cameras fail or surfaces change from night to night.
+    """
     footprints = [depth.depth[4::8, 4::8].ravel() / cameras[name].K[0, 0] for name, depth in depths.items()]
-    return float(np.nanmedian(np.concatenate(footprints)))
+    median = float(np.nanmedian(np.concatenate(footprints)))
+    decade = 10.0 ** np.floor(np.log10(median))
+    return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))
+
+
+_PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
+"""Renard's series R10: ten steps to a decade."""
 
 
 def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, gains: Float64s, strict: int) -> Samples:
