@@ -1,0 +1,138 @@
+"""Depth refined over all views around one, on a yard whose depth is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_scene import Yard, make_yard, true_depth
+
+from wbflow_stages.fuse import fuse, view_depth
+from wbflow_stages.fusion.depth import NoiseModel
+from wbflow_stages.refine import refine
+from wbflow_stages.types import INVALID, Cloud, DepthMap, Frame, Rejected
+
+
+def refined(yard: Yard, name: str, **parameters) -> DepthMap:
+    pairs = [pair for pair in yard.disparities if name in pair]
+    answer = refine(
+        yard.frames[name],
+        yard.frames,
+        yard.cameras,
+        {pair: yard.rectifications[pair] for pair in pairs},
+        {pair: yard.disparities[pair] for pair in pairs},
+        **parameters,
+    )
+    assert isinstance(answer, DepthMap)
+    return answer
+
+
+def errors(yard: Yard, name: str, depth: np.ndarray) -> np.ndarray:
+    return np.abs(depth / true_depth(yard.cameras[name]) - 1)
+
+
+def punched(yard: Yard, size: int = 12) -> Yard:
+    """The same yard, with square holes in every disparity."""
+
+    def holes(values: np.ndarray) -> np.ndarray:
+        v, u = np.mgrid[0 : values.shape[0], 0 : values.shape[1]]
+        return np.where((u // size % 3 == 0) & (v // size % 3 == 0), INVALID, values).astype(np.int16)
+
+    punch = {p: replace(d, left=holes(d.left), right=holes(d.right)) for p, d in yard.disparities.items()}
+    return replace(yard, disparities=punch)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Yard:
+    return make_yard((-24, -8, 8, 24), noise_px=0.5)
+
+
+def test_noise_of_the_pairs_is_reduced(noisy: Yard):
+    name = list(noisy.cameras)[1]
+    start = view_depth(name, noisy.cameras, noisy.rectifications, noisy.disparities, NoiseModel())
+    after = refined(noisy, name)
+    both = np.isfinite(start.depth) & np.isfinite(after.depth)
+    before_error, after_error = errors(noisy, name, start.depth)[both], errors(noisy, name, after.depth)[both]
+    assert np.median(after_error) < 0.6 * np.median(before_error)
+    assert both.sum() > 0.8 * np.isfinite(start.depth).sum()
+
+
+def test_sigma_is_about_the_error(noisy: Yard):
+    name = list(noisy.cameras)[1]
+    after = refined(noisy, name)
+    ratio = errors(noisy, name, after.depth) / (after.sigma / after.depth)
+    assert 0.05 < np.nanmedian(ratio) < 1.5  # rendered images are free of noise
+
+
+def test_holes_are_filled_from_their_rims():
+    yard = punched(make_yard((-24, -8, 8, 24), noise_px=0.2))
+    name = list(yard.cameras)[1]
+    start = view_depth(name, yard.cameras, yard.rectifications, yard.disparities, NoiseModel())
+    after = refined(yard, name)
+    filled = np.isfinite(after.depth) & ~np.isfinite(start.depth)
+    assert filled.sum() > 0.4 * (~np.isfinite(start.depth)).sum()
+    assert np.percentile(errors(yard, name, after.depth)[filled], 80) < 0.004
+
+
+def test_slopes_are_those_of_the_surface(noisy: Yard):
+    name = list(noisy.cameras)[1]
+    camera, after = noisy.cameras[name], refined(noisy, name)
+    q = 1 / true_depth(camera)
+    truth = np.gradient(q, axis=0)
+    smooth = np.isfinite(after.depth) & (np.abs(np.gradient(truth, axis=0)) < 1e-6)
+    flat = 0.15 * np.median(np.abs(truth[smooth]))
+    assert np.median(np.abs(after.slope_y - truth)[smooth]) < flat
+
+
+def test_the_cloud_gets_better(noisy: Yard):
+    depths = {name: refined(noisy, name) for name in noisy.cameras}
+    plain = fuse(noisy.frames, noisy.cameras, noisy.rectifications, noisy.disparities, voxel_m=0.04)
+    better = fuse(noisy.frames, noisy.cameras, noisy.rectifications, noisy.disparities, depths, voxel_m=0.04)
+    assert isinstance(plain, Cloud) and isinstance(better, Cloud)
+    assert np.median(noisy.distance(better.points)) < 0.7 * np.median(noisy.distance(plain.points))
+    assert len(better.points) > 0.9 * len(plain.points)
+
+
+def test_masked_pixels_stay_empty(noisy: Yard):
+    name = list(noisy.cameras)[0]
+    frame = noisy.frames[name]
+    mask = frame.mask.copy()
+    mask[:, :100] = False
+    frames = noisy.frames | {name: Frame(frame.image, mask, frame.view)}
+    after = refined(replace(noisy, frames=frames), name)
+    assert not np.isfinite(after.depth[:, :100]).any() and np.isfinite(after.depth[:, 100:]).any()
+
+
+def test_the_same_inputs_give_the_same_bytes(noisy: Yard):
+    name = list(noisy.cameras)[2]
+    one, two = refined(noisy, name), refined(noisy, name)
+    assert one.depth.tobytes() == two.depth.tobytes() and one.support.tobytes() == two.support.tobytes()
+
+
+def test_what_cannot_be_refined_says_why(noisy: Yard):
+    name, *others = noisy.cameras
+    frame = noisy.frames[name]
+    unknown = refine(frame, noisy.frames, {n: noisy.cameras[n] for n in others}, noisy.rectifications, noisy.disparities)
+    assert isinstance(unknown, Rejected) and "pose" in unknown.reason
+    nothing = refine(frame, noisy.frames, noisy.cameras, {}, {})
+    assert isinstance(nothing, Rejected) and "no pair" in nothing.reason
+    aside = refine(frame, noisy.frames, noisy.cameras, noisy.rectifications, noisy.disparities, min_angle_deg=80, max_angle_deg=90)
+    assert isinstance(aside, Rejected) and "angle" in aside.reason
+
+
+def test_frames_of_different_sizes_work_together():
+    """The left camera's picture is half as large again; the pair of the two others starts the middle one off."""
+    small, large = make_yard((-12, 0, 12), noise_px=0.3), make_yard((-12, 0, 12), width=360)
+    left, middle, right = small.cameras
+    pair = middle, right
+    after = refine(
+        small.frames[middle],
+        small.frames | {left: large.frames[left]},
+        small.cameras | {left: large.cameras[left]},
+        {pair: small.rectifications[pair]},
+        {pair: small.disparities[pair]},
+    )
+    assert isinstance(after, DepthMap) and after.partners == (left, right)
+    assert (after.support & 1).astype(bool).mean() > 0.4  # the large picture confirms much
+    assert np.nanmedian(errors(small, middle, after.depth)) < 0.002
