@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -68,66 +68,39 @@ def estimate_geometry(
     ----------
     Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
-    found = _solve(matches, threshold_px, use_intrinsics, seed)
     before = len(matches.x1)
     problems = view_pairs(left, right, matches.tilted)
+    found = _solve(matches, threshold_px, use_intrinsics, seed)
     if guided and found is not None:
         matches, found = _guided_round(matches, found, left, right, problems, threshold_px, use_intrinsics, seed)
     count = 0 if found is None else int(found.inliers.sum())
-    figures = {"matches": float(before), "inliers": float(count)}
     if found is None or count < min_inliers:
+        figures = {"matches": float(before), "inliers": float(count)}
         return Rejected(f"too few: {count} inliers of {before} matches, {min_inliers} needed", figures)
-    x1, x2 = matches.x1[found.inliers], matches.x2[found.inliers]
+    support = _support(matches, found, threshold_px, seed)
+    figures = {"matches": float(before), **support.figures()}
+    degenerate = _degenerate(support, min_area, min_inliers)
+    if degenerate is not None:
+        return Rejected(degenerate, figures)
 
-    area = min(_hull_share(x1, matches.view1), _hull_share(x2, matches.view2))
-    figures["area_share"] = area
-    if area < min_area:
-        reason = f"too clustered: {count} inliers on {100 * area:.2f} % of the image, {100 * min_area:.2f} needed"
-        return Rejected(reason, figures)
-    plane = homography_support(x1, x2, threshold_px, seed)
-    plane_share = float(plane.mean())
-    figures["homography_share"] = plane_share
-    flat = count - plane.sum() < max(min_inliers, (1 - PLANAR_SHARE) * count)
-    if found.R is not None:
-        turned = rotation_support(x1, x2, matches.view1, matches.view2, found.R, INLIER_FACTOR * threshold_px)
-        figures["rotation_share"] = turned
-        if count * (1 - turned) < max(min_inliers, (1 - PLANAR_SHARE) * count):
-            return Rejected(f"pure rotation: {100 * turned:.0f} % of the inliers need no baseline", figures)
-    elif flat:
-        reason = f"planar scene or pure rotation: a homography explains {100 * plane_share:.0f} % of the inliers, K unknown"
-        return Rejected(reason, figures)
-
-    warnings = []
-    if count < few_inliers:
-        warnings.append(f"few inliers: {count}")
-    if area < small_area:
-        warnings.append(f"clustered: inliers on {100 * area:.1f} % of the image")
-    if flat:
-        warnings.append(f"planar scene: one homography explains {100 * plane_share:.0f} % of the inliers")
-    contradicted = found.R is None and _known(matches.view1) and _known(matches.view2) and use_intrinsics
-    if contradicted:
-        warnings.append("the intrinsics contradict the matches: F kept instead of E")
-    evidence = pair_evidence(left, right, problems, matches.i1[found.inliers], matches.i2[found.inliers], found, seed)
-    score = pair_score(evidence, contradicted=contradicted)
-    figures |= {
-        "score": score,
-        "distinct_cells": float(evidence.distinct_cells),
-        "distinct_share": evidence.distinct_share,
-        "agreement": evidence.agreement,
-    }
+    i1, i2 = matches.i1[found.inliers], matches.i2[found.inliers]
+    contradicted = found.R is None and use_intrinsics and _known(matches.view1) and _known(matches.view2)
+    evidence = pair_evidence(left, right, problems, i1, i2, found, seed)
+    score = pair_score(evidence, contradicted)
+    figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
     if score < min_score:
         reason = (
-            f"wrong: {count} inliers agree with each other, but {evidence.distinct_cells} cells hold distinctive ones and "
-            f"{100 * evidence.agreement:.0f} % of the clear matches agree with them"
+            f"wrong: {count} inliers agree with each other, but only {evidence.distinct_cells} of 96 cells hold distinctive "
+            f"ones and {100 * evidence.agreement:.0f} % of the clear matches agree with them"
         )
         return Rejected(reason, figures)
-    R, t = _pose(found, x1, x2, matches.view1, matches.view2)
+    R, t = _pose(found, support.x1, support.x2, matches.view1, matches.view2)
     return Geometry(
         F=found.F,
-        x1=x1,
-        x2=x2,
-        i1=matches.i1[found.inliers],
-        i2=matches.i2[found.inliers],
+        x1=support.x1,
+        x2=support.x2,
+        i1=i1,
+        i2=i2,
         probability=matches.probability[found.inliers],
         view1=matches.view1,
         view2=matches.view2,
@@ -136,9 +109,9 @@ def estimate_geometry(
         matches=before,
         inliers=count,
         model="F" if found.R is None else "E",
-        epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, x1, x2))),
-        angle_deg=_ray_angle_deg(x1, x2, matches.view1, matches.view2, R),
-        homography_share=plane_share,
+        epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, support.x1, support.x2))),
+        angle_deg=_ray_angle_deg(support.x1, support.x2, matches.view1, matches.view2, R),
+        homography_share=support.plane_share,
         score=score,
         good_probability=probability(score),
         distinct_cells=evidence.distinct_cells,
@@ -146,8 +119,67 @@ def estimate_geometry(
         agreement=evidence.agreement,
         half_rotation_deg=evidence.half_rotation_deg,
         stretch=evidence.stretch,
-        warnings=tuple(warnings),
+        warnings=_warnings(support, contradicted, few_inliers, small_area, min_inliers),
     )
+
+
+@dataclass(frozen=True)
+class _Support:
+    """The inliers x1, x2 (n, 2) and what they span; shares of them that a model without depth explains, turned_share None where
+    no E is known."""
+
+    x1: Float64s
+    x2: Float64s
+    area: float
+    plane_share: float
+    turned_share: float | None
+
+    def figures(self) -> dict[str, float]:
+        turned = {} if self.turned_share is None else {"rotation_share": self.turned_share}
+        return {"inliers": float(len(self.x1)), "area_share": self.area, "homography_share": self.plane_share, **turned}
+
+    def explained(self, share: float, min_inliers: int) -> bool:
+        """What the model leaves over could be chance."""
+        return len(self.x1) * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * len(self.x1))
+
+
+def _support(matches: Matches, found: TwoView, threshold_px: float, seed: int) -> _Support:
+    x1, x2 = matches.x1[found.inliers], matches.x2[found.inliers]
+    view1, view2 = matches.view1, matches.view2
+    turned = None
+    if found.R is not None:
+        turned = rotation_support(x1, x2, view1, view2, found.R, INLIER_FACTOR * threshold_px)
+    plane = float(homography_support(x1, x2, threshold_px, seed).mean())
+    return _Support(x1, x2, min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
+
+
+def _degenerate(support: _Support, min_area: float, min_inliers: int) -> str | None:
+    """The name of what makes F meaningless, with its figures."""
+    count = len(support.x1)
+    if support.area < min_area:
+        return f"too clustered: {count} inliers on {100 * support.area:.2f} % of the image, {100 * min_area:.2f} needed"
+    if support.turned_share is not None:
+        if support.explained(support.turned_share, min_inliers):
+            return f"pure rotation: {100 * support.turned_share:.0f} % of the inliers need no baseline"
+    elif support.explained(support.plane_share, min_inliers):
+        share = 100 * support.plane_share
+        return f"planar scene or pure rotation: a homography explains {share:.0f} % of the inliers, and no E is known"
+    return None
+
+
+def _warnings(
+    support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int
+) -> tuple[str, ...]:
+    found = []
+    if len(support.x1) < few_inliers:
+        found.append(f"few inliers: {len(support.x1)}")
+    if support.area < small_area:
+        found.append(f"clustered: inliers on {100 * support.area:.1f} % of the image")
+    if support.explained(support.plane_share, min_inliers):
+        found.append(f"planar scene: one homography explains {100 * support.plane_share:.0f} % of the inliers")
+    if contradicted:
+        found.append("the intrinsics contradict the matches: F kept instead of E")
+    return tuple(found)
 
 
 def _solve(matches: Matches, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView | None:
