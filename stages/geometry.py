@@ -167,9 +167,7 @@ def _degenerate(support: _Support, min_area: float, min_inliers: int) -> str | N
     return None
 
 
-def _warnings(
-    support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int
-) -> tuple[str, ...]:
+def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int) -> tuple[str, ...]:
     found = []
     if len(support.x1) < few_inliers:
         found.append(f"few inliers: {len(support.x1)}")
