@@ -18,8 +18,8 @@ TOLERANCE = 0.01
 """A known position may be off by this share of the scene's distance, and three standard deviations, before it is doubted."""
 TOLERANCE_DEG = 1.5
 """A known rotation may be off by so much."""
-UP_WEIGHT = 1e-4
-"""Weight of "cameras stand upright" against what is known: it decides only what nothing else does."""
+UP_WEIGHT = 1e-7
+"""Weight of "cameras stand upright" against what is known exactly: it decides only what nothing else does."""
 MOST_TRIALS = 3000
 
 
@@ -119,7 +119,8 @@ def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | N
     wide = spread_a > 1e-12 * size and spread_b > 1e-12 * size
     if not wide and scale is None:
         return None
-    M = UP_WEIGHT * np.outer([0.0, 0.0, 1.0], up)
+    noise = np.mean([landmark.sigma**2 for landmark in landmarks]) / spread_b**2 if wide else 0.0
+    M = (UP_WEIGHT + noise) * np.outer([0.0, 0.0, 1.0], up)
     if wide:
         M += np.einsum("n,ni,nj->ij", weight, b, a) / (spread_a * spread_b)
     turned = [mark.world_R.T @ mark.model_R for mark in landmarks if mark.world_R is not None and mark.model_R is not None]

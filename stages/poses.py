@@ -17,9 +17,10 @@ from .epipolar import fundamental_from_cameras, relative_pose, symmetric_epipola
 from .georeference import Landmark, Similarity, align, upward
 from .sfm.focal import Lenses, camera_of, guess_lenses, relative_rotations
 from .sfm.mapping import Model, grow, refine, replace_cameras
-from .sfm.rotations import angle_between, average_rotations, components, triangle_support
+from .sfm.rotations import angle_between, average_rotations, components
 from .sfm.tracks import Edge, build_tracks, without_distortion
 from .types import Camera, Float64s, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
+from .verdict import site_verdict
 
 WORSE = 1.25
 """A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
@@ -138,12 +139,14 @@ class _Problem:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
     def consistent(self, tolerance: float) -> tuple[list[Edge], dict[Edge, str]]:
-        """The pairs whose rotations agree, and why the others don't."""
-        support = triangle_support(self.rotations)
-        weights = {edge: support[edge] * g.inliers / (g.inliers + 100) for edge, g in self.geometries.items() if edge in support}
-        averaged = average_rotations(self.rotations, weights)
-        trusted, dropped = [], {}
-        for edge, R in self.rotations.items():
+        """The pairs that the site as a whole believes and whose rotations agree, and why the others are left out."""
+        judged = site_verdict({(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()})
+        verdicts = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
+        dropped = {edge: verdict.reason for edge, verdict in verdicts.items() if verdict.reason is not None}
+        believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
+        averaged = average_rotations(believed, {edge: verdicts[edge].good_probability for edge in believed})
+        trusted = []
+        for edge, R in believed.items():
             off = angle_between(R, averaged[edge[1]] @ averaged[edge[0]].T)
             if off <= tolerance:
                 trusted.append(edge)

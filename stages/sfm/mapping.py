@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import poselib
 
+from ..epipolar import triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
 from .tracks import Edge, Tracks, straightened, without_distortion
@@ -24,6 +25,10 @@ MIN_ANGLE = np.radians(1.0)
 """Rays that meet at less than this don't make a point."""
 MIN_POINTS = 12
 """So many points at least must agree on the pose of a view."""
+MIN_SHARED = 5
+"""So many at least on how far it is from a view that it makes a pair with..."""
+SAME_LENGTH = 0.1
+"""...to this share of the distance; and at least half of those that could."""
 FOCALS_FROM = 3
 """Focal lengths are solved once there are so many views: two leave them nearly free."""
 
@@ -85,11 +90,12 @@ def grow(
     failed: dict[int, int] = {}
     while True:
         seen = _visible_points(model, set(cameras) - set(model.cameras))
-        candidates = [view for view, count in seen.items() if count >= MIN_POINTS and failed.get(view, -1) < count]
+        candidates = [view for view, count in seen.items() if count >= MIN_SHARED and failed.get(view, -1) < count]
         if not candidates:
             break
         view = max(candidates, key=lambda v: (seen[v], -v))
-        camera = _resect(_with_lens(cameras[view], view, model), view, model)
+        bare = _with_lens(cameras[view], view, model)
+        camera = _resect(bare, view, model) or _attached(bare, view, model, geometries)
         if camera is None:
             failed[view] = seen[view]
             continue
@@ -170,6 +176,36 @@ def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
         return None
     R, t = np.asarray(pose.R), np.asarray(pose.t)
     return replace(camera, R=R, C=-R.T @ t)
+
+
+def _attached(camera: Camera, view: int, model: Model, geometries: Mapping[Edge, Geometry]) -> Camera | None:
+    """The view's pose from that of a pair with a solved view; points that a third view sees tell only the length of the baseline.
+
+    For views so wide apart that too few points are seen by three of them.
+    """
+    best: tuple[int, Camera] | None = None
+    tracks = model.straight
+    mine = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
+    for edge, geometry in geometries.items():
+        other = edge[1] if edge[0] == view else edge[0]
+        R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+        if view not in edge or other not in model.cameras or R is None or t is None:
+            continue
+        base = model.cameras[other]
+        R, step = (R.T @ base.R, base.R.T @ t) if edge[0] == view else (R @ base.R, -base.R.T @ R.T @ t)
+        theirs = np.flatnonzero(tracks.view == other)
+        _, a, b = np.intersect1d(tracks.track[theirs], tracks.track[mine], return_indices=True)
+        x_base, x = tracks.xy[theirs[a]], without_distortion(camera, tracks.xy[mine[b]])
+        unit, _ = triangulate_depth(base, replace(camera, R=R, C=base.C + step), x_base, x)
+        lengths = ((model.X[tracks.track[mine[b]]] - base.C) @ base.R[2]) / unit
+        lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
+        if len(lengths) < MIN_SHARED:
+            continue
+        length = float(np.median(lengths))
+        agree = int((np.abs(lengths / length - 1) < SAME_LENGTH).sum())
+        if agree >= max(MIN_SHARED, 0.5 * len(x)) and (best is None or agree > best[0]):
+            best = agree, replace(camera, R=R, C=base.C + length * step)
+    return None if best is None else best[1]
 
 
 def _with_own_lenses(model: Model) -> Model:

@@ -80,14 +80,14 @@ def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, 
         if not sides:
             continue
         points = np.concatenate([(geometries[edge].x1, geometries[edge].x2)[side] for edge, side in sides])
-        unique, number = np.unique(np.round(points, 3), axis=0, return_inverse=True)
+        _, first, number = np.unique(np.round(points, 3), axis=0, return_index=True, return_inverse=True)
         number = number.ravel() + start
         for edge, side in sides:
             n = len(geometries[edge].x1)
             nodes[edge][side], number = number[:n], number[n:]
-        places.append(unique)
-        owners.append(np.full(len(unique), view, np.int64))
-        start += len(unique)
+        places.append(points[first])
+        owners.append(np.full(len(first), view, np.int64))
+        start += len(first)
     return nodes, np.concatenate(places), np.concatenate(owners)
 
 
