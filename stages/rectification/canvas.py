@@ -6,7 +6,6 @@ import numpy as np
 
 from ..epipolar import apply_homography, homogeneous
 from ..types import Float64s
-from .mapping import resampling
 
 MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
 """The crop leaves this share of the matches' box around it, and this share of the frame's width more."""
@@ -20,13 +19,14 @@ Size = tuple[int, int]
 def place(
     H1: Float64s, H2: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size
 ) -> tuple[Float64s, Float64s, Size, Size]:
-    """H1, H2 scaled and shifted so that rectified pixels are about as large as the frames', and the two rectified sizes.
+    """H1, H2 scaled and shifted so that rectified pixels are about as long and as high as the frames', and the rectified sizes.
+
+    One scale for x and one for y, common to both images: what one image loses in width the other gains.
 
     x1, x2: (n, 2) matches, on the near side of the lines that H1 and H2 send to infinity.
     """
-    areas = [resampling(lambda p, H=H: apply_homography(H, p), x)[0] for H, x in ((H1, x1), (H2, x2))]  # type: ignore[misc]
-    scale = 1 / np.sqrt(np.median(np.abs(np.concatenate(areas))))
-    S = np.diag([scale, scale, 1.0])
+    lengths = np.concatenate([_lengths(H1, x1), _lengths(H2, x2)])
+    S = np.diag([*(1 / np.median(lengths, axis=0)), 1.0])
     H1, H2 = S @ H1, S @ H2
     margin = MARGIN_OF_WIDTH * max(size1[0], size2[0])
     low1, high1 = crop(apply_homography(H1, x1), _reach(H1, size1), margin)
@@ -36,6 +36,14 @@ def place(
     width1 = int(np.clip(high1[0] - low1[0] + 1, 1, LARGEST * size1[0]))
     width2 = int(np.clip(high2[0] - low2[0] + 1, 1, LARGEST * size2[0]))
     return _shift(low1[0], top) @ H1, _shift(low2[0], top) @ H2, (width1, height), (width2, height)
+
+
+def _lengths(H: Float64s, x: Float64s) -> Float64s:
+    """(n, 2): how many rectified pixels a pixel at each point is long, across and along the rows' normal."""
+    h = 0.25
+    along_x = apply_homography(H, x + np.array([h, 0.0])) - apply_homography(H, x - np.array([h, 0.0]))
+    along_y = apply_homography(H, x + np.array([0.0, h])) - apply_homography(H, x - np.array([0.0, h]))
+    return np.asarray(np.hypot(along_x, along_y) / (2 * h), dtype=np.float64)
 
 
 def crop(points: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:

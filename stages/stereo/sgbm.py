@@ -9,7 +9,7 @@ from ..types import Float32s, Uint8s
 from .pair import DenseMatches, RectifiedPair, mirrored
 
 _BLOCK = 3
-_SOBEL_CAP = 31
+_SOBEL_CAP = 20
 _UNIQUENESS_PERCENT = 0
 
 
@@ -30,8 +30,8 @@ def _left_disparity(pair: RectifiedPair) -> Float32s:
         minDisparity=0,
         numDisparities=count,
         blockSize=_BLOCK,
-        P1=8 * _BLOCK**2,
-        P2=32 * _BLOCK**2,
+        P1=7 * _BLOCK**2,
+        P2=38 * _BLOCK**2,
         disp12MaxDiff=-1,
         preFilterCap=_SOBEL_CAP,
         uniquenessRatio=_UNIQUENESS_PERCENT,

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from dots import as_they_are, frame_of, stereo_pair, true_disparity
+from laser import FOUNTAIN, laser_matches, photograph
+from two_views import geometry_of
 from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
-from wbflow_stages.rectification.mapping import disparity_px
+from wbflow_stages.epipolar import fundamental_from_cameras
+from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified
+from wbflow_stages.rectify import rectify
+from wbflow_stages.stereo.pair import DenseMatches, RectifiedPair
 from wbflow_stages.types import INVALID, Disparity, Frame, Rectification, Rejected
 
 NAMES: tuple[Matcher, ...] = ("sgbm", "patchmatch")
@@ -130,5 +137,56 @@ def test_confidence_is_zero_where_nothing_is_known_and_only_there() -> None:
     np.testing.assert_array_equal(found.right == INVALID, found.confidence_right == 0)
 
 
-def test_every_named_matcher_exists() -> None:
-    assert set(NAMES) == set(MATCHERS)
+def test_graph_cuts_match_a_small_pair_to_whole_pixels() -> None:
+    pytest.importorskip("maxflow")
+    left, right, rectification, truth = case()
+    found = disparity_px(matched(left, right, rectification, "graphcut"), 1)
+    assert np.mean(np.abs(found - truth)[visible(truth)] <= 1) > 0.85
+
+
+def test_any_function_of_the_same_signature_plugs_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, right, rectification, truth = case(slope=0.0)
+
+    def at_its_word(pair: RectifiedPair) -> DenseMatches:
+        """Knows that everything is 20 px away."""
+        flat = np.full(pair.left.shape, 20, dtype=np.float32)
+        return DenseMatches(flat, flat, np.ones_like(flat), np.ones_like(flat))
+
+    monkeypatch.setitem(MATCHERS, "at_its_word", at_its_word)
+    found = match_dense(left, right, rectification, matcher="at_its_word")  # type: ignore[arg-type]
+    assert isinstance(found, Disparity)
+    known = disparity_px(found, 1)[visible(truth)]
+    assert np.nanmax(np.abs(known - 20)) == 0
+
+
+@pytest.mark.skipif(not FOUNTAIN.exists(), reason=f"no photographs with laser depth at {FOUNTAIN}")
+@pytest.mark.parametrize(
+    ("pair", "matcher", "bad", "missed"),
+    [
+        ((5, 4), "patchmatch", 0.013, 0.08),
+        ((5, 9), "patchmatch", 0.045, 0.33),
+        ((5, 4), "sgbm", 0.03, 0.08),
+        ((5, 9), "sgbm", 0.07, 0.39),
+    ],
+)
+def test_photographs_are_matched_as_well_as_measured(pair: tuple[int, int], matcher: Matcher, bad: float, missed: float) -> None:
+    """Rectified by the true cameras and matches that the laser gives; errors in pixels of image 2, at half the width."""
+    left, right = (photograph(k) for k in pair)
+    x1, x2 = laser_matches(left, right)
+    few = np.linspace(0, len(x1) - 1, 1500).astype(int)
+    view = left.frame.view
+    geometry = replace(
+        geometry_of(x1[few], x2[few], fundamental_from_cameras(left.camera, right.camera)), view1=view, view2=view
+    )
+    rectification = rectify(geometry, left.camera, right.camera)
+    assert isinstance(rectification, Rectification)
+    found = matched(left.frame, right.frame, rectification, matcher)
+    at = to_rectified(rectification, 1, x1)
+    rows, columns = np.rint(at[:, 1]).astype(int), np.rint(at[:, 0]).astype(int)
+    height, width = found.left.shape
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    d = np.full(len(at), np.nan)
+    d[inside] = disparity_px(found, 1)[rows[inside], columns[inside]]
+    error = np.hypot(*(from_rectified(rectification, 2, np.column_stack([at[:, 0] - d, at[:, 1]])) - x2).T)
+    assert np.mean(error[~np.isnan(d)] > 2) < bad
+    assert 1 - np.mean(error <= 2) < missed
