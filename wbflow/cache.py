@@ -132,9 +132,9 @@ class Cache:
         """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
         folder = self.folder(receipt.preimage.stage, receipt.preimage.subject)
         if data is not None and receipt.file:
-            write_atomic(folder / receipt.file, data)
+            write_atomic(folder / receipt.file, data, settle=False)
         if picture is not None and receipt.picture:
-            write_atomic(folder / receipt.picture, picture)
+            write_atomic(folder / receipt.picture, picture, settle=False)
         write_atomic(folder / f"{receipt.key}.json", json.dumps(asdict(receipt), separators=(",", ":")).encode())
 
     def quarantine(self, path: Path) -> None:

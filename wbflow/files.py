@@ -7,8 +7,11 @@ import uuid
 from pathlib import Path
 
 
-def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename."""
+def write_atomic(path: Path, data: bytes, *, settle: bool = True) -> None:
+    """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
+
+    settle: make the rename last, too; not needed where another file is written to the same folder right after.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
     try:
@@ -20,7 +23,8 @@ def write_atomic(path: Path, data: bytes) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
+    if settle:
+        sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:
