@@ -44,7 +44,7 @@ class Evidence:
     alone: float = 11.8
     alone_slope: float = 16.8
     growing: float = 13.0
-    final: float = 8.5
+    final: float = 8.8
     slope: float = 5.5
     relative_weight: float = 0.6
     absolute_weight: float = 0.3
@@ -80,7 +80,7 @@ class Correspondences:
 
 
 def structural_matches(
-    left: Features, right: Features, *, tilted: bool = False, dominance: float = 0.8, neighbours: int = 3, rounds: int = 4
+    left: Features, right: Features, *, tilted: bool = False, dominance: float = 0.8, neighbours: int = 5, rounds: int = 4
 ) -> Correspondences:
     """Match two frames' keypoints without geometry.
 
@@ -128,7 +128,7 @@ class ViewPair:
     q: Float64s
 
 
-def view_pairs(left: Features, right: Features, tilted: bool, neighbours: int = 3) -> list[ViewPair]:
+def view_pairs(left: Features, right: Features, tilted: bool, neighbours: int = 5) -> list[ViewPair]:
     """What is matched with what: the plain views, and each compressed view with the other's plain one."""
     views = [(PLAIN, PLAIN), (TILTED, PLAIN), (PLAIN, TILTED)] if tilted else [(PLAIN, PLAIN)]
     found = (_view_pair(left, right, a, b, neighbours) for a, b in views)
