@@ -18,7 +18,7 @@ _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}  # not nnan/ninf: nan marks h
 
 def kernel(function: Function) -> Function:
     """Compile `function` at its first call; the compiled form releases the GIL and follows numpy's rules for division by zero."""
-    options = {"nogil": True, "error_model": "numpy", "fastmath": _FASTMATH}
+    options: Any = {"nogil": True, "error_model": "numpy", "fastmath": _FASTMATH}
     try:
         return cast(Function, numba.njit(cache=True, **options)(function))
     except RuntimeError:  # nowhere to keep the compiled form: a read-only installation and no home, as under cron
