@@ -49,7 +49,7 @@ def fuse(
     strict
         A point needs so many pairs that agree on it: 2 trades completeness for accuracy.
     voxel_m
-        Edge of the voxels in which points are merged, in metres; None: what a pixel covers, in the median.
+        Edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of depth.
     noise_px
         Assumed error of a disparity in pixels, standard deviation.
     neighbours
@@ -102,12 +102,13 @@ def view_depth(
 
 
 def _natural_voxel(cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> float:
-    """What a pixel covers on the surface it sees, in the median over all views, rounded down to a preferred number.
+    """What a pixel covers, or one and a half sigmas if that is more, in the median over all views: finer voxels hold only noise.
 
-    Rounded, so that the grid stays the same when cameras fail or surfaces change from night to night.
+    Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
     """
-    footprints = [depth.depth[4::8, 4::8].ravel() / cameras[name].K[0, 0] for name, depth in depths.items()]
-    median = float(np.nanmedian(np.concatenate(footprints)))
+    cells = slice(4, None, 8), slice(4, None, 8)
+    edges = [np.fmax(d.depth[cells] / cameras[name].K[0, 0], 1.5 * d.sigma[cells]).ravel() for name, d in depths.items()]
+    median = float(np.nanmedian(np.concatenate(edges)))
     decade = 10.0 ** np.floor(np.log10(median))
     return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))
 
@@ -129,9 +130,9 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, ga
         backproject(camera, np.column_stack([x, y]).astype(np.float64), z),
         world_normals(camera, depth, y, x).astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
-        1.0 / sigma**2,
+        (1.0 / sigma**2).astype(np.float32),
         _confidence(verdict, depth, y, x),
-        verdict.cameras[y, x].astype(np.int32),
+        verdict.cameras[y, x].astype(np.float32),
         (z / camera.K[0, 0]).astype(np.float32),
     )
 

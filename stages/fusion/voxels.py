@@ -28,34 +28,35 @@ class Samples:
     points: Float64s
     normals: Float32s
     colors: Float32s
-    weight: Float64s
+    weight: Float32s
     confidence: Float32s
-    cameras: Int32s
+    cameras: Float32s
     footprint: Float32s
 
 
 class VoxelGrid:
-    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples."""
+    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 64 bytes for each."""
 
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
         self.origin = origin
-        self._cells = _Cells(np.zeros(0, np.int64), np.zeros((0, 13)), np.zeros((0, 2)))
+        self._cells = _Cells(np.zeros(0, np.int64), [np.zeros(0, np.float32)] * 12, [np.zeros(0, np.float32)] * 2)
         self._waiting: list[_Cells] = []
 
     def add(self, samples: Samples) -> None:
         """Merge in the samples of one view; what lies beyond half a million edges from the origin is left out."""
         level = np.clip(np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0))), 0, _LEVELS - 1).astype(np.int64)
-        away = samples.points - self.origin
-        cells = np.floor(away / (self.edge * 2.0**level)[:, None]).astype(np.int64) + _HALF
+        cells = np.floor((samples.points - self.origin) / (self.edge * 2.0**level)[:, None]).astype(np.int64) + _HALF
         inside = ((cells >= 0) & (cells < 2 * _HALF)).all(axis=1)
         keys = level << 60 | cells[:, 0] << 40 | cells[:, 1] << 20 | cells[:, 2]
-        w, c = samples.weight, samples.confidence.astype(np.float64)
-        weighted = [away * w[:, None], samples.normals * w[:, None], samples.colors * c[:, None]]
-        sums = np.column_stack([*weighted, w, c, np.ones(len(w)), samples.footprint])
-        best = np.column_stack([c, samples.cameras])
-        self._waiting.append(_merged([_Cells(keys[inside], sums[inside], best[inside])]))
-        if sum(len(cells.keys) for cells in self._waiting) > len(self._cells.keys):
+        del cells
+        away = (samples.points - self._centres(keys)).astype(np.float32)
+        w, c = samples.weight, samples.confidence
+        sums = [away[:, k] * w for k in range(3)] + [samples.normals[:, k] * w for k in range(3)]
+        sums += [samples.colors[:, k] * c for k in range(3)] + [w, c, np.ones_like(w)]
+        kept = [column[inside] for column in (*sums, c, samples.cameras)]
+        self._waiting.append(_merged([_Cells(keys[inside], kept[:12], kept[12:])]))
+        if sum(len(cells.keys) for cells in self._waiting) > len(self._cells.keys) // 2:
             self._settle()
 
     def merged(self, neighbours: int) -> Samples:
@@ -65,45 +66,56 @@ class VoxelGrid:
         share pairs, so their errors are not independent; confidence and cameras are the best sample's.
         """
         self._settle()
-        cells = self._cells
-        kept = sociable(cells.keys, neighbours)
-        sums, best = cells.sums[kept], cells.best[kept]
-        w, c, n = sums[:, 9:10], sums[:, 10:11], sums[:, 11]
-        normals = sums[:, 3:6] / np.maximum(np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True), 1e-12)
+        kept = sociable(self._cells.keys, neighbours)
+        keys = self._cells.keys[kept]
+        sums, best = ([column[kept] for column in columns] for columns in (self._cells.sums, self._cells.best))
+        w, c, n = sums[9:12]
+        normals = np.column_stack(sums[3:6])
         return Samples(
-            sums[:, 0:3] / w + self.origin,
-            normals.astype(np.float32),
-            (sums[:, 6:9] / c).astype(np.float32),
-            w[:, 0] / n,
-            best[:, 0].astype(np.float32),
-            best[:, 1].astype(np.int32),
-            (sums[:, 12] / n).astype(np.float32),
+            self._centres(keys) + np.column_stack([column / w for column in sums[0:3]]),
+            normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30),
+            np.column_stack([column / c for column in sums[6:9]]),
+            w / n,
+            best[0],
+            best[1],
+            (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
         )
 
     def _settle(self) -> None:
         self._cells = _merged([self._cells, *self._waiting])
         self._waiting = []
 
+    def _centres(self, keys: Int64s) -> Float64s:
+        """(n, 3) middles of voxels; positions are summed relative to them, in single precision."""
+        cells = np.column_stack([keys >> shift & (2 * _HALF - 1) for shift in (40, 20, 0)]) - _HALF
+        return np.asarray(self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None], dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class _Cells:
-    """Occupied voxels in the order of their keys: sums of what is averaged, and of what the best sample decides."""
+    """Occupied voxels in the order of their keys: sums of what is averaged (position, normal, colour, weight, confidence, count),
+    and what the best sample decides (confidence, cameras); each column (n,) float32."""
 
     keys: Int64s
-    sums: Float64s
-    best: Float64s
+    sums: list[Float32s]
+    best: list[Float32s]
 
 
 def _merged(parts: list[_Cells]) -> _Cells:
+    """Uses its parts up, one column at a time, so that no second copy of all of them is ever held."""
     keys = np.concatenate([part.keys for part in parts])
-    order = np.argsort(keys, kind="stable")
-    keys = keys[order]
     if not len(keys):
         return parts[0]
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
     starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    sums = np.concatenate([part.sums for part in parts])[order]
-    best = np.concatenate([part.best for part in parts])[order]
-    return _Cells(keys[starts], np.add.reduceat(sums, starts, axis=0), np.maximum.reduceat(best, starts, axis=0))
+
+    def gather(columns: list[Float32s]) -> Float32s:
+        return np.asarray(np.concatenate(columns)[order])
+
+    sums = [np.add.reduceat(gather([part.sums.pop(0) for part in parts]), starts) for _ in range(12)]
+    best = [np.maximum.reduceat(gather([part.best.pop(0) for part in parts]), starts) for _ in range(2)]
+    return _Cells(keys[starts], sums, best)
 
 
 def sociable(keys: Int64s, neighbours: int) -> Bools:
