@@ -19,7 +19,7 @@ from .epipolar import apply_homography, essential_to_fundamental, homogeneous, s
 from .types import Bools, Float64s, View
 
 CONFIDENCE = 0.9999
-MAX_ITERATIONS = 20000
+MIN_ITERATIONS, MAX_ITERATIONS = 300, 20000
 INLIER_FACTOR = 1.5
 """An inlier of the refined model lies within this times the threshold, in Sampson distance."""
 
@@ -45,10 +45,15 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
         inliers = _inliers(F, x1, x2, threshold_px)
         if inliers.sum() < 8:
             return None
-        loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
-        F = _unit(poselib.refine_fundamental(x1[inliers], x2[inliers], F, loss)[0])
+        F = refine_fundamental(F, x1[inliers], x2[inliers], threshold_px)
     inliers = _inliers(F, x1, x2, threshold_px)
     return TwoView(F, inliers) if inliers.sum() >= 8 else None
+
+
+def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
+    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances."""
+    loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
+    return _unit(poselib.refine_fundamental(x1, x2, F, loss)[0])
 
 
 def estimate_essential(
@@ -60,7 +65,7 @@ def estimate_essential(
     options = {
         "max_epipolar_error": INLIER_FACTOR * threshold_px,
         "max_iterations": max_iterations,
-        "min_iterations": min(1000, max_iterations),
+        "min_iterations": min(MIN_ITERATIONS, max_iterations),
         "seed": seed,
     }
     pose, _ = poselib.estimate_relative_pose(x1, x2, pinhole(view1), pinhole(view2), options, {})

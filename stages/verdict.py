@@ -21,8 +21,8 @@ from .epipolar import symmetric_epipolar_distance
 from .matching.affine_field import fit_affine_field
 from .matching.neighbours import nearest_elsewhere
 from .matching.structural import ViewPair, mutual_neighbours, rival_distances
-from .robust import TwoView, estimate_essential
-from .types import Features, Float32s, Float64s, Geometry, Int32s, Int64s, Pair, View
+from .robust import TwoView, estimate_essential, refine_fundamental
+from .types import Bools, Features, Float32s, Float64s, Geometry, Int32s, Int64s, Pair, View
 
 GRID_COLUMNS, GRID_ROWS = 12, 8
 DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95
@@ -41,6 +41,7 @@ class PairEvidence:
     distinct_cells: int
     distinct_share: float
     agreement: float
+    half_px: float
     half_rotation_deg: float
     stretch: float
 
@@ -60,6 +61,7 @@ def pair_evidence(
         distinct_cells=min(_cells(x1[distinct], left.view), _cells(x2[distinct], right.view)),
         distinct_share=float((likeness < DISTINCT_FROM_LOOKALIKES).mean()),
         agreement=_agreement(problems, found.F),
+        half_px=_half_px(x1, x2, found.F),
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
         stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
     )
@@ -117,13 +119,28 @@ def _stretch(x1: Float64s, x2: Float64s, affine: Float64s) -> float:
     return float(np.median(np.log(axes[:, 0] / np.maximum(axes[:, 1], 1e-3))))
 
 
-def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, seed: int) -> float:
-    """Angle between the rotations that the two halves of the inliers, along their longest spread, tell; nan without K."""
-    if view1.K is None or view2.K is None or not (view1.focal_known and view2.focal_known):
-        return float("nan")
+def _first_half(x1: Float64s) -> Bools:
+    """The half of the points on one side of their longest spread."""
     centred = x1 - x1.mean(axis=0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-    first = along < np.median(along)
+    return np.asarray(along < np.median(along))
+
+
+def _half_px(x1: Float64s, x2: Float64s, F: Float64s) -> float:
+    """Median epipolar distance of each half of the inliers to the F of the other half, the worse of both."""
+    first = _first_half(x1)
+    worst = 0.0
+    for half in (first, ~first):
+        own = refine_fundamental(F, x1[half], x2[half], 1.0)
+        worst = max(worst, float(np.median(symmetric_epipolar_distance(own, x1[~half], x2[~half]))))
+    return worst
+
+
+def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, seed: int) -> float:
+    """Angle between the rotations that the two halves of the inliers tell; nan without K."""
+    if view1.K is None or view2.K is None or not (view1.focal_known and view2.focal_known):
+        return float("nan")
+    first = _first_half(x1)
     poses = [estimate_essential(x1[h], x2[h], view1, view2, 1.0, seed, max_iterations=300) for h in (first, ~first)]
     if poses[0] is None or poses[1] is None or poses[0].R is None or poses[1].R is None:
         return 180.0
@@ -228,7 +245,7 @@ def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
     return geometry.cam2_R_cam1, geometry.cam2_t_cam1
 
 
-def _beliefs(prior: Float64s, members: Int64s, closed: np.ndarray) -> Float64s:
+def _beliefs(prior: Float64s, members: Int64s, closed: Bools) -> Float64s:
     """Log odds of each pair after 15 damped rounds of mean-field messages from the triangles."""
     belief = prior.copy()
     for _ in range(15 if len(members) else 0):

@@ -109,7 +109,9 @@ def test_the_verdict_does_not_depend_on_the_order_of_the_pairs():
     assert all(there[p].good_probability == pytest.approx(back[p].good_probability) for p in pairs)
 
 
-GOOD = PairEvidence(inliers=300, distinct_cells=30, distinct_share=0.6, agreement=0.7, half_rotation_deg=0.2, stretch=0.15)
+GOOD = PairEvidence(
+    inliers=300, distinct_cells=30, distinct_share=0.6, agreement=0.7, half_px=0.4, half_rotation_deg=0.2, stretch=0.15
+)
 
 
 @pytest.mark.parametrize(
