@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from dots import as_they_are, frame_of, stereo_pair, true_disparity
+from dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
 from laser import FOUNTAIN, laser_matches, photograph
-from two_views import geometry_of
+from two_views import geometry_of, looking
 from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
-from wbflow_stages.epipolar import fundamental_from_cameras
+from wbflow_stages.epipolar import apply_homography, fundamental_from_cameras
 from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
 from wbflow_stages.stereo.pair import DenseMatches, RectifiedPair
-from wbflow_stages.types import INVALID, Disparity, Frame, Rectification, Rejected
+from wbflow_stages.types import INVALID, Camera, Disparity, Frame, Rectification, Rejected
 
 NAMES: tuple[Matcher, ...] = ("sgbm", "patchmatch")
 
@@ -157,6 +157,31 @@ def test_any_function_of_the_same_signature_plugs_in(monkeypatch: pytest.MonkeyP
     assert isinstance(found, Disparity)
     known = disparity_px(found, 1)[visible(truth)]
     assert np.nanmax(np.abs(known - 20)) == 0
+
+
+@pytest.mark.parametrize("matcher", NAMES)
+def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image(matcher: Matcher) -> None:
+    """Rows are rays from the epipole; the wall is slanted, its image in the second camera is drawn by its homography."""
+    left = looking(np.zeros(3), np.array([0.0, 0.0, 9.0]))
+    right = Camera(left.K, left.R, np.array([0.15, 0.1, 2.0]), left.width, left.height)
+    normal, distance = np.array([0.3, 0.0, 1.0]), 9.0  # points X of the wall: normal . X = distance
+    onto_right = left.K @ (np.eye(3) - np.outer(right.C, normal) / distance) @ np.linalg.inv(left.K)
+    image1 = texture(left.height, left.width)
+    image2 = cv2.warpPerspective(image1, onto_right, (left.width, left.height), borderMode=cv2.BORDER_REFLECT)
+    y, x = np.mgrid[20:460:20, 20:620:20]
+    x1 = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+    x2 = apply_homography(onto_right, x1)
+    shown = (x2 >= 0).all(axis=1) & (x2 <= np.array([left.width, left.height]) - 1).all(axis=1)
+    x1, x2 = x1[shown], x2[shown]
+    found = rectify(geometry_of(x1, x2, fundamental_from_cameras(left, right)), left, right)
+    assert isinstance(found, Rectification) and found.method == "polar"
+    d = disparity_px(matched(frame_of(image1), frame_of(image2), found, matcher), 1)
+    at = to_rectified(found, 1, x1)
+    values = d[np.rint(at[:, 1]).astype(int), np.rint(at[:, 0]).astype(int)]
+    error = np.hypot(*(from_rectified(found, 2, np.column_stack([at[:, 0] - values, at[:, 1]])) - x2).T)
+    away = np.hypot(*(x1 - x1.mean(axis=0)).T) > 60  # beside the epipole nothing moves
+    assert np.mean(~np.isnan(values[away])) > 0.8
+    assert np.mean(error[away & ~np.isnan(values)] < 1.5) > 0.95
 
 
 @pytest.mark.skipif(not FOUNTAIN.exists(), reason=f"no photographs with laser depth at {FOUNTAIN}")
