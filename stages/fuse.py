@@ -47,7 +47,8 @@ def fuse(
     component
         Only cameras of this component: those that share a world.
     strict
-        A point needs so many pairs that agree on it: 2 trades completeness for accuracy.
+        A point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the same: 2 trades
+        completeness for accuracy.
     voxel_m
         Edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of depth.
     noise_px
@@ -123,6 +124,8 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, ga
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.
     """
     supported = frame.mask & (depth.sure | (verdict.agreeing > 0))
+    if strict > 1:
+        supported &= verdict.agreeing >= strict
     supported &= (verdict.pairs >= strict) & (4 * (verdict.agreeing + 1.0) >= verdict.visible + 1.0)
     y, x = np.nonzero(np.isfinite(depth.depth) & supported & (2 * verdict.violating <= verdict.agreeing))
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
