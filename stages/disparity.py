@@ -9,6 +9,7 @@ import numpy as np
 from .rectification.mapping import Side, warp, warp_mask
 from .stereo.checks import agreeing, disagreement, lands_on, within_reach, without_specks
 from .stereo.graphcut import match_graphcut
+from .stereo.noise import quietened
 from .stereo.pair import DenseMatcher, DenseMatches, RectifiedPair
 from .stereo.patchmatch import match_patchmatch
 from .stereo.quick_look import prepared
@@ -93,7 +94,7 @@ def _rectified(left: Frame, right: Frame, rectification: Rectification) -> Recti
     width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
     images, masks = [], []
     for frame, (side, _) in zip((left, right), _SIDES, strict=True):
-        grey = warp(rectification, side, _grey(frame.image))
+        grey = warp(rectification, side, quietened(_grey(frame.image), frame.mask))
         mask = warp_mask(rectification, side, frame.mask & ~_saturated(frame.image))
         padding = (0, 0), (0, width - grey.shape[1])
         images.append(np.pad(grey, padding, mode="edge"))

@@ -10,6 +10,7 @@ import pytest
 
 from dots import stereo_pair, texture, true_disparity
 from wbflow_stages.stereo.census_sgm import match_census_sgm
+from wbflow_stages.stereo.noise import noise_level, quietened
 from wbflow_stages.stereo.pair import DenseMatcher, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.quick_look import prepared
@@ -118,3 +119,27 @@ def test_images_without_texture_keep_the_range_of_the_matches() -> None:
     pair = dataclasses.replace(pair_of(blank, blank, 3, 17), valid_left=np.zeros((80, 160), dtype=bool))
     ready = prepared(pair)
     assert (ready.disparity_min, ready.disparity_max) == (3, 17)
+
+
+@pytest.mark.parametrize("level", [2.0, 6.0])
+def test_noise_is_told_from_texture(level: float) -> None:
+    smooth = cv2.GaussianBlur(texture(240, 320), (0, 0), 3)
+    valid = np.ones(smooth.shape, dtype=bool)
+    assert noise_level(smooth, valid) < 0.5
+    noisy = (smooth + np.random.default_rng(0).normal(0, level, smooth.shape)).astype(np.float32)
+    assert noise_level(noisy, valid) == pytest.approx(level, rel=0.15)
+    assert noise_level(noisy, np.zeros_like(valid)) == 0
+
+
+def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alone() -> None:
+    left, right = (cv2.GaussianBlur(image, (0, 0), 1.5) for image in stereo_pair(160, 256))
+    valid = np.ones(left.shape, dtype=bool)
+    np.testing.assert_array_equal(quietened(left, valid), left)
+    rng = np.random.default_rng(0)
+    noisy = [(image + rng.normal(0, 6, image.shape)).astype(np.float32) for image in (left, right)]
+    truth = true_disparity(160, 256)
+    as_given, smoothed = (
+        np.abs(match_patchmatch(pair_of(*images, 16, 48)).left - truth)[well_inside(truth)]
+        for images in (noisy, [quietened(image, valid) for image in noisy])
+    )
+    assert np.mean(smoothed < 1) > np.mean(as_given < 1) + 0.03
