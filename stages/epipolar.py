@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .types import Camera, Float64s
+from .types import Camera, Float64s, View
 
 
 def homogeneous(x: Float64s) -> Float64s:
@@ -27,6 +27,12 @@ def scaled_intrinsics(K: Float64s, sx: float, sy: float) -> Float64s:
     """K of an image resized by (sx, sy); pixel centres stay at integers, so the principal point moves by half a pixel."""
     S = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
     return S @ K
+
+
+def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
+    """The camera of a view."""
+    captured = view.captured_width or view.width, view.captured_height or view.height
+    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion)
 
 
 def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:

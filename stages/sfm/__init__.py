@@ -1,5 +1,5 @@
 """Structure from motion: from two-view geometries to one consistent set of cameras.
 
-tracks -> rotations -> mapping (triangulation, bundle), in the order in which `poses` uses them.  Cameras are numbered by their
-position in a list of views; which ids they have is known to `poses` only.
+In the order of use: `focal` (lenses), `rotations`, `tracks`, `mapping` (with `triangulation` and `bundle`), `world`; `problem` and
+`solve` put them together.  Inside, cameras are numbered by their position in the site; only `problem` and `solve` know ids.
 """

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..epipolar import camera_of
 from ..robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, View
 from .tracks import Edge
@@ -40,12 +41,6 @@ class Lenses:
     def camera(self, view: int) -> Camera:
         """A camera with these intrinsics, at the origin."""
         return camera_of(self.views[view], self.K[view], np.eye(3), np.zeros(3))
-
-
-def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
-    """The camera of a view."""
-    captured = view.captured_width or view.width, view.captured_height or view.height
-    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion)
 
 
 def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -> Lenses:

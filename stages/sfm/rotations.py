@@ -1,15 +1,13 @@
-"""Rotations of all views at once from those of the pairs, and which pairs contradict the rest.
+"""Rotations of all views at once from those of the pairs, so that pairs which contradict the rest can be told.
 
-A pair is weighed by the triangles it closes (a cycle of three rotations must come back to where it began), the best spanning
-tree gives a start, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1, then Geman-McClure) spreads the error over all
-pairs.  A pair that then is off by more than a few degrees is wrong, however many inliers it has: look-alikes agree among
-themselves.
+The spanning tree of the pairs that are believed most gives a start, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1, then
+Geman-McClure) spreads the error over all pairs.  A pair that then is off by more than a few degrees is wrong, however many inliers
+it has: look-alikes agree among themselves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
 
 import numpy as np
 
@@ -17,8 +15,6 @@ from ..epipolar import skew
 from ..types import Float64s, Int64s
 from .tracks import Edge
 
-CYCLE = np.radians(3.0)
-"""A triangle of pairs whose rotations miss each other by less is consistent."""
 ROUNDS = 40
 
 
@@ -51,24 +47,6 @@ def rotation_matrix(v: Float64s) -> Float64s:
 def angle_between(A: Float64s, B: Float64s) -> float:
     """Radians between two rotations."""
     return float(np.linalg.norm(rotation_vector(A.T @ B)))
-
-
-def triangle_support(relative: Mapping[Edge, Float64s]) -> dict[Edge, float]:
-    """For each pair the share of its triangles that agree, in rounds in which doubtful pairs lose their say; 0.5 without any.
-
-    A triangle speaks for or against a pair as far as its two other pairs are believed.
-    """
-    triangles = _triangles(relative)
-    support = dict.fromkeys(relative, 0.5)
-    for _ in range(10):
-        votes: dict[Edge, list[float]] = {edge: [0.5, 1.0] for edge in relative}
-        for edges, closes in triangles:
-            for edge in edges:
-                others = float(np.prod([support[other] for other in edges if other != edge]))
-                votes[edge][0] += others * closes
-                votes[edge][1] += others
-        support = {edge: good / total for edge, (good, total) in votes.items()}
-    return support
 
 
 def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, float]) -> dict[int, Float64s]:
@@ -113,25 +91,6 @@ def components(edges: list[Edge], views: list[int]) -> list[list[int]]:
     for view in views:
         parts.setdefault(root(view), []).append(view)
     return sorted(parts.values(), key=lambda part: (-len(part), part[0]))
-
-
-def _triangles(relative: Mapping[Edge, Float64s]) -> list[tuple[tuple[Edge, Edge, Edge], bool]]:
-    """Each triangle's pairs, and whether its rotations close."""
-    neighbours: dict[int, set[int]] = {}
-    for i, j in relative:
-        neighbours.setdefault(i, set()).add(j)
-        neighbours.setdefault(j, set()).add(i)
-
-    def step(i: int, j: int) -> tuple[Edge, Float64s]:
-        return ((i, j), relative[i, j]) if (i, j) in relative else ((j, i), relative[j, i].T)
-
-    found = []
-    for i in sorted(neighbours):
-        for j, k in combinations(sorted(n for n in neighbours[i] if n > i), 2):
-            if k in neighbours[j]:
-                (a, R_ij), (b, R_jk), (c, R_ik) = step(i, j), step(j, k), step(i, k)
-                found.append(((a, b, c), angle_between(R_jk @ R_ij, R_ik) < CYCLE))
-    return found
 
 
 def _along_tree(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, float]) -> dict[int, Float64s]:

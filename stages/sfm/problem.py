@@ -1,0 +1,76 @@
+"""What is to be solved: all views of a site by number, what is known of their lenses, and the geometries of their pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Float64s, Geometry, Pair, View
+from ..verdict import site_verdict
+from .focal import Lenses, guess_lenses, relative_rotations
+from .mapping import Model, grow
+from .rotations import angle_between, average_rotations, components
+from .tracks import Edge, build_tracks
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All views by number, what is known of their lenses, and the geometries of their pairs."""
+
+    names: tuple[str, ...]
+    views: tuple[View, ...]
+    lenses: Lenses
+    geometries: Mapping[Edge, Geometry]
+    rotations: Mapping[Edge, Float64s]
+
+    @classmethod
+    def of(cls, views: Mapping[str, View], geometries: Mapping[Pair, Geometry]) -> Problem:
+        names = tuple(views)
+        number = {name: k for k, name in enumerate(names)}
+        edges = {(number[a], number[b]): geometry for (a, b), geometry in geometries.items() if a in number and b in number}
+        lenses = guess_lenses(tuple(views.values()), edges)
+        edges = relative_rotations(edges, lenses)
+        rotations = {edge: g.cam2_R_cam1 for edge, g in edges.items() if g.cam2_R_cam1 is not None}
+        return cls(names, tuple(views.values()), lenses, edges, rotations)
+
+    def pair(self, edge: Edge) -> str:
+        return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
+
+    def consistent(self, tolerance: float) -> tuple[list[Edge], dict[Edge, str]]:
+        """The pairs that the site as a whole believes and whose rotations agree, and why the others are left out."""
+        judged = site_verdict({(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()})
+        verdicts = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
+        dropped = {edge: verdict.reason for edge, verdict in verdicts.items() if verdict.reason is not None}
+        believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
+        averaged = average_rotations(believed, {edge: verdicts[edge].good_probability for edge in believed})
+        trusted = []
+        for edge, R in believed.items():
+            off = angle_between(R, averaged[edge[1]] @ averaged[edge[0]].T)
+            if off <= tolerance:
+                trusted.append(edge)
+            else:
+                dropped[edge] = f"contradicts the other pairs: its rotation is {np.degrees(off):.0f} degrees off"
+        return trusted, dropped
+
+    def models(self, trusted: list[Edge]) -> list[Model]:
+        """A model of every part that hangs together, largest first."""
+        found = []
+        waiting = components(trusted, sorted({view for edge in trusted for view in edge}))
+        while waiting:
+            part = waiting.pop(0)
+            edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
+            tracks = build_tracks(edges, len(self.names))
+            model = grow({view: self.lenses.camera(view) for view in part}, tracks, edges, lenses=self.lenses.solved)
+            if model is None:
+                continue
+            found.append(model)
+            left = [view for view in part if view not in model.cameras]
+            waiting += [p for p in components([e for e in edges if e[0] in left and e[1] in left], left) if len(p) > 1]
+        return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
+
+    def why_nothing(self, trusted: list[Edge]) -> str:
+        if not self.geometries:
+            return "no pair has a geometry"
+        return "the pairs contradict each other" if not trusted else "too few points are seen at an angle"

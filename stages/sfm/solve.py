@@ -1,0 +1,142 @@
+"""Cameras from the geometries of their pairs: grow models, put them into the world, judge every pair by them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
+from ..types import Camera, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
+from .problem import Problem
+from .rotations import angle_between
+from .tracks import Edge, without_distortion
+from .world import World, to_world
+
+WORSE = 1.25
+"""A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
+WORSE_PX = 0.1
+
+
+def solve_from_pairs(
+    views: Mapping[str, View],
+    placements: Mapping[str, Placement],
+    geometries: Mapping[Pair, Geometry],
+    survey: Survey,
+    stated: Mapping[str, Camera],
+    max_rotation_error_deg: float,
+    max_epipolar_px: float,
+) -> Poses | Rejected:
+    """See `poses.solve_poses`.  stated: cameras whose intrinsics and poses are both known."""
+    problem = Problem.of(views, geometries)
+    trusted, dropped = problem.consistent(np.radians(max_rotation_error_deg))
+    models = problem.models(trusted)
+    if not models:
+        figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
+        return Rejected("no two cameras could be placed: " + problem.why_nothing(trusted), figures)
+    worlds = [to_world(problem, model, placements, survey) for model in models]
+    return _collect(problem, worlds, stated, dropped, max_epipolar_px, survey)
+
+
+def _collect(
+    problem: Problem,
+    worlds: list[World],
+    stated: Mapping[str, Camera],
+    dropped: dict[Edge, str],
+    max_epipolar_px: float,
+    survey: Survey,
+) -> Poses:
+    """All worlds as one result: those in the site's frame are the first component, each other is one of its own."""
+    worlds = sorted(worlds, key=lambda world: not world.placed)
+    cameras: dict[str, Camera] = {}
+    groups: list[list[str]] = []
+    for world in worlds:
+        if not (world.placed and groups):
+            groups.append([])
+        for view, camera in world.model.cameras.items():
+            cameras[problem.names[view]] = replace(camera, component=len(groups) - 1)
+            groups[-1].append(problem.names[view])
+    notes = [note for world in worlds for note in world.notes]
+    if worlds[0].placed:
+        for name, camera in stated.items():
+            if name not in cameras:
+                cameras[name] = camera
+                groups[0].append(name)
+                notes.append(f"{name}: pose as stated; no pair could check it")
+    order = [name for name in problem.names if name in cameras]
+    verdicts = {
+        problem.pair(edge): _verdict(problem, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in problem.geometries
+    }
+    unsolved = {name: _why_unsolved(problem, name, dropped) for name in problem.names if name not in cameras}
+    suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
+    errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
+    main = worlds[0]
+    return Poses(
+        cameras={name: cameras[name] for name in order},
+        unsolved=unsolved,
+        dropped={pair: verdict.reason for pair, verdict in verdicts.items() if not verdict.kept},
+        metric=main.metric,
+        source="mixed" if set(stated) & set(cameras) - set(suspects) else "solved",
+        verdicts=verdicts,
+        suspects=suspects,
+        focals=tuple(name for view, name in enumerate(problem.names) if view in problem.lenses.solved and name in cameras),
+        components=tuple(tuple(name for name in order if name in group) for group in groups),
+        joins=_joins(problem, groups),
+        scale=main.scale,
+        crs=survey.crs if main.placed else "",
+        notes=tuple(notes),
+        points=sum(int(np.isfinite(w.model.X[:, 0]).sum()) for w in worlds),
+        reprojection_px=float(np.median(errors)),
+    )
+
+
+def _verdict(problem: Problem, edge: Edge, cameras: Mapping[str, Camera], why: str | None, max_epipolar_px: float) -> PairVerdict:
+    """What the solved cameras say of a pair."""
+    geometry = problem.geometries[edge]
+    own = float(np.median(symmetric_epipolar_distance(geometry.F, geometry.x1, geometry.x2)))
+    left, right = (cameras.get(problem.names[view]) for view in edge)
+    if left is None or right is None:
+        return PairVerdict(why is None, why or "a camera of it could not be placed", own)
+    if left.component != right.component:
+        return PairVerdict(False, why or "its cameras could not be brought into one frame", own)
+    F = fundamental_from_cameras(left, right)
+    adjusted = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
+    x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
+    straight = float(np.median(symmetric_epipolar_distance(F, x1, x2)))
+    R = problem.rotations.get(edge)
+    off = float("nan") if R is None else float(np.degrees(angle_between(R, relative_pose(left, right)[0])))
+    if straight <= max_epipolar_px:
+        why = None  # cameras that were solved without the pair agree with it after all
+    elif why is None:
+        why = f"contradicts the other pairs: its inliers are {straight:.1f} px off the epipolar lines of the solved cameras"
+    flagged = adjusted > max(WORSE * own, own + WORSE_PX)
+    note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
+    return PairVerdict(why is None, why or note, own, adjusted, off, flagged)
+
+
+def _why_unsolved(problem: Problem, name: str, dropped: Mapping[Edge, str]) -> str:
+    view = problem.names.index(name)
+    mine = [edge for edge in problem.geometries if view in edge]
+    if view not in problem.lenses.K:
+        return "no focal length: none given, and no pair tells it"
+    if not mine:
+        return "no pair with it has a geometry"
+    if all(edge in dropped for edge in mine):
+        return f"each of its {len(mine)} pairs contradicts the others"
+    return "too few points in common with the solved cameras"
+
+
+def _joins(problem: Problem, groups: list[list[str]]) -> tuple[str, ...]:
+    """For each further component the pair that would join it to the main one best.
+
+    Of cameras that already see much: the one with most inliers on each side.
+    """
+
+    def strength(name: str) -> int:
+        view = problem.names.index(name)
+        return sum(geometry.inliers for edge, geometry in problem.geometries.items() if view in edge)
+
+    best = [max(group, key=lambda name: (strength(name), name)) for group in groups]
+    order = {name: k for k, name in enumerate(problem.names)}
+    return tuple("--".join(sorted((best[0], other), key=order.__getitem__)) for other in best[1:])

@@ -1,0 +1,133 @@
+"""A solved model in the world: what is known of positions, control points and distances gives frame and scale, and then stays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..control_points import control_landmarks
+from ..georeference import Landmark, Similarity, align, upward
+from ..types import Camera, Float64s, Placement, Survey
+from .mapping import Model, refine, replace_cameras
+from .problem import Problem
+
+
+@dataclass(frozen=True)
+class World:
+    """A model of one connected part of the site, in the world or in a frame of its own.
+
+    placed: the frame is that of the site's known positions; scale: where it comes from; suspects: known poses that the images
+    contradict, by id.
+    """
+
+    model: Model
+    placed: bool
+    metric: bool
+    scale: str
+    suspects: dict[str, str]
+    notes: tuple[str, ...] = ()
+
+
+def to_world(problem: Problem, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
+    """The model in the frame and scale of what is known, which then stays."""
+    cameras = model.cameras
+    placed = {view: placements[name] for view in cameras if (name := problem.names[view]) in placements}
+    landmarks = [
+        Landmark(problem.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
+        for view, p in placed.items()
+        if p.C is not None
+    ]
+    landmarks += control_landmarks(cameras, problem.names, problem.views, survey)
+    metric = all(p.metric for p in placed.values() if p.C is not None)
+    up = upward(list(cameras.values()))
+    depth = _median_depth(model)
+    scale, scale_notes = _scale_of_distances(problem, cameras, survey)
+    alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
+    if alignment is None:
+        known_scale = scale is not None
+        factor = scale if scale is not None else 1 / _median_baseline(problem, cameras)
+        similarity = _own_frame(cameras, landmarks, up, factor)
+        model = _moved(model, similarity)
+        why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
+        return World(model, bool(landmarks), known_scale, why, {}, scale_notes)
+    model = _moved(model, alignment.similarity)
+    number = {name: view for view, name in enumerate(problem.names)}
+    held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
+    if len(held) >= 2:
+        stated = {view: _at(model.cameras[view], placed[view]) for view in held}
+        model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
+    suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items()}
+    source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
+    return World(model, True, metric or scale is not None, source, suspects, scale_notes)
+
+
+def _source(trusted: tuple[str, ...], known: int) -> str:
+    """What scale and frame come from, in words."""
+    if not trusted:
+        return f"{known} known positions, which the images contradict"
+    points = sum(name.startswith("control point") for name in trusted)
+    parts = [(len(trusted) - points, "known positions"), (points, "control points")]
+    return " and ".join(f"{count} {what}" for count, what in parts if count)
+
+
+def _scale_of_distances(problem: Problem, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
+    """Metres for each unit of the model from the known distances, and a note where they disagree."""
+    ratios = []
+    for i, j, metres in survey.distances:
+        a, b = survey.cameras[int(i)], survey.cameras[int(j)]
+        if a in problem.names and b in problem.names:
+            u, v = problem.names.index(a), problem.names.index(b)
+            if u in cameras and v in cameras:
+                ratios.append(metres / np.linalg.norm(cameras[u].C - cameras[v].C))
+    if not ratios:
+        return None, ()
+    scale = float(np.median(ratios))
+    spread = max(abs(ratio / scale - 1) for ratio in ratios)
+    return scale, (f"known distances disagree by up to {100 * spread:.1f} %",) if spread > 0.01 else ()
+
+
+def _own_frame(cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float) -> Similarity:
+    """z up, x to the right of the first camera, which is at the origin (or at its known place)."""
+    first = cameras[min(cameras)]
+    right = first.R[0] - (first.R[0] @ up) * up
+    right /= np.linalg.norm(right)
+    R = np.array([right, np.cross(up, right), up])
+    origin, target = first.C, np.zeros(3)
+    if landmarks:
+        origin, target = landmarks[0].model_X, landmarks[0].world_X
+        if landmarks[0].world_R is not None and landmarks[0].model_R is not None:
+            R = landmarks[0].world_R.T @ landmarks[0].model_R
+    return Similarity(scale, R, target - scale * R @ origin)
+
+
+def _at(camera: Camera, placement: Placement) -> Camera:
+    """The camera where it is said to be."""
+    assert placement.R is not None and placement.C is not None
+    return replace(camera, R=placement.R, C=placement.C)
+
+
+def _moved(model: Model, similarity: Similarity) -> Model:
+    cameras = {view: similarity.camera(camera) for view, camera in model.cameras.items()}
+    return replace(model, cameras=cameras, X=similarity.points(model.X))
+
+
+def _median_depth(model: Model) -> float:
+    depths = []
+    for view, camera in model.cameras.items():
+        rows = model.use & (model.tracks.view == view)
+        depths.append((model.X[model.tracks.track[rows]] - camera.C) @ camera.R[2])
+    return float(np.median(np.concatenate(depths)))
+
+
+def _median_baseline(problem: Problem, cameras: Mapping[int, Camera]) -> float:
+    """Over the pairs that were matched."""
+    lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in problem.geometries if i in cameras and j in cameras]
+    return float(np.median(lengths))
+
+
+def _suspicion(name: str, length: float, degrees: float) -> str:
+    turned = "" if np.isnan(degrees) else f" and {degrees:.1f} degrees"
+    what = name if name.startswith("control point") else f"the known pose of {name}"
+    return f"{what} contradicts the images: it seems off by {length:.3g} m{turned}; left out"
