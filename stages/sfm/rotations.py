@@ -1,8 +1,8 @@
 """Rotations of all views at once from those of the pairs, so that pairs which contradict the rest can be told.
 
-The spanning tree of the pairs that are believed most gives a start, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1, then
-Geman-McClure) spreads the error over all pairs.  A pair that then is off by more than a few degrees is wrong, however many inliers
-it has: look-alikes agree among themselves.
+The spanning tree of the pairs that are believed most gives a start, and robust averaging (Chatterjee & Govindu, PAMI 2018: L1,
+then Geman-McClure) spreads the error over all pairs.  A pair that then is off by more than a few degrees is wrong, however many
+inliers it has: look-alikes agree among themselves.
 """
 
 from __future__ import annotations

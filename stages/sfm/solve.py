@@ -57,7 +57,8 @@ def _collect(
         for view, camera in world.model.cameras.items():
             cameras[problem.names[view]] = replace(camera, component=len(groups) - 1)
             groups[-1].append(problem.names[view])
-    notes = [note for world in worlds for note in world.notes]
+    suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
+    notes = [*suspects.values(), *(note for world in worlds for note in world.notes)]
     if worlds[0].placed:
         for name, camera in stated.items():
             if name not in cameras:
@@ -69,7 +70,7 @@ def _collect(
         problem.pair(edge): _verdict(problem, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in problem.geometries
     }
     unsolved = {name: _why_unsolved(problem, name, dropped) for name in problem.names if name not in cameras}
-    suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
+    notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     main = worlds[0]
     return Poses(
