@@ -32,7 +32,7 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> 
     window = np.ones((5, 5), dtype=np.uint8)
     highest = cv2.dilate(np.where(known, one, np.float32(-1e6)), window)
     lowest = cv2.erode(np.where(known, one, np.float32(1e6)), window)
-    return np.asarray(known & (difference * (1 + 0.2 * (highest - lowest)) <= tolerance_px))
+    return np.asarray(known & (difference * (1 + 0.15 * (highest - lowest)) <= tolerance_px))
 
 
 def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
