@@ -50,7 +50,8 @@ def refine(
     rectifications, disparities
         Of the pairs that the view is part of.
     radius
-        The patch that is compared reaches so many pixels from its centre; every second pixel of it is used.
+        The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones: what it
+        costs doesn't grow, since its pixels move apart.
     sweeps
         Passes over the image, alternately down and up.
     max_sources
@@ -79,15 +80,15 @@ def refine(
     image = grey(frame)
     sources = _stack([grey(frames[other]) for other in around])
     M, b = (np.stack(part) for part in zip(*(transfer(cameras[name], cameras[other]) for other in around), strict=True))
-    taps = _taps(radius)
+    spacing = max(1, round(max(image.shape) / 768))
+    taps = spacing * _taps(radius)
     q = 1.0 / start.depth.astype(np.float64)
     A, B = start.slope_x.astype(np.float64), start.slope_y.astype(np.float64)
     known = np.isfinite(q)
     nearest, farthest = np.percentile(q[known], [99.8, 0.2])
     cost, best = np.empty(q.shape, np.float32), np.zeros(q.shape, np.uint8)
-    far = max(2, round(5 * max(image.shape) / 768))
     sweep_planes(
-        *(image, frame.mask, sources, M, b, taps, SOFTNESS, sweeps, far, 0.9 * farthest, 1.1 * nearest, 1),
+        *(image, frame.mask, sources, M, b, taps, SOFTNESS, sweeps, 5 * spacing, 0.9 * farthest, 1.1 * nearest, 1),
         *(q, A, B, cost, best),
     )
     support, parallax = np.zeros(q.shape, np.uint32), np.zeros(q.shape, np.float32)
