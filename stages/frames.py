@@ -7,13 +7,14 @@ because what the operator has to do about it differs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import radians, tan
+from dataclasses import dataclass, replace
+from math import atan, degrees, radians, tan
 
 import cv2
 import numpy as np
 
 from .epipolar import scaled_intrinsics
+from .exif import focal_in_long_sides
 from .types import Bools, Capture, Float64s, Frame, Lens, Uint8s, View
 
 
@@ -79,7 +80,7 @@ def clean_frame(
     for capture in _spread(captures, max_captures):
         try:
             image = decode(capture)
-            camera = _Pinhole.of(image, lens, capture.name)
+            camera = _Pinhole.of(image, _as_written(lens, capture, image), capture.name)
             clean.append((camera, capture.name, _resize(camera.undistort(image), resolution)))
         except BadCapture as error:
             if len(captures) == 1:
@@ -186,6 +187,15 @@ def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, b
         return None, False
     f = 0.5 * width / tan(0.5 * radians(lens.hfov_deg))
     return np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]]), False
+
+
+def _as_written(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
+    """The lens, with the field of view that the capture's EXIF data tell where the site says nothing."""
+    if lens.K is not None or lens.hfov_deg is not None:
+        return lens
+    focal = focal_in_long_sides(capture.data)
+    height, width = image.shape[:2]
+    return lens if focal is None else replace(lens, hfov_deg=2 * degrees(atan(0.5 * width / (focal * max(width, height)))))
 
 
 def _spread(captures: Sequence[Capture], count: int) -> list[Capture]:
