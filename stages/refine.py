@@ -82,13 +82,14 @@ def refine(
     M, b = (np.stack(part) for part in zip(*(transfer(cameras[name], cameras[other]) for other in around), strict=True))
     spacing = max(1, round(max(image.shape) / 768))
     taps = spacing * _taps(radius)
+    far = max(2, round(5 * max(image.shape) / 768))
     q = 1.0 / start.depth.astype(np.float64)
     A, B = start.slope_x.astype(np.float64), start.slope_y.astype(np.float64)
     known = np.isfinite(q)
     nearest, farthest = np.percentile(q[known], [99.8, 0.2])
     cost, best = np.empty(q.shape, np.float32), np.zeros(q.shape, np.uint8)
     sweep_planes(
-        *(image, frame.mask, sources, M, b, taps, SOFTNESS, sweeps, 5 * spacing, 0.9 * farthest, 1.1 * nearest, 1),
+        *(image, frame.mask, sources, M, b, taps, SOFTNESS, sweeps, far, 0.9 * farthest, 1.1 * nearest, 1),
         *(q, A, B, cost, best),
     )
     support, parallax = np.zeros(q.shape, np.uint32), np.zeros(q.shape, np.float32)
