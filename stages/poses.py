@@ -48,13 +48,15 @@ def solve_poses(
     stated = stated_cameras(views, placements)
     exact = [name for name in stated if placements[name].sigma_m == 0]
     if len(exact) == len(views) or not geometries:
-        return _as_stated(views, placements, stated)
+        return _as_stated(views, placements, stated, survey or Survey())
     # here, so that a night whose poses are all known does not wait for what solves poses
     from .sfm.solve import solve_from_pairs
 
     args = views, placements, geometries, survey or Survey(), stated
     found = solve_from_pairs(*args, max_rotation_error_deg, max_epipolar_px)
-    return _as_stated(views, placements, stated) if isinstance(found, Rejected) and len(stated) >= 2 else found
+    return (
+        _as_stated(views, placements, stated, survey or Survey()) if isinstance(found, Rejected) and len(stated) >= 2 else found
+    )
 
 
 def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement]) -> dict[str, Camera]:
@@ -67,7 +69,9 @@ def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement
     return found
 
 
-def _as_stated(views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera]) -> Poses | Rejected:
+def _as_stated(
+    views: Mapping[str, View], placements: Mapping[str, Placement], stated: dict[str, Camera], survey: Survey
+) -> Poses | Rejected:
     """No image has a say."""
     unsolved = {}
     for name, view in views.items():
@@ -78,4 +82,4 @@ def _as_stated(views: Mapping[str, View], placements: Mapping[str, Placement], s
         return Rejected("no camera has a pose and intrinsics", {"cameras": float(len(views)), "solved": 0.0})
     metric = all(placements[name].metric for name in stated)
     scale = "calibration" if metric else "calibration, not metric"
-    return Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale)
+    return Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)

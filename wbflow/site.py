@@ -433,7 +433,8 @@ def _lens(camera: _Camera, entry: Calibrated | None) -> dict[str, Any]:
 
 
 def _placement(camera: _Camera, entry: Calibrated | None, frame: LocalFrame | None) -> dict[str, Any]:
-    if (pose := camera.pose) and not (pose.matrix() is None and entry and entry.R and entry.C):
+    rough = camera.pose is not None and (camera.pose.matrix() is None or camera.pose.sigma_m > 0)
+    if (pose := camera.pose) and not (rough and entry and entry.R and entry.C):  # what was solved from it knows better
         geodetic = pose.geodetic
         C = frame.metres(*geodetic) if frame and geodetic else pose.position
         return {"R": pose.matrix(), "C": C} | ({"sigma_m": pose.sigma_m} if pose.sigma_m else {})

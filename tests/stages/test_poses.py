@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.types import Placement, Poses, Rejected, View
+from wbflow_stages.types import Placement, Poses, Rejected, Survey, View
 
 K = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
 
@@ -22,6 +22,14 @@ def test_stated_cameras_are_taken_over_and_the_others_say_what_they_lack():
         "mast": "no intrinsics given, and no pair to solve it from",
     }
     assert poses.metric and poses.source == "calibration"
+
+
+def test_cameras_fed_back_keep_their_coordinate_system_and_whether_they_are_metric():
+    views = {name: View(640, 480, K) for name in ("gate", "roof")}
+    placements = {name: Placement(np.eye(3), np.array([x, 0.0, 0.0]), metric=False) for x, name in enumerate(views)}
+    poses = solve_poses(views, placements, {}, Survey(crs="+proj=topocentric"))
+    assert isinstance(poses, Poses)
+    assert poses.crs == "+proj=topocentric" and not poses.metric and "not metric" in poses.scale
 
 
 def test_without_any_pose_there_is_nothing_to_give():
