@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from .exports.rasters import pfm, png
 from .previews import disparity_preview, matches_preview, rectified_preview
 from .rectification.mapping import disparity_px, warp
-from .types import Disparity, Float32s, Frame, Geometry, Matches, Rectification, Uint8s, Uint16s
+from .types import Disparity, Frame, Geometry, Matches, Rectification
 
 PNG_STEPS = 16
 """Steps of the 16-bit disparity image in a pixel."""
@@ -26,8 +26,8 @@ def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, rig
 def rectified_files(rectification: Rectification, left: Frame, right: Frame) -> dict[str, bytes]:
     """left-rectified.png, right-rectified.png and a picture of both with common rows."""
     return {
-        "left-rectified.png": _png(warp(rectification, 1, left.image)),
-        "right-rectified.png": _png(warp(rectification, 2, right.image)),
+        "left-rectified.png": png(warp(rectification, 1, left.image)),
+        "right-rectified.png": png(warp(rectification, 2, right.image)),
         "3-rectified.jpg": bytes(rectified_preview(rectification, left, right)),
     }
 
@@ -45,8 +45,8 @@ def disparity_files(
     files = {"4-disparity.jpg": bytes(disparity_preview(disparity, left, right, rectification))}
     for name, values in maps.items():
         steps = np.nan_to_num((values - offset) * PNG_STEPS + 1, nan=0.0)
-        files[f"{name}-disparity.png"] = _png(np.clip(np.round(steps), 0, 65535).astype(np.uint16))
-        files[f"{name}-disparity.pfm"] = _pfm(values)
+        files[f"{name}-disparity.png"] = png(np.clip(np.round(steps), 0, 65535).astype(np.uint16))
+        files[f"{name}-disparity.pfm"] = pfm(values)
     return files, offset
 
 
@@ -55,12 +55,3 @@ def _table(found: Matches | Geometry) -> bytes:
     for (x1, y1), (x2, y2), p in zip(found.x1.tolist(), found.x2.tolist(), found.probability.tolist(), strict=True):
         lines.append(f"{x1:.3f},{y1:.3f},{x2:.3f},{y2:.3f},{p:.4f}")
     return ("\n".join(lines) + "\n").encode()
-
-
-def _png(image: Uint8s | Uint16s) -> bytes:
-    return bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)[1])
-
-
-def _pfm(values: Float32s) -> bytes:
-    header = f"Pf\n{values.shape[1]} {values.shape[0]}\n-1.0\n".encode()
-    return header + np.where(np.isnan(values), np.inf, values).astype("<f4")[::-1].tobytes()

@@ -266,6 +266,38 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
         _stop(FAILED, f"no disparity: {result.failure}")
 
 
+@main.command()
+@_site
+@click.argument("run_id", metavar="[RUN]", required=False)
+@click.option("--out", type=_PATH, required=True, metavar="DIR", help="Folder for the files.")
+@click.option("--laz", is_flag=True, help="The cloud as LAZ, on the map where positions are known by latitude and longitude.")
+@click.option("--heights", is_flag=True, help="Heights seen from above: GeoTIFF where the site is on the map, else PNG, PFM.")
+@click.option("--depth", is_flag=True, help="Depth map of each camera: 16-bit PNG and PFM.")
+@click.option("--mesh", is_flag=True, help="The surface through the cloud (Poisson), as PLY.")
+@click.option("--colmap", is_flag=True, help="Cameras, images and points as a COLMAP model.")
+@_work
+def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked: bool) -> None:
+    """A run's results for other programs; the newest run that made a cloud, if no RUN is named."""
+    forms = frozenset(name for name, wanted in asked.items() if wanted)
+    if not forms:
+        _stop(USAGE, f"say what to export: {', '.join(f'--{name}' for name in asked)}")
+    loaded = _load(site, work)
+    from .cache import DamagedArtifact
+    from .export import MissingExtra, NothingToExport
+    from .export import export as write
+
+    latest = (loaded.work / "runs" / "latest").exists()
+    try:
+        for file in write(loaded.work, _run_folder(loaded, run_id or ("latest" if latest else None)), out, forms):
+            click.echo(file)
+    except MissingExtra as missing:
+        _stop(USAGE, str(missing))
+    except NothingToExport as nothing:
+        _stop(FAILED, f"nothing to export: {nothing}")
+    except DamagedArtifact as damage:
+        _stop(FAILED, f"{damage} by the next  wbflow run {site}")
+
+
 def _day(date: datetime.datetime | None) -> datetime.date | None:
     return date.date() if date else None
 

@@ -1,0 +1,1 @@
+"""A site's results in the forms that other programs read: LAZ, meshes, COLMAP models, height and depth maps."""

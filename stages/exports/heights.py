@@ -1,0 +1,111 @@
+"""Height above the ground plane as a map: what is seen from straight above, as a grid of square cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..types import Float32s, Float64s
+from .rasters import pfm, png, stepped
+
+MOST_CELLS = 50_000_000
+QUANTILE = 0.9
+"""Of the points of a cell, this one's height counts: nearly the highest, as one wrong point must not raise a roof."""
+
+
+@dataclass(frozen=True)
+class HeightMap:
+    """heights: (rows, columns) float32, nan where unknown; the first row has the largest y.
+
+    left, top: x and y of the outer corner of the first cell; cell: edge of a cell; left_out: points far outside of the rest,
+    which the map does not cover.
+    """
+
+    heights: Float32s
+    left: float
+    top: float
+    cell: float
+    left_out: int
+
+
+def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
+    """Height map of a cloud.
+
+    Parameters
+    ----------
+    points
+        (n, 3) float64, z up.
+    cell
+        Edge of a cell, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of ten.
+    """
+    low, high = _box(points[:, :2])
+    edge = cell or _preferred_above(2 * spacing(points))
+    while cell is None and np.prod((high - low) / edge + 1) > MOST_CELLS:
+        edge = _preferred_above(1.5 * edge)
+    inside = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
+    # corners at multiples of the edge: maps of different nights lie on each other
+    first_column, last_row = int(np.floor(low[0] / edge)), int(np.floor(high[1] / edge))
+    columns, rows = int(np.floor(high[0] / edge)) - first_column + 1, last_row - int(np.floor(low[1] / edge)) + 1
+    x, y, z = points[inside].T
+    column = np.clip(np.floor(x / edge).astype(np.int64) - first_column, 0, columns - 1)
+    row = np.clip(last_row - np.floor(y / edge).astype(np.int64), 0, rows - 1)
+    number = row * columns + column
+    order = np.lexsort((z, number))
+    cells, start, count = np.unique(number[order], return_index=True, return_counts=True)
+    heights = np.full(rows * columns, np.nan, np.float32)
+    heights[cells] = z[order][start + np.rint(QUANTILE * (count - 1)).astype(np.int64)]
+    left, top = first_column * edge, (last_row + 1) * edge
+    return HeightMap(heights.reshape(rows, columns), left, top, edge, int(np.sum(~inside)))
+
+
+def spacing(points: Float64s, sample: int = 20_000) -> float:
+    """Median distance of a point from its nearest neighbour."""
+    centred = points - points.mean(axis=0)
+    asked = centred[:: max(1, len(points) // sample)]
+    distances, _ = cKDTree(centred).query(asked, k=2)
+    return float(np.median(distances[:, 1])) if len(points) > 1 else 1.0
+
+
+def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float | int]]:
+    """heights.pfm and heights.png, and what is to be known to read them.
+
+    PNG: 0 is unknown, else height = (value - 1) / png_steps_per_unit + png_lowest.
+    """
+    known = heights.heights[np.isfinite(heights.heights)]
+    lowest = float(known.min())
+    values, steps = stepped(heights.heights, lowest)
+    rows, columns = heights.heights.shape
+    told = {"left": heights.left, "top": heights.top, "cell": heights.cell, "rows": rows, "columns": columns}
+    told |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
+    return {"heights.pfm": pfm(heights.heights), "heights.png": png(values)}, told
+
+
+def geotiff(heights: HeightMap, epsg: int) -> bytes:
+    """GeoTIFF, float32, nan where unknown."""
+    from rasterio.crs import CRS  # here: only georeferenced sites need it
+    from rasterio.io import MemoryFile
+    from rasterio.transform import Affine
+
+    rows, columns = heights.heights.shape
+    transform = Affine(heights.cell, 0.0, heights.left, 0.0, -heights.cell, heights.top)
+    layout = {"driver": "GTiff", "width": columns, "height": rows, "count": 1, "dtype": "float32", "nodata": float("nan")}
+    packing = {"compress": "deflate", "predictor": 3, "num_threads": 1}
+    with MemoryFile() as memory:
+        with memory.open(**layout, **packing, crs=CRS.from_epsg(epsg), transform=transform) as file:
+            file.write(heights.heights, 1)
+            file.set_band_description(1, "height above the ellipsoid, metres")
+        return bytes(memory.read())
+
+
+def _box(xy: Float64s) -> tuple[Float64s, Float64s]:
+    """Corners around all points but those far outside: few wrong points on the horizon would make the map huge."""
+    low, high = np.percentile(xy, [0.1, 99.9], axis=0)
+    margin = 0.1 * (high - low)
+    return np.maximum(low - margin, xy.min(axis=0)), np.minimum(high + margin, xy.max(axis=0))
+
+
+def _preferred_above(value: float) -> float:
+    decade = 10.0 ** float(np.floor(np.log10(value)))
+    return float(decade * min(step for step in (1.0, 2.0, 5.0, 10.0) if step >= value / decade * (1 - 1e-9)))

@@ -1,0 +1,56 @@
+"""A cloud as LAZ 1.4: point format 7 (RGB), with normals, confidence, views and sigma as extra dimensions.
+
+References
+----------
+ASPRS, LAS Specification 1.4 R15, 2019.
+"""
+
+from __future__ import annotations
+
+import datetime
+import io
+
+import laspy
+import numpy as np
+import pyproj
+
+from ..types import Cloud
+from .world import Georeference
+
+EXTRA = {
+    "nx": (np.float32, "normal, x"),
+    "ny": (np.float32, "normal, y"),
+    "nz": (np.float32, "normal, z"),
+    "confidence": (np.float32, "0 to 1"),
+    "views": (np.uint16, "cameras that support it"),
+    "sigma_mm": (np.float32, "standard deviation"),
+}
+
+
+def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | None = None) -> bytes:
+    """LAZ of a cloud, in the map's coordinates and with their CRS where there is a georeference.  day: for the file's header."""
+    points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
+    header = laspy.LasHeader(point_format=7, version="1.4")
+    header.creation_date, header.generating_software, header.system_identifier = day, "wbflow", "stereo"
+    header.scales = np.full(3, _resolution(points))
+    if georeference is not None:
+        points, normals = georeference.points(points), georeference.directions(points, normals)
+        header.add_crs(pyproj.CRS.from_epsg(georeference.epsg))
+    header.offsets = np.floor(points.min(axis=0))
+    header.add_extra_dims([laspy.ExtraBytesParams(name, kind, words) for name, (kind, words) in EXTRA.items()])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.red, las.green, las.blue = cloud.colors.T.astype(np.uint16) * 257
+    las.return_number = las.number_of_returns = np.ones(len(points), np.uint8)
+    las.nx, las.ny, las.nz = normals.T.astype(np.float32)
+    las.confidence, las.views, las.sigma_mm = cloud.confidence, cloud.views, cloud.sigma_mm
+    buffer = io.BytesIO()
+    # one thread: the chunks' order, and so the bytes, are always the same
+    las.write(buffer, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+    return buffer.getvalue()
+
+
+def _resolution(points: np.ndarray) -> float:
+    """Step of the coordinates: a power of ten, as fine as float32 tells points of this extent apart."""
+    span = float(np.ptp(points, axis=0).max())
+    return float(10.0 ** np.floor(np.log10(span / 1e7))) if span > 0 else 1e-4

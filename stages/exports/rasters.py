@@ -1,0 +1,47 @@
+"""Images and maps of numbers as the bytes of files that every program reads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..types import Float32s, Uint8s, Uint16s
+
+MOST = 65535
+"""The largest value of a 16-bit image."""
+
+
+def png(image: Uint8s | Uint16s) -> bytes:
+    """PNG of (h, w, 3) uint8 RGB, or of (h, w) uint8 or uint16."""
+    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)
+    if not done:
+        raise ValueError(f"no PNG can be made of {image.shape} {image.dtype}")
+    return bytes(data.tobytes())
+
+
+def pfm(values: Float32s) -> bytes:
+    """PFM of (h, w) float32: bottom row first, infinite where `values` is nan."""
+    header = f"Pf\n{values.shape[1]} {values.shape[0]}\n-1.0\n".encode()
+    return header + np.where(np.isnan(values), np.inf, values).astype("<f4")[::-1].tobytes()
+
+
+def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:
+    """A map of numbers in 65535 steps, and how many steps make one unit.
+
+    0 where `values` is nan, else value = (step - 1) / steps_per_unit + lowest.  The number of steps is 1, 2 or 5 times a power of
+    ten: the largest with which all values fit.
+    """
+    known = np.isfinite(values)
+    span = float(values[known].max()) - lowest if known.any() else 0.0
+    steps = _preferred_below((MOST - 2) / span) if span > 0 else 1.0
+    out = np.zeros(values.shape, np.uint16)
+    out[known] = np.round((values[known].astype(np.float64) - lowest) * steps + 1)
+    return out, steps
+
+
+def _preferred_below(value: float) -> float:
+    decade = 10.0 ** float(np.floor(np.log10(value)))
+    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step <= max(value / decade, 1.0)))

@@ -1,0 +1,55 @@
+"""From a site's local east, north, up to the map: the UTM zone it lies in.
+
+A local frame's axes are tangent to the ellipsoid at its origin; few programs know such a coordinate system, and what they make of
+its PROJ string lies at the centre of the earth.  UTM is known everywhere; heights stay above the ellipsoid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyproj
+
+from ..types import Float64s
+
+LOCAL = "+proj=topocentric"
+"""How the `crs` of a local frame begins."""
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """A coordinate system of the map (EPSG code), and how the world's points get there."""
+
+    epsg: int
+    steps: str
+
+    def points(self, X: Float64s) -> Float64s:
+        """(n, 3) float64 world points as easting, northing and height above the ellipsoid, metres."""
+        moved = pyproj.Transformer.from_pipeline(self.steps).transform(*np.asarray(X, np.float64).T)
+        return np.column_stack(moved).astype(np.float64)
+
+    def directions(self, X: Float64s, directions: Float64s) -> Float64s:
+        """(n, 3) unit vectors at world points X: the map's north is not the local frame's."""
+        moved = self.points(X + directions) - self.points(X)
+        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True), dtype=np.float64)
+
+
+def georeference(crs: str) -> Georeference:
+    """The UTM zone around the origin of a local frame (`Poses.crs`).
+
+    Raises
+    ------
+    ValueError
+        Another kind of coordinate system, or an origin beyond the zones of UTM.
+    """
+    if not crs.startswith(LOCAL):
+        raise ValueError(f"{crs!r} is not the coordinate system of a local frame")
+    upward = f"+proj=pipeline +step +inv {crs} +step +inv +proj=cart +ellps=WGS84"
+    unit = "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    longitude, latitude, _ = pyproj.Transformer.from_pipeline(f"{upward} {unit}").transform(0.0, 0.0, 0.0)
+    if not -80 <= latitude <= 84:
+        raise ValueError(f"UTM does not reach latitude {latitude:g}")
+    zone = int((longitude + 180) // 6) % 60 + 1
+    south = " +south" if latitude < 0 else ""
+    return Georeference((32700 if south else 32600) + zone, f"{upward} +step +proj=utm +zone={zone}{south} +ellps=WGS84")

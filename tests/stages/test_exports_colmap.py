@@ -1,0 +1,64 @@
+"""COLMAP reads the model, and sees every point where our cameras see it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wbflow_stages.exports.colmap import colmap_files
+from wbflow_stages.types import Camera, Cloud
+
+
+def cloud_of(points: np.ndarray) -> Cloud:
+    n = len(points)
+    colors = (np.arange(3 * n).reshape(n, 3) % 256).astype(np.uint8)
+    up = np.tile(np.float32([0, 0, 1]), (n, 1))
+    return Cloud(points.astype(np.float32), up, colors, np.ones(n, np.float32), np.full(n, 2, np.uint16), np.ones(n, np.float32))
+
+
+def camera(turn: list[float], radial: tuple[float, float] = (0.0, 0.0)) -> Camera:
+    K = np.array([[500.0, 0, 310.25], [0, 505.0, 180.75], [0, 0, 1]])
+    return Camera(K, Rotation.from_rotvec(turn).as_matrix(), np.array([0.5, -0.3, -10.0]), 640, 360, radial=radial)
+
+
+def read(files: dict[str, bytes], folder: Path) -> pycolmap.Reconstruction:
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return pycolmap.Reconstruction(folder)
+
+
+def test_colmap_projects_half_a_pixel_further_than_we_do(tmp_path: Path) -> None:
+    cameras = {"gate": camera([0.02, -0.1, 0.3]), "roof": camera([-0.1, 0.15, -2.9])}
+    X = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    model = read(colmap_files(cameras, cloud_of(X)), tmp_path)
+    images = {image.name: image for image in model.images.values()}
+    assert images.keys() == {"gate.png", "roof.png"}
+    for name, ours in cameras.items():
+        x = (ours.K @ ours.R @ (X - ours.C).T).T
+        theirs = np.array([images[f"{name}.png"].project_point(p) for p in X])
+        assert np.abs(theirs - 0.5 - x[:, :2] / x[:, 2:]).max() < 1e-9
+
+
+def test_points_and_colors_survive(tmp_path: Path) -> None:
+    cloud = cloud_of(np.random.default_rng(1).normal(size=(30, 3)))
+    model = read(colmap_files({"gate": camera([0.0, 0.0, 0.1])}, cloud), tmp_path)
+    read_back = [model.points3D[n + 1] for n in range(30)]
+    assert np.abs([p.xyz for p in read_back] - cloud.points).max() < 1e-6
+    assert np.array_equal([p.color for p in read_back], cloud.colors)
+
+
+def test_distortion_left_in_a_frame_is_told(tmp_path: Path) -> None:
+    model = read(colmap_files({"gate": camera([0.0, 0.0, 0.1], (-0.1, 0.02))}, cloud_of(np.zeros((1, 3)))), tmp_path)
+    assert model.cameras[1].model.name == "OPENCV"
+    assert model.cameras[1].params == pytest.approx([500, 505, 310.75, 181.25, -0.1, 0.02, 0, 0])
+
+
+def test_a_large_cloud_is_thinned_evenly() -> None:
+    points = np.column_stack([np.arange(1000.0), np.zeros(1000), np.zeros(1000)])
+    files = colmap_files({"gate": camera([0.0, 0.0, 0.1])}, cloud_of(points), most_points=100)
+    x = [float(line.split()[1]) for line in files["points3D.txt"].decode().splitlines()[1:]]
+    assert x == [10.0 * n for n in range(100)]
