@@ -200,9 +200,7 @@ def test_photographs_are_matched_as_well_as_measured(pair: tuple[int, int], matc
     x1, x2 = laser_matches(left, right)
     few = np.linspace(0, len(x1) - 1, 1500).astype(int)
     view = left.frame.view
-    geometry = replace(
-        geometry_of(x1[few], x2[few], fundamental_from_cameras(left.camera, right.camera)), view1=view, view2=view
-    )
+    geometry = replace(geometry_of(x1[few], x2[few], fundamental_from_cameras(left.camera, right.camera)), view1=view, view2=view)
     rectification = rectify(geometry, left.camera, right.camera)
     assert isinstance(rectification, Rectification)
     found = matched(left.frame, right.frame, rectification, matcher)
