@@ -203,7 +203,13 @@ def test_a_second_run_at_the_same_time_is_refused_with_code_4(toy: ToySite) -> N
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_keeps_what_is_finished(toy: ToySite, sent: signal.Signals) -> None:
     toy.fault("slow", "0.1")
-    process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        toy.command("run", str(toy.file), "--jobs", "2"),
+        env=toy.env(),
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=_heed_interrupts,
+    )
     _wait_for(toy.work / "cache" / "geometry")
     process.send_signal(sent)
     assert process.wait(timeout=30) == 130
@@ -274,6 +280,11 @@ def _first_pixel(data: bytes) -> int:
     import hashlib
 
     return hashlib.sha256(data).digest()[0]
+
+
+def _heed_interrupts() -> None:
+    """A test run in the background has been told to ignore SIGINT, and its children with it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _wait_for(path: Path, seconds: float = 20.0) -> None:
