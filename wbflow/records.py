@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,7 +39,8 @@ def run_record(run: str, plan: Plan, measures: Measures, finished: datetime.date
     counts = dict.fromkeys(("cached", "ran", "rejected", "failed", "skipped"), 0)
     for state in plan.states.values():
         counts[state.outcome] += 1
-    cameras = [_camera(plan, camera.id) for camera in plan.site.cameras]
+    pairs = [_pair(plan, pair) for pair in _pairs(plan)]
+    cameras = [_with_fruitless_pairs(_camera(plan, camera.id), pairs) for camera in plan.site.cameras]
     fuse = plan.states.get(Task("fuse", ()))
     return {
         "run": run,
@@ -56,7 +58,7 @@ def run_record(run: str, plan: Plan, measures: Measures, finished: datetime.date
         },
         "peak_rss_mb": round(measures.peak_rss_mb),
         "cameras": cameras,
-        "pairs": [_pair(plan, pair) for pair in _pairs(plan)],
+        "pairs": pairs,
         "cloud": _cloud(plan, Task("fuse", ())),
         "other_clouds": [c for task in plan.states if task.stage == "fuse" and task.subject and (c := _cloud(plan, task))],
         "poses": _poses(plan),
@@ -102,6 +104,16 @@ def _camera(plan: Plan, camera: str) -> dict[str, Any]:
     if camera in solved.get("unsolved", {}):
         return record | {"outcome": "unsolved", "reason": solved["unsolved"][camera]}
     return record
+
+
+def _with_fruitless_pairs(camera: dict[str, Any], pairs: list[dict[str, Any]]) -> dict[str, Any]:
+    """A camera none of whose pairs came to anything has been turned or moved, or sees something else: its notes say so."""
+    tried = [pair for pair in pairs if camera["id"] in (pair["left"], pair["right"]) and pair["outcome"] != "skipped"]
+    if camera["outcome"] != "ok" or not tried or any(pair["outcome"] == "ok" for pair in tried):
+        return camera
+    reason = Counter(str(pair["reason"]) for pair in tried).most_common(1)[0][0]
+    note = f"none of its {len(tried)} pairs could be used: {reason}; has it been moved?"
+    return camera | {"notes": [*camera["notes"], note]}
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
