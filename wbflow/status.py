@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .cache import Preimage, Receipt
-from .plan import Plan, State, Task, TaskSpec
+from .plan import Plan, Task, TaskSpec
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,3 @@ def difference(last: Receipt, now: Preimage) -> str:
     elif changed:
         found.append(f"{len(changed)} of {len(now.inputs)} inputs changed")
     return "; ".join(found)
-
-
-def counts(states: dict[Task, State]) -> dict[str, int]:
-    """Settled tasks by outcome."""
-    found: dict[str, int] = {}
-    for state in states.values():
-        found[state.outcome] = found.get(state.outcome, 0) + 1
-    return found
