@@ -12,8 +12,6 @@ from ..types import Camera, Float32s, Float64s, Lens
 CENTRE = (20.0, 18.0)
 """What the half ring of cameras surrounds, metres east and north."""
 
-SPACING_DEG = 20.0
-
 
 @dataclass(frozen=True)
 class Mount:
