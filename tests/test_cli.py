@@ -79,6 +79,21 @@ def test_json_prints_the_record_and_nothing_else(toy: ToySite) -> None:
     assert json.loads((toy.work / "runs" / record["run"] / "run.json").read_text()) == record
 
 
+def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
+    process = subprocess.Popen(
+        toy.command("run", str(toy.file), "--jobs", "1", "-v"),
+        env=toy.env(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout and process.stderr
+    process.stdout.close()  # as `| head` does after its lines
+    assert process.stderr.read() == ""
+    assert process.wait(timeout=60) == 0
+    assert (toy.work / "runs" / "latest" / "cloud.ply").exists()
+
+
 def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     plain = toy.wbflow("run", "--jobs", "1")

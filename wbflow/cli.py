@@ -112,11 +112,11 @@ def run(
     options = Options(_day(date), jobs, until, force, wait, backend, scheduler)
     finished = _run(loaded, options, verbose, quiet or as_json)
     if as_json:
-        click.echo(json.dumps(finished.record, indent=1))
+        _say(json.dumps(finished.record, indent=1))
     elif not quiet:
         _summary(finished)
     if finished.record["reason"]:
-        click.echo(f"no cloud: {finished.record['reason']}", err=True)
+        _say(f"no cloud: {finished.record['reason']}", err=True)
     sys.exit(finished.record["exit_code"])
 
 
@@ -143,9 +143,9 @@ def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None
 
     findings = examine(loaded, _day(date))
     for finding in findings:
-        click.echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
+        _say(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:
-        click.echo(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
+        _say(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
     sys.exit(min((f.code for f in findings if f.severity == "error"), default=0))
 
 
@@ -161,7 +161,7 @@ def report(site: Path, run_id: str | None, work: Path | None) -> None:
 
     folder = _run_folder(loaded, run_id)
     write_atomic(folder / "report.html", build_report(loaded.work, folder).encode())
-    click.echo(folder / "report.html")
+    _say(folder / "report.html")
 
 
 @main.command()
@@ -177,11 +177,11 @@ def history(site: Path, work: Path | None) -> None:
     with Ledger(loaded.work) as ledger:
         runs = ledger.runs()
     head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
-    click.echo(f"{'run':17} {'night':10} {head} {'points':>11} exit")
+    _say(f"{'run':17} {'night':10} {head} {'points':>11} exit")
     for r in runs:
         points = f"{r['points']:,}" if r["points"] else "-"
         figures = f"{r['wall']:8.1f} {r['cpu']:8.1f} {r['cached']:6} {r['ran']:5} {r['rejected']:8} {r['failed']:6}"
-        click.echo(f"{r['run']:17} {r['date']:10} {figures} {points:>11} {r['exit_code']:4}")
+        _say(f"{r['run']:17} {r['date']:10} {figures} {points:>11} {r['exit_code']:4}")
 
 
 @main.command()
@@ -201,7 +201,7 @@ def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
     except Locked as locked:
         _stop(LOCKED, str(locked))
     verb = "would remove" if dry_run else "removed"
-    click.echo(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
+    _say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
 
 
 @main.command()
@@ -216,7 +216,7 @@ def demo(folder: Path, small: bool, light: str) -> None:
         write_demo(folder, small=small, light=light)
     except (FileExistsError, ValueError) as error:
         _stop(USAGE, str(error))
-    click.echo(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
+    _say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 
 @main.command()
@@ -232,7 +232,7 @@ def compare(run_a: Path, run_b: Path) -> None:
     except ValueError as error:
         _stop(USAGE, str(error))
     for row in table:
-        click.echo(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
+        _say(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
 
 
 @main.command()
@@ -261,7 +261,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     except Locked as locked:
         _stop(LOCKED, str(locked))
     for file in result.files:
-        click.echo(file)
+        _say(file)
     if result.failure:
         _stop(FAILED, f"no disparity: {result.failure}")
 
@@ -289,7 +289,7 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
     latest = (loaded.work / "runs" / "latest").exists()
     try:
         for file in write(loaded.work, _run_folder(loaded, run_id or ("latest" if latest else None)), out, forms):
-            click.echo(file)
+            _say(file)
     except MissingExtra as missing:
         _stop(USAGE, str(missing))
     except NothingToExport as nothing:
@@ -350,15 +350,15 @@ def _listener(site: Site, verbose: bool, quiet: bool) -> Listener:
         nonlocal count
         count += 1
         if watched:
-            click.echo("\r\x1b[K", nl=False, err=True)
+            _say("\r\x1b[K", nl=False, err=True)
         if verbose or state.outcome == "failed" or (state.outcome == "rejected" and not quiet):
             stage, _, subject = task.partition(" ")
             line = f"{subject or site.name:20} {stage:10} {state.outcome:9} {state.reason or ''}"
-            click.echo(line.rstrip(), err=state.outcome == "failed")
+            _say(line.rstrip(), err=state.outcome == "failed")
         if trace and verbose:
-            click.echo(trace, err=True)
+            _say(trace, err=True)
         if watched:
-            click.echo(f"{count} tasks, last {task}", nl=False, err=True)
+            _say(f"{count} tasks, last {task}", nl=False, err=True)
 
     return listen
 
@@ -366,12 +366,12 @@ def _listener(site: Site, verbose: bool, quiet: bool) -> Listener:
 def _summary(finished: Finished) -> None:
     record = finished.record
     if sys.stderr.isatty():
-        click.echo("\r\x1b[K", nl=False, err=True)
+        _say("\r\x1b[K", nl=False, err=True)
     tasks = ", ".join(f"{count} {name}" for name, count in record["tasks"].items() if count)
-    click.echo(f"{tasks or 'nothing to do'}; {record['seconds']['wall']:.1f} s, {record['seconds']['cpu']:.1f} CPU s")
+    _say(f"{tasks or 'nothing to do'}; {record['seconds']['wall']:.1f} s, {record['seconds']['cpu']:.1f} CPU s")
     if record["cloud"]:
-        click.echo(f"cloud   {finished.folder / 'cloud.ply'}  ({record['cloud']['points']:,} points)")
-    click.echo(f"report  {finished.folder / 'report.html'}")
+        _say(f"cloud   {finished.folder / 'cloud.ply'}  ({record['cloud']['points']:,} points)")
+    _say(f"report  {finished.folder / 'report.html'}")
 
 
 def _explain(site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...]) -> None:
@@ -381,9 +381,9 @@ def _explain(site: Site, date: datetime.datetime | None, until: str | None, forc
     plan = open_night(site, _day(date), until, force).plan
     plan.refresh()
     for line in explain(plan):
-        click.echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
+        _say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if not plan.pairs_known() and any(stage.name == "pairs" for stage in plan.stages()):
-        click.echo("(tasks of pairs are listed once the pair graph is known)")
+        _say("(tasks of pairs are listed once the pair graph is known)")
 
 
 def _run_folder(site: Site, run_id: str | None) -> Path:
@@ -398,6 +398,15 @@ def _run_folder(site: Site, run_id: str | None) -> Path:
     return runs / str(run_id)
 
 
+def _say(text: object, nl: bool = True, err: bool = False) -> None:
+    """Print; a reader that went away (`wbflow run ... | head -1`) costs the words, not the night's work."""
+    try:
+        click.echo(text, nl=nl, err=err)
+    except BrokenPipeError:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), (sys.stderr if err else sys.stdout).fileno())
+
+
 def _stop(code: int, message: str) -> NoReturn:
-    click.echo(message, err=code != 0)
+    _say(message, err=code != 0)
     sys.exit(code)
