@@ -403,7 +403,7 @@ def _say(text: object, nl: bool = True, err: bool = False) -> None:
     try:
         click.echo(text, nl=nl, err=err)
     except BrokenPipeError:
-        with open(os.devnull, "w") as nowhere:
+        with Path(os.devnull).open("w") as nowhere:
             os.dup2(nowhere.fileno(), (sys.stderr if err else sys.stdout).fileno())
 
 
