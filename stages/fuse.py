@@ -148,7 +148,7 @@ def _confidence(verdict: Verdict, depth: DepthMap, y: np.ndarray, x: np.ndarray)
 
 def _cloud(merged: Samples) -> Cloud:
     return Cloud(
-        merged.points.astype(np.float32),
+        merged.points,
         merged.normals,
         (merged.colors + 0.5).clip(0, 255).astype(np.uint8),
         merged.confidence,

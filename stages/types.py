@@ -378,10 +378,10 @@ class DepthMap:
 
 @dataclass(frozen=True)
 class Cloud:
-    """points, normals: (n, 3) float32 (normals of unit length, toward the cameras); colors: (n, 3) uint8 RGB;
+    """points: (n, 3) float64; normals: (n, 3) float32, of unit length, toward the cameras; colors: (n, 3) uint8 RGB;
     confidence: (n,) float32, 0 to 1; views: (n,) uint16, cameras that support the point; sigma_mm: (n,) float32."""
 
-    points: Float32s
+    points: Float64s
     normals: Float32s
     colors: Uint8s
     confidence: Float32s

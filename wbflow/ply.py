@@ -55,9 +55,17 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def cloud_bytes(cloud: Any) -> bytes:
-    """PLY of a `Cloud` (points, normals, colors, confidence, views, sigma_mm)."""
+    """PLY of a `Cloud` (points, normals, colors, confidence, views, sigma_mm).
+
+    Positions are `float`, or `double` where the coordinates are so large (UTM) that `float` would add to the points' own error.
+    """
+    import numpy as np
+
+    step = float(np.spacing(np.float32(np.abs(cloud.points).max(initial=0.0))))
+    coarse = step > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0 if len(cloud.points) else False
+    points = cloud.points.astype("f8" if coarse else "f4")
     columns = {
-        **{name: cloud.points[:, i] for i, name in enumerate(("x", "y", "z"))},
+        **{name: points[:, i] for i, name in enumerate(("x", "y", "z"))},
         **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
         **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
         "confidence": cloud.confidence,

@@ -68,10 +68,10 @@ def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error():
     assert cloud.views.max() <= 5 and cloud.views.min() >= 2
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(0.1, (0, 0, 0)), (100.0, (0, 0, 0)), (1.0, (3000.0, -2000.0, 500.0))])
+@pytest.mark.parametrize(("scale", "shift"), [(0.1, (0, 0, 0)), (100.0, (0, 0, 0)), (1.0, (565000.0, 5930000.0, 30.0))])
 def test_a_desk_and_a_quarry_give_the_same_cloud(scale, shift):
     here, there = fused(make_yard()), fused(make_yard(scale=scale, shift=shift))
-    assert len(there.points) == pytest.approx(len(here.points), rel=0.03)
+    assert len(there.points) == pytest.approx(len(here.points), rel=0.1)  # walls may fall on the borders of voxels
     assert np.median(there.sigma_mm) == pytest.approx(scale * np.median(here.sigma_mm), rel=0.03)
     yard = make_yard(scale=scale, shift=shift)
     assert np.percentile(yard.distance(there.points), 95) < 0.011
