@@ -14,7 +14,7 @@ def homogeneous(x: Float64s) -> Float64s:
 
 def apply_homography(H: Float64s, x: Float64s) -> Float64s:
     """Map (n, 2) points by a (3, 3) homography."""
-    y = homogeneous(x) @ H.T
+    y = x @ H[:, :2].T + H[:, 2]
     return np.asarray(y[:, :2] / y[:, 2:], dtype=np.float64)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from .epipolar import (
     fundamental_from_cameras,
@@ -32,6 +33,10 @@ _SMALLEST_SIDE_PX = 16
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
 
+_DEVIATIONS_OF_E, _DEVIATIONS_OF_F = 2.5, 3.5
+"""Standard deviations by which epipolar lines may be off: a bare F has two freedoms more, by which wrong matches that agree bend
+it, and no residual tells."""
+
 
 class _Pair(NamedTuple):
     """What rectification works on: F, the matches that obey it, and the sizes of the frames."""
@@ -44,6 +49,17 @@ class _Pair(NamedTuple):
     size2: Size
     camera1: Camera | None
     camera2: Camera | None
+
+
+class _Footprint(NamedTuple):
+    """Where a rectified image shows its frame: points (n, 2) of a regular grid over the frame, their share of the grid, and areas
+    and sides (n,) of the pixels resampled there."""
+
+    points: Float64s
+    share: float
+    area: Float64s
+    longer: Float64s
+    shorter: Float64s
 
 
 def rectify(
@@ -79,7 +95,7 @@ def rectify(
     min_matches
         Fewer matches than this reject the pair; fewer than 50 warn.
     max_row_error_px
-        Without cameras, reject if three standard deviations of the epipolar lines exceed this, in pixels of the frame.
+        Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of the frame.
     min_angle_deg
         Reject if the rays of the matches converge by less than this (median), in degrees; where no camera tells the angle,
         a homography that explains the pair takes its place.
@@ -93,6 +109,9 @@ def rectify(
     if verdict is not None and not verdict.kept:
         return Rejected(verdict.reason)
     pair = _obeying(geometry, left, right)
+    if pair.camera1 is None and geometry.score <= 0:
+        figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
+        return Rejected("F is more likely wrong than right: too few distinctive matches agree with it", figures)
     if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
         raise ValueError("method 'calibrated' needs the cameras of both frames")
     refusal = _unusable(geometry, pair, min_matches, min_angle_deg)
@@ -101,14 +120,14 @@ def rectify(
     reason, found = "as asked", None
     for homographies in dict.fromkeys((method, "hartley")) if method != "polar" else ():  # hartley bends x least
         attempt = _by_homographies(pair, homographies, reason, torn_too=not fallback)
-        if isinstance(attempt, Rectification):
+        if not isinstance(attempt, str):
             found = attempt
             break
         reason = attempt
-    rectification = found or _by_rows(pair, reason)
-    if isinstance(rectification, Rejected):
-        return rectification
-    return _finished(rectification, pair, geometry, max_row_error_px, range_margin)
+    placed = found or _by_rows(pair, reason)
+    if isinstance(placed, Rejected):
+        return placed
+    return _finished(*placed, pair, geometry, max_row_error_px, range_margin)
 
 
 def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> _Pair:
@@ -152,7 +171,7 @@ def _angle_deg(geometry: Geometry, pair: _Pair) -> float:
     return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
 
 
-def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> Rectification | str:
+def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> tuple[Rectification, list[_Footprint]] | str:
     """A rectification by two homographies, or why there can be none."""
     try:
         H1, H2 = _homographies(pair, method)
@@ -165,20 +184,19 @@ def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> R
     near = ((homogeneous(pair.x1) @ H1[2]) > 0) & ((homogeneous(pair.x2) @ H2[2]) > 0)
     H1, H2, size1, size2 = place(H1, H2, pair.x1[near], pair.x2[near], pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
-    for side, H in zip(_SIDES, (H1, H2), strict=True):
-        shown = _shown(result, pair, side)
-        if len(shown) == 0 or (homogeneous(shown) @ H[2]).min() <= 0:
+    footprints = [_footprint(result, pair, side) for side in _SIDES]
+    for footprint, H in zip(footprints, (H1, H2), strict=True):
+        if len(footprint.points) == 0 or (homogeneous(footprint.points) @ H[2]).min() <= 0:
             return "the line sent to infinity crosses the image"
         if torn_too:
             continue
-        area, longer, shorter = _shapes(result, pair, side)
-        low, high = np.sqrt(np.percentile(np.abs(area), [5, 95]))
+        low, high = np.sqrt(np.percentile(np.abs(footprint.area), [5, 95]))
         if high > 4 * low:
             return f"{method} stretches the image {high / low:.1f} times: an epipole is near, or the matches scatter"
-        anisotropy = float(np.percentile(longer / shorter, 95))
+        anisotropy = float(np.percentile(footprint.longer / footprint.shorter, 95))
         if anisotropy > 3:
             return f"{method} makes pixels {anisotropy:.1f} times longer than wide: an epipole is near, or the matches scatter"
-    return result
+    return result, footprints
 
 
 def _homographies(pair: _Pair, method: str) -> tuple[Float64s, Float64s]:
@@ -191,17 +209,23 @@ def _homographies(pair: _Pair, method: str) -> tuple[Float64s, Float64s]:
     return congruent(pair.F, pair.x1, pair.x2, pair.probability, pair.size2)
 
 
-def _by_rows(pair: _Pair, reason: str) -> Rectification | Rejected:
+def _by_rows(pair: _Pair, reason: str) -> tuple[Rectification, list[_Footprint]] | Rejected:
     rows1, rows2, size1, size2, agreement = polar(pair.F, pair.x1, pair.x2, pair.size1, pair.size2)
     if agreement < 0.98:
         return Rejected("the matches lie on both sides of the epipole: F is wrong", {"same_side": agreement})
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
         return Rejected("the epipolar lines that both images see are too few", {"rows": size1[1], "columns": size1[0]})
-    return Rectification("polar", reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
+    found = Rectification("polar", reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
+    return found, [_footprint(found, pair, side) for side in _SIDES]
 
 
 def _finished(
-    found: Rectification, pair: _Pair, geometry: Geometry, max_row_error_px: float, range_margin: float
+    found: Rectification,
+    footprints: list[_Footprint],
+    pair: _Pair,
+    geometry: Geometry,
+    max_row_error_px: float,
+    range_margin: float,
 ) -> Rectification | Rejected:
     """The rectification with its figures, or why it must not be used."""
     y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
@@ -209,15 +233,14 @@ def _finished(
     agreement = order_agreement(y1, y2)
     if agreement < 0.7:
         return Rejected("the order of the matches along the rows differs: F is wrong", {"rank_correlation": agreement})
-    shapes = [_shapes(found, pair, side) for side in _SIDES]
-    areas = [float(np.median(area)) for area, _, _ in shapes]
+    areas = [float(np.median(footprint.area)) for footprint in footprints]
     if min(areas) <= 0:
         return Rejected("one image would be mirrored", {"area1": areas[0], "area2": areas[1]})
     disparity = y1[:, 0] - y2[:, 0]
     low, high = np.percentile(disparity, [0.5, 99.5])
     margin = range_margin * (high - low) + 0.01 * pair.size1[0]
-    scale = float(np.sqrt(np.median(np.concatenate([shapes[0][0], shapes[1][0]]))))
-    uncertainty = _row_uncertainty_px(found, pair, geometry, float(np.median(disparity)))
+    scale = float(np.sqrt(np.median(np.concatenate([footprint.area for footprint in footprints]))))
+    uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
     if uncertainty > max_row_error_px:
         return Rejected("the matches are too few or too clustered to tell the epipolar lines", {"row_error_px": uncertainty})
     return Rectification(
@@ -235,9 +258,9 @@ def _finished(
         polar1=found.polar1,
         polar2=found.polar2,
         scale=scale,
-        anisotropy=float(np.percentile(np.concatenate([longer / shorter for _, longer, shorter in shapes]), 95)),
-        kept1=len(_shown(found, pair, 1)) / len(frame_grid(pair.size1)),
-        kept2=len(_shown(found, pair, 2)) / len(frame_grid(pair.size2)),
+        anisotropy=float(np.percentile(np.concatenate([f.longer / f.shorter for f in footprints]), 95)),
+        kept1=footprints[0].share,
+        kept2=footprints[1].share,
         depth_resolution=_depth_resolution(pair, scale),
         warnings=("few matches",) if len(pair.x1) < 50 else (),
     )
@@ -246,32 +269,35 @@ def _finished(
 _SIDES: tuple[Side, ...] = (1, 2)
 
 
-def _shapes(rectification: Rectification, pair: _Pair, side: Side) -> tuple[Float64s, Float64s, Float64s]:
-    """Areas and sides of resampled pixels, where the rectified image shows the frame."""
-    return resampling(lambda x: to_rectified(rectification, side, x), _shown(rectification, pair, side))
-
-
-def _shown(rectification: Rectification, pair: _Pair, side: Side) -> Float64s:
-    """Points of a regular grid over the frame that lie inside its rectified image."""
+def _footprint(rectification: Rectification, pair: _Pair, side: Side) -> _Footprint:
     grid = frame_grid(pair.size1 if side == 1 else pair.size2)
     with np.errstate(divide="ignore", invalid="ignore"):
         x = to_rectified(rectification, side, grid)
         width, height = rectified_size(rectification, side)
         inside = (x[:, 0] >= -0.5) & (x[:, 0] <= width - 0.5) & (x[:, 1] >= -0.5) & (x[:, 1] <= height - 0.5)
-    return np.asarray(grid[inside], dtype=np.float64)
+        shown = np.asarray(grid[inside], dtype=np.float64)
+        shapes = resampling(lambda p: to_rectified(rectification, side, p), shown)
+    return _Footprint(shown, len(shown) / len(grid), *shapes)
 
 
-def _row_uncertainty_px(rectification: Rectification, pair: _Pair, geometry: Geometry, disparity: float) -> float:
-    """Three standard deviations of the epipolar lines over the shared area (95 %), pixels of the frame; 0 when cameras gave F."""
+def _row_uncertainty_px(
+    rectification: Rectification, shown: Float64s, pair: _Pair, geometry: Geometry, y1: Float64s, y2: Float64s
+) -> float:
+    """How far the epipolar lines may be off over the shared area (95 %), pixels of the frame; 0 when cameras gave F.
+
+    Asked where the scene probably is: at the disparity of the nearest match y1, y2 (n, 2).
+    """
     if pair.camera1 is not None:
         return 0.0
-    shown = _shown(rectification, pair, 1)
-    partner = from_rectified(rectification, 2, to_rectified(rectification, 1, shown) - np.array([disparity, 0.0]))
+    r = to_rectified(rectification, 1, shown)
+    r[:, 0] -= (y1[:, 0] - y2[:, 0])[cKDTree(y1).query(r)[1]]
+    partner = from_rectified(rectification, 2, r)
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():
         return 0.0
-    at1, at2 = shown[inside], partner[inside]
-    return 3 * float(np.percentile(line_uncertainty(pair.F, pair.x1, pair.x2, at1, at2, _intrinsics_behind(geometry)), 95))
+    essential = _intrinsics_behind(geometry)
+    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown[inside], partner[inside], essential)
+    return (_DEVIATIONS_OF_F if essential is None else _DEVIATIONS_OF_E) * float(np.percentile(sigma, 95))
 
 
 def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:

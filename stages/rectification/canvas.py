@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..epipolar import apply_homography, homogeneous
@@ -39,11 +41,12 @@ def place(
 
 
 def _lengths(H: Float64s, x: Float64s) -> Float64s:
-    """(n, 2): how many rectified pixels a pixel at each point is long, across and along the rows' normal."""
-    h = 0.25
-    along_x = apply_homography(H, x + np.array([h, 0.0])) - apply_homography(H, x - np.array([h, 0.0]))
-    along_y = apply_homography(H, x + np.array([0.0, h])) - apply_homography(H, x - np.array([0.0, h]))
-    return np.asarray(np.hypot(along_x, along_y) / (2 * h), dtype=np.float64)
+    """(n, 2): how many rectified pixels a pixel at each point is long, across and along rows: the Jacobian's rows."""
+    y = x @ H[:, :2].T + H[:, 2]
+    z = y[:, 2]
+    across = (H[0, :2] * z[:, None] - y[:, :1] * H[2, :2]) / (z * z)[:, None]
+    along = (H[1, :2] * z[:, None] - y[:, 1:2] * H[2, :2]) / (z * z)[:, None]
+    return np.column_stack([np.hypot(across[:, 0], across[:, 1]), np.hypot(along[:, 0], along[:, 1])])
 
 
 def crop(points: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:
@@ -54,10 +57,13 @@ def crop(points: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Fl
     return np.floor(low), np.ceil(high)
 
 
-def frame_grid(size: Size, steps: int = 33) -> Float64s:
-    """(steps^2, 2) points that cover a frame, its borders included."""
+@lru_cache(maxsize=8)
+def frame_grid(size: Size, steps: int = 25) -> Float64s:
+    """(steps^2, 2) points that cover a frame, its borders included; read-only."""
     x, y = np.meshgrid(np.linspace(-0.5, size[0] - 0.5, steps), np.linspace(-0.5, size[1] - 0.5, steps))
-    return np.column_stack([x.ravel(), y.ravel()])
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    grid.flags.writeable = False
+    return grid
 
 
 def _reach(H: Float64s, size: Size) -> Float64s:

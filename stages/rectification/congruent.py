@@ -51,15 +51,16 @@ def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -
 
     Robust: weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
     """
-    D = design[edges[:, 0]] - design[edges[:, 1]]
+    D = design[edges[:, 0]] - design[edges[:, 1]]  # few well-scaled columns: normal equations lose nothing
     d = target[edges[:, 0]] - target[edges[:, 1]]
-    w: Float64s = np.ones(len(d))
+    weights: Float64s = np.ones(len(d))
     coefficients: Float64s = np.zeros(design.shape[1])
     for _ in range(_ITERATIONS if robust else 1):
-        coefficients = np.asarray(np.linalg.lstsq(D * w[:, None], d * w, rcond=None)[0], dtype=np.float64)
+        weighted = D.T * weights
+        coefficients = np.asarray(np.linalg.lstsq(weighted @ D, weighted @ d, rcond=None)[0], dtype=np.float64)
         r = D @ coefficients - d
         s = 1.4826 * np.median(np.abs(r)) + 1e-6
-        w = np.asarray(1 / np.sqrt(1 + (r / (2 * s)) ** 2), dtype=np.float64)
+        weights = np.asarray(1 / (1 + (r / (2 * s)) ** 2), dtype=np.float64)
     return coefficients
 
 

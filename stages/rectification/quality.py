@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import rankdata
 
 from ..epipolar import epipoles, homogeneous, sampson_distance, skew
 from ..types import Float64s
@@ -16,14 +15,18 @@ Int64s = npt.NDArray[np.int64]
 def order_agreement(y1: Float64s, y2: Float64s, bands: int = 12) -> float:
     """Rank correlation of x within bands of rows of rectified matches y1, y2 (n, 2): near 1 if right, any value if F is wrong."""
     order = np.argsort(y1[:, 1], kind="stable")
-    total = weight = 0.0
-    for band in np.array_split(order, max(1, min(bands, len(order) // 8))):
-        ranks1, ranks2 = rankdata(y1[band, 0]), rankdata(y2[band, 0])
-        spread = ranks1.std() * ranks2.std()
-        if spread > 0:
-            total += len(band) * float(np.mean((ranks1 - ranks1.mean()) * (ranks2 - ranks2.mean())) / spread)
-            weight += len(band)
-    return total / weight if weight else 1.0
+    parts = np.array_split(order, max(1, min(bands, len(order) // 8)))
+    agreement = [len(part) * _rank_correlation(y1[part, 0], y2[part, 0]) for part in parts if len(part) > 1]
+    return sum(agreement) / sum(len(part) for part in parts if len(part) > 1) if agreement else 1.0
+
+
+def _rank_correlation(a: Float64s, b: Float64s) -> float:
+    """Spearman's, for values (n,) without ties: 1 - 6 sum d^2 / (n^3 - n)."""
+    n = len(a)
+    ranks = np.empty((2, n))
+    for row, values in zip(ranks, (a, b), strict=True):
+        row[np.argsort(values, kind="stable")] = np.arange(n)
+    return 1 - 6 * float(np.sum((ranks[0] - ranks[1]) ** 2)) / (n**3 - n)
 
 
 def parallax_px(x1: Float64s, x2: Float64s) -> float:
@@ -64,19 +67,29 @@ def line_uncertainty(
     return np.asarray(np.linalg.norm(both, axis=1), dtype=np.float64)
 
 
-def _parts(x: Float64s, across: int = 4, down: int = 3) -> list[Int64s]:
-    """Rows of the points (n, 2) in each of 4 x 3 parts of the image that hold equally many."""
-    columns = np.array_split(np.argsort(x[:, 0], kind="stable"), across)
-    return [part for column in columns for part in np.array_split(column[np.argsort(x[column, 1], kind="stable")], down)]
+def _parts(x: Float64s, across: int = 4, down: int = 3) -> Int64s:
+    """(n,) which of 4 x 3 parts of the image, that hold equally many points, each point (n, 2) belongs to."""
+    n = len(x)
+    column = np.empty(n, dtype=np.int64)
+    column[np.argsort(x[:, 0], kind="stable")] = np.arange(n) * across // n
+    part = np.empty(n, dtype=np.int64)
+    order = np.lexsort((x[:, 1], column))
+    first = np.searchsorted(column[order], np.arange(across + 1))
+    within = np.arange(n) - first[column[order]]
+    part[order] = column[order] * down + within * down // np.diff(first)[column[order]]
+    return part
 
 
-def _moves_without_each_part(rows: Float64s, residual: Float64s, noise: float, parts: list[Int64s]) -> Float64s:
+def _moves_without_each_part(rows: Float64s, residual: Float64s, noise: float, part: Int64s) -> Float64s:
     """(parts, k): the Gauss-Newton step of the robust fit when each part is left out."""
+    k = rows.shape[1]
     weighted = rows / (1 + (residual / (2 * noise)) ** 2)[:, None]
     normal, right = weighted.T @ rows, weighted.T @ residual
-    ridge = 1e-9 * np.trace(normal) * np.eye(rows.shape[1])
-    left_out = [(weighted[part].T @ rows[part], weighted[part].T @ residual[part]) for part in parts]
-    return np.stack([-np.linalg.solve(normal - A + ridge, right - b) for A, b in left_out])
+    ridge = 1e-9 * np.trace(normal) * np.eye(k)
+    groups = [part == p for p in range(part.max() + 1)]
+    without = normal + ridge - np.stack([weighted[g].T @ rows[g] for g in groups])
+    change = right - np.stack([weighted[g].T @ residual[g] for g in groups])
+    return np.asarray(-np.linalg.solve(without, change[..., None])[..., 0], dtype=np.float64)
 
 
 def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float64s:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
-from wbflow_stages.epipolar import apply_homography, fundamental_from_cameras, homogeneous, project
+from wbflow_stages.epipolar import apply_homography, epipoles, fundamental_from_cameras, homogeneous, project
 from wbflow_stages.rectification.mapping import from_rectified, resampling, to_rectified
 from wbflow_stages.rectify import Method, rectify
+from wbflow_stages.robust import estimate_fundamental
 from wbflow_stages.types import Camera, Geometry, Rectification, Rejected
 
 SIDEWAYS = np.array([2.0, 0.1, 0.0])
@@ -82,6 +83,25 @@ def test_in_both_orders_a_dolly_gives_the_same_rows() -> None:
         result = rectified(g, *cameras)
         assert result.method == "polar"
         assert row_errors(result, g.x1, g.x2).max() < 0.05
+
+
+DOLLY = [np.array([0.1 * np.sin(k), 0.05 * np.cos(2 * k), 0.8 * k]) for k in range(5)]
+
+
+@pytest.mark.parametrize(("i", "j"), [(i, j) for i in range(5) for j in range(5) if i != j])
+def test_any_two_views_of_a_dolly_get_right_rows_from_f_of_their_own_noisy_matches(i: int, j: int) -> None:
+    """The cameras move towards what they see: both epipoles lie in the images."""
+    left, right = (looking(place, np.array([0.0, 0.0, 9.0])) for place in (DOLLY[i], DOLLY[j]))
+    X = scene()
+    x1, x2 = seen_by_both(left, right, X, noise_px=0.3)
+    own = estimate_fundamental(x1, x2, 1.0, seed=0)
+    assert own is not None
+    e1, e2 = (e[:2] / e[2] for e in epipoles(own.F))
+    assert all((e >= 0).all() and (e <= [WIDTH, HEIGHT]).all() for e in (e1, e2))
+    result = rectified(geometry_of(x1[own.inliers], x2[own.inliers], own.F), None, None)
+    assert result.method == "polar"
+    errors = row_errors(result, *seen_by_both(left, right, X))
+    assert np.percentile(errors, 95) < 0.5
 
 
 def test_cameras_that_see_each_other_are_rectified_by_rows_that_run_in_opposite_directions() -> None:
@@ -164,6 +184,25 @@ def test_clustered_matches_do_not_tell_the_rows_of_the_rest() -> None:
     refused = rectify(clustered, None, None)
     assert isinstance(refused, Rejected) and "clustered" in refused.reason
     assert refused.figures["row_error_px"] > 0.5
+
+
+def test_an_f_that_is_more_likely_wrong_than_right_is_refused_unless_cameras_replace_it() -> None:
+    geometry, left, right = two_views(SIDEWAYS)
+    doubtful = dataclasses.replace(geometry, score=-0.5, agreement=0.1)
+    refused = rectify(doubtful, None, None)
+    assert isinstance(refused, Rejected) and "wrong" in refused.reason and refused.figures["score"] == -0.5
+    assert row_errors(rectified(doubtful, left, right), geometry.x1, geometry.x2).max() < 1e-3
+
+
+def test_rows_are_trusted_where_the_scene_is_and_not_where_nothing_was_matched() -> None:
+    """Matches on all of the scene tell its lines; on a strip of it they don't tell the rest's."""
+    geometry, _, _ = two_views(SIDEWAYS, noise_px=0.4)
+    rectified(geometry, None, None)
+    strip = geometry.x1[:, 1] < 0.2 * HEIGHT
+    assert strip.sum() > 100
+    part = dataclasses.replace(geometry, x1=geometry.x1[strip], x2=geometry.x2[strip], probability=geometry.probability[strip])
+    refused = rectify(part, None, None)
+    assert isinstance(refused, Rejected) and "epipolar lines" in refused.reason
 
 
 def test_almost_no_baseline_is_refused_with_and_without_cameras() -> None:
