@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .epipolar import camera_of
-from .types import Camera, Geometry, Pair, Placement, Poses, Rejected, Survey, View
+from .types import Camera, Frame, Geometry, Pair, Placement, Poses, Rejected, Survey, View
 
 
 def solve_poses(
@@ -18,6 +18,7 @@ def solve_poses(
     placements: Mapping[str, Placement],
     geometries: Mapping[Pair, Geometry],
     survey: Survey | None = None,
+    frames: Mapping[str, Frame] | None = None,
     *,
     max_rotation_error_deg: float = 4.0,
     max_epipolar_px: float = 2.0,
@@ -34,6 +35,8 @@ def solve_poses(
         Two-view geometry of the pairs; not looked at where all poses and intrinsics are stated.
     survey
         Known distances and control points.
+    frames
+        Pixels of all cameras, to sharpen what the poses rest on; without them the keypoints stay where they were found.
     max_rotation_error_deg
         A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
     max_epipolar_px
@@ -53,7 +56,7 @@ def solve_poses(
     from .sfm.solve import solve_from_pairs
 
     args = views, placements, geometries, survey or Survey(), stated
-    found = solve_from_pairs(*args, max_rotation_error_deg, max_epipolar_px)
+    found = solve_from_pairs(*args, frames or {}, max_rotation_error_deg, max_epipolar_px)
     return (
         _as_stated(views, placements, stated, survey or Survey()) if isinstance(found, Rejected) and len(stated) >= 2 else found
     )

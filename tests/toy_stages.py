@@ -89,6 +89,7 @@ def solve_poses(
     placements: Mapping[str, Placement],
     geometries: Mapping[Pair, Geometry],
     survey: Survey,
+    frames: Mapping[str, Frame],
     *,
     worlds: int = 1,
 ) -> Poses | Rejected:

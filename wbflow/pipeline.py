@@ -102,6 +102,7 @@ STAGES: tuple[Stage, ...] = (
             "placements": Need("site:placement", "all"),
             "geometries": Need("geometry", "all", unless_posed=True),
             "survey": Need("site:survey"),
+            "frames": Need("frames", "all", unless_posed=True),
         },
         optional=True,
     ),

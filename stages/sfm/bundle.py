@@ -23,7 +23,7 @@ def adjust(
     *,
     held: Collection[int] = (),
     focals: Mapping[int, int] | None = None,
-    loss_px: float = 1.0,
+    loss_px: float,
     iterations: int = 100,
 ) -> tuple[dict[int, Camera], Float64s]:
     """Move cameras and points so that the observations in `use` are met best.
