@@ -51,10 +51,10 @@ def decode(data: bytes) -> Any:
         tree = json.loads(data[8:end])
     except ValueError as error:
         raise ArtifactError(f"unreadable header: {error}") from error
-    return _untree(tree, memoryview(data), end)
+    return _untree(tree, _Frames(memoryview(data), end))
 
 
-def digest(data: bytes) -> str:
+def digest(data: bytes | bytearray) -> str:
     """The content digest by which artifacts are compared: 32 hexadecimal digits of SHA-256."""
     return hashlib.sha256(data).hexdigest()[:32]
 
@@ -135,27 +135,33 @@ def _array_tree(array: Any, frames: list[bytes]) -> Any:
     return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
 
 
-def _untree(tree: Any, data: memoryview, start: int) -> Any:
-    """Rebuild depth first; array frames lie in the order in which the header names them."""
-    position = start
+@dataclasses.dataclass
+class _Frames:
+    """The array frames of an artifact, which lie in the order in which the header names them."""
 
-    def build(node: Any) -> Any:
-        nonlocal position
-        if not isinstance(node, dict):
-            return node
-        if "array" in node:
-            frame = data[position : position + node["bytes"]]
-            position += node["bytes"]
-            return _array(node, frame)
-        if "tuple" in node:
-            return tuple(build(item) for item in node["tuple"])
-        if "map" in node:
-            return {tuple(key) if isinstance(key, list) else key: build(entry) for key, entry in node["map"]}
-        kind = _dataclass(node["type"])
-        known = {f.name for f in dataclasses.fields(kind)}
-        return kind(**{name: build(field) for name, field in node["fields"].items() if name in known})
+    data: memoryview
+    position: int
 
-    return build(tree)
+    def next(self, size: int) -> memoryview:
+        """The frame of an array."""
+        self.position += size
+        return self.data[self.position - size : self.position]
+
+
+def _untree(node: Any, frames: _Frames) -> Any:
+    """Rebuild depth first."""
+    if not isinstance(node, dict):
+        return node
+    if "array" in node:
+        return _array(node, frames.next(node["bytes"]))
+    if "tuple" in node:
+        return tuple(_untree(item, frames) for item in node["tuple"])
+    if "map" in node:
+        return {tuple(key) if isinstance(key, list) else key: _untree(entry, frames) for key, entry in node["map"]}
+    kind = _dataclass(node["type"])
+    known = {f.name for f in dataclasses.fields(kind)}
+    fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
+    return kind(**{name: value for name, value in fields.items() if name in known})
 
 
 def _array(node: dict[str, Any], frame: memoryview) -> Any:

@@ -128,7 +128,7 @@ class Cache:
             raise DamagedArtifact(task, path)
         return data
 
-    def write(self, receipt: Receipt, data: bytes | None, picture: bytes | None = None) -> None:
+    def write(self, receipt: Receipt, data: bytes | bytearray | None, picture: bytes | None = None) -> None:
         """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
         folder = self.folder(receipt.preimage.stage, receipt.preimage.subject)
         if data is not None and receipt.file:

@@ -111,7 +111,7 @@ def _reference(site: Yard) -> bytes:
         **dict(zip(("red", "green", "blue"), cloud.colors.T, strict=True)),
         "views": cloud.views,
     }
-    return ply_bytes(columns, comments=(f"surfaces that at least two cameras see, one point per {site.voxel_m:g} m",))
+    return bytes(ply_bytes(columns, comments=(f"surfaces that at least two cameras see, one point per {site.voxel_m:g} m",)))
 
 
 def _npz(**arrays: Any) -> bytes:

@@ -7,7 +7,7 @@ import uuid
 from pathlib import Path
 
 
-def write_atomic(path: Path, data: bytes, *, settle: bool = True) -> None:
+def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) -> None:
     """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
 
     settle: make the rename last, too; not needed where another file is written to the same folder right after.

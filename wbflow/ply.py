@@ -15,17 +15,21 @@ if TYPE_CHECKING:
 _TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int"}
 
 
-def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes:
+def ply_bytes(columns: Columns, comments: tuple[str, ...] = ()) -> bytes | bytearray:
     """A PLY file with one vertex property for each column (1-D arrays of equal length)."""
     import numpy as np
 
     count = len(next(iter(columns.values())))
-    table = np.empty(count, dtype=[(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
-    for name, column in columns.items():
-        table[name] = column
+    dtype = np.dtype([(name, "<" + column.dtype.str[1:]) for name, column in columns.items()])
     properties = [f"property {_TYPES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
     head = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments), f"element vertex {count}"]
-    return "\n".join([*head, *properties, "end_header", ""]).encode() + table.tobytes()
+    start = "\n".join([*head, *properties, "end_header", ""]).encode()
+    data = bytearray(len(start) + count * dtype.itemsize)  # filled in place: a cloud can be as large as all else in memory
+    data[: len(start)] = start
+    table = np.frombuffer(data, dtype, count, len(start))
+    for name, column in columns.items():
+        table[name] = column
+    return data
 
 
 def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -54,18 +58,17 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
     return {name: table[name].copy() for name in dtype.names or ()}
 
 
-def cloud_bytes(cloud: Any) -> bytes:
+def cloud_bytes(cloud: Any) -> bytes | bytearray:
     """PLY of a `Cloud` (points, normals, colors, confidence, views, sigma_mm).
 
     Positions are `float`, or `double` where the coordinates are so large (UTM) that `float` would add to the points' own error.
     """
     import numpy as np
 
-    step = float(np.spacing(np.float32(np.abs(cloud.points).max(initial=0.0))))
-    coarse = step > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0 if len(cloud.points) else False
-    points = cloud.points.astype("f8" if coarse else "f4")
+    farthest = max(abs(float(cloud.points.min())), abs(float(cloud.points.max()))) if len(cloud.points) else 0.0
+    coarse = farthest > 0 and float(np.spacing(np.float32(farthest))) > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
     columns = {
-        **{name: points[:, i] for i, name in enumerate(("x", "y", "z"))},
+        **{name: cloud.points[:, i].astype("f8" if coarse else "f4") for i, name in enumerate(("x", "y", "z"))},
         **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
         **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
         "confidence": cloud.confidence,
