@@ -1,49 +1,53 @@
-"""Disparities of all pairs become one coloured point cloud.
+"""Depths of all views become one coloured point cloud.
 
-Three passes over the views, one view in hand at a time: depth of each view from all its pairs (`fusion.depth`); what other views
-say about it (`fusion.crosscheck`); points that survive, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow
-from the pixel's footprint and the depth's propagated error, so a desk and a quarry are treated alike.
+Three passes over the views, few of them in memory at a time: a glance at each (`fusion.glance`), from which follow what can be
+compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.crosscheck`); points that
+survive, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the pixel's footprint and the depth's
+propagated error, so a desk and a quarry are treated alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
+from functools import lru_cache
 
 import numpy as np
 
 from .epipolar import backproject
-from .fusion.crosscheck import Verdict, cross_check, nearest_views
-from .fusion.depth import NoiseModel, fuse_pairs, pair_depth, world_normals
-from .fusion.exposure import exposure_gains, thumbnail
+from .fusion.crosscheck import Verdict, cross_check
+from .fusion.depth import world_normals
+from .fusion.exposure import exposure_gains
+from .fusion.glance import glance, natural_voxel, nearest_views
 from .fusion.voxels import Samples, VoxelGrid
-from .rectification.mapping import Side
-from .types import Camera, Cloud, DepthMap, Disparity, Float32s, Float64s, Frame, Pair, Rectification, Rejected
+from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Rejected
+
+_IN_MEMORY = 12
+"""Depth maps kept at hand: the next view is mostly compared with the same ones."""
 
 
 def fuse(
     frames: Mapping[str, Frame],
     cameras: Mapping[str, Camera],
-    rectifications: Mapping[Pair, Rectification],
-    disparities: Mapping[Pair, Disparity],
+    depths: Mapping[str, DepthMap],
     refined: Mapping[str, DepthMap] | None = None,
     *,
     component: int = 0,
     strict: int = 1,
     voxel_m: float | None = None,
-    noise_px: float = 0.35,
     neighbours: int = 6,
     check_views: int = 16,
 ) -> Cloud | Rejected:
-    """Fuse the disparities of all pairs into one cloud.
+    """Fuse the depths of all views into one cloud.
 
     Parameters
     ----------
     frames, cameras
         Of each view; frames are looked at one at a time.
-    rectifications, disparities
-        Of each pair both of whose cameras are in `cameras`; looked at one at a time.
+    depths
+        Of each view that has any, from its pairs; loaded when they are needed.
     refined
-        Depth of views refined over all views around them: taken for these instead of their pairs' disparities.
+        Depth of views refined over all views around them: taken for these instead.
     component
         Only cameras of this component: those that share a world.
     strict
@@ -51,71 +55,36 @@ def fuse(
         completeness for accuracy.
     voxel_m
         Edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of depth.
-    noise_px
-        Assumed error of a disparity in pixels, standard deviation.
     neighbours
         A point needs so many others within three voxels.
     check_views
         Each view is compared with so many others that see most of the same.
     """
-    noise = NoiseModel(noise_px=noise_px)
-    cameras = {name: camera for name, camera in cameras.items() if camera.component == component}
-    depths: dict[str, DepthMap] = {}
-    for name in cameras:
-        depth = (refined or {}).get(name) or view_depth(name, cameras, rectifications, disparities, noise)
-        if depth is not None:
-            depths[name] = depth
-    if not any(np.isfinite(depth.depth).any() for depth in depths.values()):
-        return Rejected("no pair gave any depth", {"cameras": float(len(cameras)), "pairs": float(len(disparities))})
-    near = {name: nearest_views(name, cameras, depths, check_views) for name in depths}
-    gains = exposure_gains(cameras, depths, {name: thumbnail(frames[name].image) for name in depths}, near)
-    edge = voxel_m or _natural_voxel(cameras, depths)
-    centre = np.mean([cameras[name].C for name in depths], axis=0)
+    better = refined or {}
+    known = {*depths, *better}
+    cameras = {name: camera for name, camera in cameras.items() if camera.component == component and name in known}
+
+    @lru_cache(maxsize=_IN_MEMORY)
+    def depth_of(name: str) -> DepthMap:
+        return better[name] if name in better else depths[name]
+
+    glances = {name: glance(frames[name], depth_of(name)) for name in cameras}
+    if not any(np.isfinite(view.depth).any() for view in glances.values()):
+        return Rejected("no view has any depth", {"cameras": float(len(cameras))})
+    near = {name: nearest_views(name, cameras, glances, check_views) for name in cameras}
+    gains = exposure_gains(cameras, glances, near)
+    edge = voxel_m or natural_voxel(cameras, glances)
+    centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
-    for name, depth in depths.items():
-        verdict = cross_check(name, near[name], cameras, depths)
-        grid.add(_samples(frames[name], cameras[name], depth, verdict, gains[name], strict))
-    merged = grid.merged(neighbours)
-    if not len(merged.points):
-        return Rejected(f"no point is supported by {strict} pairs and {neighbours} neighbours", {"cameras": float(len(depths))})
-    return _cloud(merged)
-
-
-def view_depth(
-    name: str,
-    cameras: Mapping[str, Camera],
-    rectifications: Mapping[Pair, Rectification],
-    disparities: Mapping[Pair, Disparity],
-    noise: NoiseModel,
-) -> DepthMap | None:
-    """Depth of one view from all its pairs, or None when it has none."""
-    depths, gains, partners = [], [], []
-    for pair in disparities:
-        if name not in pair or not (pair[0] in cameras and pair[1] in cameras) or pair not in rectifications:
-            continue
-        side: Side = 1 if pair[0] == name else 2
-        other = pair[2 - side]
-        depth, gain = pair_depth(cameras[name], cameras[other], rectifications[pair], disparities[pair], side)
-        depths.append(depth)
-        gains.append(gain)
-        partners.append(other)
-    return fuse_pairs(cameras[name], depths, gains, partners, noise) if depths else None
-
-
-def _natural_voxel(cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> float:
-    """What a pixel covers, or one and a half sigmas if that is more, in the median over all views: finer voxels hold only noise.
-
-    Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
-    """
-    cells = slice(4, None, 8), slice(4, None, 8)
-    edges = [np.fmax(d.depth[cells] / cameras[name].K[0, 0], 1.5 * d.sigma[cells]).ravel() for name, d in depths.items()]
-    median = float(np.nanmedian(np.concatenate(edges)))
-    decade = 10.0 ** np.floor(np.log10(median))
-    return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))
-
-
-_PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
-"""Renard's series R10: ten steps to a decade."""
+    for name, camera in cameras.items():
+        verdict = cross_check(name, near[name], cameras, depth_of)
+        grid.add(_samples(frames[name], camera, depth_of(name), verdict, gains[name], strict))
+    depth_of.cache_clear()
+    parts = [_cloud(samples) for samples in grid.merged(neighbours)]
+    del grid
+    if not parts:
+        return Rejected(f"no point is supported by {strict} pairs and {neighbours} neighbours", {"cameras": float(len(cameras))})
+    return Cloud(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cloud)))
 
 
 def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, gains: Float64s, strict: int) -> Samples:

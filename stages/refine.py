@@ -1,7 +1,7 @@
 """Depth of one view refined against all views around it at once: the second pass, after the pairs.
 
-Starting from the pairs' depth, planes are improved by what several photographs together show (`fusion.planes`): matches that no
-single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a surface best.
+Starting from the depth that pairs gave, planes are improved by what several photographs together show (`fusion.planes`): matches
+that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a surface best.
 
 References
 ----------
@@ -16,18 +16,17 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from .fuse import view_depth
 from .fusion.depth import NoiseModel, transfer
 from .fusion.planes import judge_planes, sweep_planes
-from .types import Camera, DepthMap, Disparity, Float32s, Frame, Int32s, Pair, Rectification, Rejected
+from .types import Camera, DepthMap, Float32s, Frame, Int32s, Rejected
 
 
 def refine(
     frame: Frame,
+    camera: Camera,
+    depth: DepthMap,
     frames: Mapping[str, Frame],
     cameras: Mapping[str, Camera],
-    rectifications: Mapping[Pair, Rectification],
-    disparities: Mapping[Pair, Disparity],
     *,
     radius: int = 3,
     sweeps: int = 2,
@@ -41,14 +40,10 @@ def refine(
 
     Parameters
     ----------
-    frame
-        The view itself.
-    frames
-        Of the view and of those it makes pairs with.
-    cameras
-        Of the site, by id; views without one are passed over.
-    rectifications, disparities
-        Of the pairs that the view is part of.
+    frame, camera, depth
+        Of the view itself; depth: where to start from.
+    frames, cameras
+        Of the views around it, by id; views without a camera of the same world are passed over.
     radius
         The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones: what it
         costs doesn't grow, since its pixels move apart.
@@ -67,24 +62,18 @@ def refine(
     ----------
     See the module.
     """
-    name = _own_name(frame, frames)
-    if name not in cameras:
-        return Rejected("the camera's pose is not known")
-    start = view_depth(name, cameras, rectifications, disparities, NoiseModel(noise_px=noise_px))
-    if start is None or not np.isfinite(start.depth).any():
-        return Rejected("no pair gave this view any depth", {"pairs": float(len(disparities))})
-    around = _sources(name, [other for other in frames if other in cameras], cameras, start, min_angle_deg, max_angle_deg)
+    around = _sources(camera, {n: cameras[n] for n in frames if n in cameras}, depth, min_angle_deg, max_angle_deg)
     around = around[: min(max_sources, 32)]
     if not around:
-        return Rejected("no other view sees the scene from a useful angle", {"views": float(len(frames) - 1)})
+        return Rejected("no other view sees the scene from a useful angle", {"views": float(len(frames))})
     image = grey(frame)
     sources = _stack([grey(frames[other]) for other in around])
-    M, b = (np.stack(part) for part in zip(*(transfer(cameras[name], cameras[other]) for other in around), strict=True))
+    M, b = (np.stack(part) for part in zip(*(transfer(camera, cameras[other]) for other in around), strict=True))
     spacing = max(1, round(max(image.shape) / 768))
     taps = spacing * _taps(radius)
     far = max(2, round(5 * max(image.shape) / 768))
-    q = 1.0 / start.depth.astype(np.float64)
-    A, B = start.slope_x.astype(np.float64), start.slope_y.astype(np.float64)
+    q = 1.0 / depth.depth.astype(np.float64)
+    A, B = depth.slope_x.astype(np.float64), depth.slope_y.astype(np.float64)
     known = np.isfinite(q)
     nearest, farthest = np.percentile(q[known], [99.8, 0.2])
     cost, best = np.empty(q.shape, np.float32), np.zeros(q.shape, np.uint8)
@@ -120,29 +109,21 @@ def grey(frame: Frame) -> Float32s:
     return np.asarray(cv2.cvtColor(frame.image.astype(np.float32), cv2.COLOR_RGB2GRAY), dtype=np.float32)
 
 
-def _own_name(frame: Frame, frames: Mapping[str, Frame]) -> str:
-    for name, other in frames.items():
-        if np.array_equal(frame.image, other.image):
-            return name
-    raise ValueError("`frames` must hold the frame itself")
-
-
 def _sources(
-    name: str, others: list[str], cameras: Mapping[str, Camera], start: DepthMap, min_angle_deg: float, max_angle_deg: float
+    camera: Camera, others: Mapping[str, Camera], start: DepthMap, min_angle_deg: float, max_angle_deg: float
 ) -> list[str]:
     """Views that see the middle of this view's surface from an angle within the limits, the smallest first."""
-    camera = cameras[name]
     y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
     z = start.depth[::8, ::8][y, x].astype(np.float64)
     rays = np.column_stack([8.0 * x, 8.0 * y, np.ones(len(x))]) @ np.linalg.inv(camera.K).T
     points = (rays * z[:, None]) @ camera.R + camera.C
     angles = []
-    for other in others:
-        if other != name:
-            a, b = camera.C - points, cameras[other].C - points
+    for name, other in others.items():
+        if other.component == camera.component:
+            a, b = camera.C - points, other.C - points
             cosine = np.sum(a * b, axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
-            angles.append((float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))), other))
-    return [other for angle, other in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
+            angles.append((float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))), name))
+    return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
 
 
 def _stack(images: list[Float32s]) -> Float32s:

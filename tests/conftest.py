@@ -22,6 +22,7 @@ STAGES = {
     "poses": "solve_poses",
     "rectify": "rectify",
     "disparity": "match_dense",
+    "depth": "view_depth",
     "fuse": "fuse",
 }
 

@@ -22,8 +22,8 @@ def test_a_run_leaves_cloud_cameras_report_and_record(toy: ToySite) -> None:
     folder = toy.work / "runs" / record["run"]
     assert sorted(p.name for p in folder.iterdir()) == ["cameras.json", "cloud.ply", "log.jsonl", "report.html", "run.json"]
     assert (toy.work / "runs" / "latest").resolve() == folder
-    assert record["tasks"] == {"cached": 0, "ran": 4 * 2 + 3 + PAIRS * 4 + 1, "rejected": 0, "failed": 0, "skipped": 0}
-    assert record["cloud"]["points"] == PAIRS
+    assert record["tasks"] == {"cached": 0, "ran": 4 * 3 + 3 + PAIRS * 4 + 1, "rejected": 0, "failed": 0, "skipped": 0}
+    assert record["cloud"]["points"] == 2 * PAIRS
     assert [camera["outcome"] for camera in record["cameras"]] == ["ok"] * 4
     assert all(pair["outcome"] == "ok" and pair["density"] == 1.0 for pair in record["pairs"])
 
@@ -50,7 +50,7 @@ def test_a_changed_parameter_runs_exactly_what_depends_on_it(toy: ToySite) -> No
     toy.parameters = {"disparity": {"tolerance": 2.0}}
     toy.write()
     toy.run()
-    assert {task.split()[0] for task in toy.ran()} == {"disparity", "fuse"}
+    assert {task.split()[0] for task in toy.ran()} == {"disparity", "depth", "fuse"}
 
 
 def test_an_upstream_rerun_that_gives_the_same_bytes_stops_there(toy: ToySite) -> None:
@@ -71,7 +71,8 @@ def test_a_replaced_capture_runs_only_what_involves_its_camera_and_the_cloud(toy
     toy.run()
     ran = toy.ran()
     assert {"frames roof", "matches gate--roof", "fuse"} <= ran
-    assert all("roof" in task or task == "fuse" or task.split()[0] in {"overlap", "pairs", "poses"} for task in ran)
+    whole = {"overlap", "pairs", "poses", "depth", "fuse"}  # every other camera makes a pair with the roof
+    assert all("roof" in task or task.split()[0] in whole for task in ran)
 
 
 def test_a_broken_and_a_missing_capture_cost_only_their_cameras(toy: ToySite) -> None:
@@ -82,7 +83,7 @@ def test_a_broken_and_a_missing_capture_cost_only_their_cameras(toy: ToySite) ->
     assert "roof.txt is not an image" in reasons["roof"]
     assert "crane.txt" in reasons["crane"]
     assert reasons["gate"] is None
-    assert record["cloud"]["points"] == 1
+    assert record["cloud"]["points"] == 2
     assert [(p["left"], p["right"]) for p in record["pairs"]] == [("gate", "mast-1")]
 
 
@@ -192,7 +193,7 @@ def test_dry_run_writes_nothing_and_says_why(toy: ToySite) -> None:
     toy.write()
     told = toy.wbflow("status").stdout
     assert "parameter disparity.tolerance 1.0 → 2.0" in told
-    assert "fuse                             would run: 6 of" in told
+    assert "fuse                             would run: 4 of" in told
 
 
 def test_a_second_run_at_the_same_time_is_refused_with_code_4(toy: ToySite) -> None:

@@ -122,19 +122,32 @@ def match_dense(left: Frame, right: Frame, rectification: Rectification, *, tole
     return Disparity(values, values, confidence, confidence, 0, 1.0)
 
 
-def fuse(
-    frames: Mapping[str, Frame],
+def view_depth(
+    camera: Camera,
     cameras: Mapping[str, Camera],
     rectifications: Mapping[Pair, Rectification],
     disparities: Mapping[Pair, Disparity],
+) -> DepthMap | Rejected:
+    """One row for each pair."""
+    _trouble("depth")
+    assert len(cameras) >= len(disparities) == len(rectifications)
+    row = np.array([[float(d.left[0, 0]) for d in disparities.values()]], np.float32)
+    return DepthMap(row, row, row, row, row.astype(np.uint32), tuple(cameras), row > 0)
+
+
+def fuse(
+    frames: Mapping[str, Frame],
+    cameras: Mapping[str, Camera],
+    depths: Mapping[str, DepthMap],
     refined: Mapping[str, DepthMap],
     *,
     component: int = 0,
     voxel_m: float | None = None,
 ) -> Cloud | Rejected:
-    """A point for each pair."""
+    """A point for each pair and each of its two cameras."""
     _trouble("fuse")
-    points = np.array([[float(d.left[0, 0]), float(i), len(frames)] for i, d in enumerate(disparities.values())], np.float32)
+    numbers = np.concatenate([d.depth[0] for d in depths.values()])
+    points = np.array([[number, float(i), len(frames)] for i, number in enumerate(numbers)], np.float32)
     n = len(points)
     colors = np.full((n, 3), 128, np.uint8)
     ones = np.ones(n, np.float32)

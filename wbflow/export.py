@@ -136,7 +136,7 @@ def _depth(run: FinishedRun, poses: Any) -> Iterator[tuple[str, bytes]]:
 
     told = {}
     for name, camera in _main_cameras(poses).items():
-        depth = run.load(Task("refine", (name,))) or _pair_depth(run, poses, name)
+        depth = run.load(Task("refine", (name,))) or run.load(Task("depth", (name,)))
         if depth is not None:
             files, steps = depth_files(depth)
             for suffix, data in files.items():
@@ -146,18 +146,6 @@ def _depth(run: FinishedRun, poses: Any) -> Iterator[tuple[str, bytes]]:
     if not told:
         raise NothingToExport(f"run {run.folder.name} made no depth of any camera")
     yield "depth/depth.json", _json({"unit": _unit(poses), "cameras": told})
-
-
-def _pair_depth(run: FinishedRun, poses: Any, name: str) -> Any:
-    """Depth of a camera that was not refined, as the cloud was made from it."""
-    from wbflow_stages.exports.depthmaps import pair_depth_map
-
-    pairs = [(t.subject[0], t.subject[1]) for t in run.keys if t.stage == "disparity" and name in t.subject]
-    rectifications = {pair: run.load(Task("rectify", pair)) for pair in pairs}
-    disparities = {pair: run.load(Task("disparity", pair)) for pair in pairs}
-    fused = run.receipt(Task("fuse", ()))
-    noise = {k: v for k, v in fused.preimage.parameters.items() if k == "noise_px"} if fused else {}
-    return pair_depth_map(name, _main_cameras(poses), rectifications, disparities, **noise)
 
 
 def _mesh(run: FinishedRun, poses: Any) -> Iterator[tuple[str, bytes]]:

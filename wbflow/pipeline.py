@@ -16,9 +16,9 @@ class Need:
     origin: the stage that makes it, or "site:lens", "site:placement", "site:captures", "site:mask", "site:survey" from
     the site file;
     which: of the same subject, of the pair's left or right camera, of all subjects that have it (as a mapping), or "around":
-    of those that the camera in question makes pairs with and itself, and of these pairs;
-    part: a field of the artifact (see `artifact.parts`); of a mapping field of a site-wide stage, the entry of the camera in
-    question (left, right) or of the pair ("same" on a pair's stage), else all of it;
+    of the cameras that the one in question makes pairs with, and of these pairs;
+    part: a field of the artifact (see `artifact.parts`); of a mapping field of a site-wide stage, the entry of the camera or
+    pair in question, else all of it;
     optional: may be missing (then the function gets None, or an entry less);
     unless_posed: not needed (an empty mapping) where the site file gives every camera's intrinsics and pose.
     """
@@ -125,15 +125,26 @@ STAGES: tuple[Stage, ...] = (
         picture="wbflow_stages.previews:disparity_preview",
     ),
     Stage(
+        "depth",
+        scope="camera",
+        function="wbflow_stages.depth:view_depth",
+        needs={
+            "camera": Need("poses", part="cameras"),
+            "cameras": Need("poses", "around", part="cameras"),
+            "rectifications": Need("rectify", "around"),
+            "disparities": Need("disparity", "around"),
+        },
+    ),
+    Stage(
         "refine",
         scope="camera",
         function="wbflow_stages.refine:refine",
         needs={
             "frame": Need("frames"),
+            "camera": Need("poses", part="cameras"),
+            "depth": Need("depth"),
             "frames": Need("frames", "around"),
             "cameras": Need("poses", "around", part="cameras"),
-            "rectifications": Need("rectify", "around"),
-            "disparities": Need("disparity", "around"),
         },
         picture="wbflow_stages.previews:depth_preview",
         optional=True,
@@ -145,8 +156,7 @@ STAGES: tuple[Stage, ...] = (
         needs={
             "frames": Need("frames", "all"),
             "cameras": Need("poses", part="cameras"),
-            "rectifications": Need("rectify", "all"),
-            "disparities": Need("disparity", "all"),
+            "depths": Need("depth", "all"),
             "refined": Need("refine", "all", optional=True),
         },
         suffix=".ply",

@@ -301,7 +301,7 @@ class Plan:
         camera = {"left": task.subject[:1], "right": task.subject[1:]}.get(need.which, ())
         if camera and origin.scope == "camera":
             subject = camera
-        entry = "--".join(camera or (task.subject if stage.scope == "pair" else ()))
+        entry = "--".join(camera or (task.subject if stage.scope != "site" else ()))
         part = f"{need.part}[{entry}]" if need.part and entry and origin.scope == "site" else need.part
         return self._stored(Task(origin.name, subject), part, need, among)
 
@@ -357,8 +357,8 @@ class Plan:
         return Joined(items)
 
     def _around(self, camera: str) -> list[str]:
-        """A camera and those that it makes pairs with, in the order of the site file."""
-        around = {camera, *(c for pair in self._pairs() or () if camera in pair for c in pair)}
+        """The cameras that one makes pairs with, in the order of the site file."""
+        around = {c for pair in self._pairs() or () if camera in pair for c in pair} - {camera}
         return [c.id for c in self.site.cameras if c.id in around]
 
     def _nothing(self, origin: Stage, faults: list[str]) -> str:

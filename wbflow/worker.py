@@ -154,6 +154,9 @@ class _OnDemand(Mapping[Any, Any]):
     def __getitem__(self, key: Any) -> Any:
         return self._load(self._items[key])
 
+    def __contains__(self, key: object) -> bool:
+        return key in self._items  # without reading it
+
     def __iter__(self) -> Iterator[Any]:
         return iter(self._items)
 

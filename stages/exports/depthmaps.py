@@ -2,25 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from ..fuse import view_depth
-from ..fusion.depth import NoiseModel
-from ..types import Camera, DepthMap, Disparity, Pair, Rectification
+from ..types import DepthMap
 from .rasters import pfm, png, stepped
-
-
-def pair_depth_map(
-    name: str,
-    cameras: Mapping[str, Camera],
-    rectifications: Mapping[Pair, Rectification],
-    disparities: Mapping[Pair, Disparity],
-    noise_px: float = NoiseModel.noise_px,
-) -> DepthMap | None:
-    """Depth of a view that was not refined, from all its pairs; None where it has none.  noise_px: as in `fuse`."""
-    return view_depth(name, cameras, rectifications, disparities, NoiseModel(noise_px=noise_px))
 
 
 def depth_files(depth: DepthMap) -> tuple[dict[str, bytes], float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,70 +28,50 @@ class Verdict:
     violating: Uint8s
 
 
-def nearest_views(name: str, cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap], count: int) -> list[str]:
-    """The views that see most of what `name` sees, judged on every 8th pixel; at most `count`, at least 1 % in common."""
-    depth = depths[name].depth[4::8, 4::8]
-    y, x = np.nonzero(np.isfinite(depth))
-    if not len(y):
-        return []
-    pixels = np.column_stack([8 * x + 4, 8 * y + 4, np.ones(len(x))]).astype(np.float64)
-    z = depth[y, x].astype(np.float64)[:, None]
-    shares = []
-    for other in depths:
-        if other == name:
-            continue
-        M, b = transfer(cameras[name], cameras[other])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            p = z * (pixels @ M.T) + b
-            u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
-        inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u <= cameras[other].width - 1) & (v <= cameras[other].height - 1)
-        shares.append((float(inside.mean()), other))
-    order = sorted(range(len(shares)), key=lambda k: -shares[k][0])
-    return [shares[k][1] for k in order[:count] if shares[k][0] >= 0.01]
-
-
-def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera], depths: Mapping[str, DepthMap]) -> Verdict:
-    """Project every pixel of a view into the other views and compare with the depth found there.
+def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera], depth_of: Callable[[str], DepthMap]) -> Verdict:
+    """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three sigmas of both and 0.2 % of the depth; it looks through the point when its own depth lies more than
     four times that behind it.
     """
-    own = depths[name]
+    own = depth_of(name)
     h, w = own.depth.shape
-    pair_index, bits = _pair_bits(name, others, depths)
-    pairs = _own_pairs(own.support, bits[name])
+    numbers = _PairNumbers()
+    pairs = _own_pairs(own.support, numbers.of(name, own))
     visible, agreeing, violating = (np.zeros((h, w), np.uint8) for _ in range(3))
     for other in others:
         M, b = transfer(cameras[name], cameras[other])
-        seen = depths[other]
+        seen = depth_of(other)
         _compare(
             *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
-            *(bits[other], visible, agreeing, violating, pairs),
+            *(numbers.of(other, seen), visible, agreeing, violating, pairs),
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
-    _count(pairs, pair_index, count, seen_by)
+    _count(pairs, numbers.cameras_of_pairs, count, seen_by)
     return Verdict(count, seen_by, visible, agreeing, violating)
 
 
-def _pair_bits(name: str, others: Sequence[str], depths: Mapping[str, DepthMap]) -> tuple[Uint8s, dict[str, Uint8s]]:
-    """Number the pairs that can support a point of this view, its own first; at most 64, further ones go uncounted.
+class _PairNumbers:
+    """Numbers of the pairs that can support a point, as they are met; at most 64, further ones go uncounted.
 
-    Returns (64, 2) uint8 the two cameras of each pair as small numbers, and for each view the number of each of its partners'
-    pairs (255: not counted).
+    cameras_of_pairs: (64, 2) uint8, the two cameras of each pair as small numbers.
     """
-    numbers: dict[frozenset[str], int] = {}
-    cameras: dict[str, int] = {}
-    pair_index = np.zeros((64, 2), np.uint8)
-    bits: dict[str, Uint8s] = {}
-    for view in [name, *others]:
+
+    def __init__(self) -> None:
+        self.cameras_of_pairs = np.zeros((64, 2), np.uint8)
+        self._numbers: dict[frozenset[str], int] = {}
+        self._cameras: dict[str, int] = {}
+
+    def of(self, view: str, depth: DepthMap) -> Uint8s:
+        """(32,) uint8: the number of the pair with each of a view's partners (255: not counted)."""
         table = np.full(32, 255, np.uint8)
-        for k, partner in enumerate(depths[view].partners):
-            number = numbers.setdefault(frozenset((view, partner)), len(numbers))
+        for k, partner in enumerate(depth.partners):
+            number = self._numbers.setdefault(frozenset((view, partner)), len(self._numbers))
             if number < 64:
                 table[k] = number
-                pair_index[number] = [cameras.setdefault(end, len(cameras)) for end in (view, partner)]
-        bits[view] = table
-    return pair_index, bits
+                ends = [self._cameras.setdefault(end, len(self._cameras)) for end in (view, partner)]
+                self.cameras_of_pairs[number] = ends
+        return table
 
 
 @kernel

@@ -4,37 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import cv2
 import numpy as np
 
-from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s
+from ..types import Camera, Float32s, Float64s, Uint8s
 from .depth import transfer
-
-_STEP = 4
-
-
-def thumbnail(image: Uint8s) -> Float32s:
-    """(h / 4, w / 4, 3) float32: means over blocks, which pixel noise and small errors of depth don't reach."""
-    h, w = image.shape[:2]
-    return np.asarray(cv2.resize(image, (max(1, w // _STEP), max(1, h // _STEP)), interpolation=cv2.INTER_AREA), dtype=np.float32)
+from .glance import STEP, Glance
 
 
 def exposure_gains(
-    cameras: Mapping[str, Camera],
-    depths: Mapping[str, DepthMap],
-    thumbnails: Mapping[str, Float32s],
-    neighbours: Mapping[str, Sequence[str]],
+    cameras: Mapping[str, Camera], glances: Mapping[str, Glance], neighbours: Mapping[str, Sequence[str]]
 ) -> dict[str, Float64s]:
     """(3,) factor for each camera; their geometric mean over the cameras is one.
 
     The ratio of two cameras is the median over pixels whose depths agree; the cameras' gains fit all ratios by least squares, a
     camera without ratios keeps one.
     """
-    names = list(depths)
+    names = list(glances)
     rows, ratios, weights = [], [], []
     for i, name in enumerate(names):
         for other in neighbours[name]:
-            ratio, count = _ratio(cameras[name], cameras[other], depths[name], depths[other], thumbnails[name], thumbnails[other])
+            ratio, count = _ratio(cameras[name], cameras[other], glances[name], glances[other])
             if count >= 50:
                 row = np.zeros(len(names))
                 row[i], row[names.index(other)] = 1.0, -1.0
@@ -50,32 +39,25 @@ def exposure_gains(
     return dict(zip(names, np.exp(log_gains), strict=True))
 
 
-def _ratio(
-    camera: Camera, other: Camera, depth: DepthMap, other_depth: DepthMap, image: Float32s, other_image: Float32s
-) -> tuple[Float64s, int]:
+def _ratio(camera: Camera, other: Camera, ours: Glance, theirs: Glance) -> tuple[Float64s, int]:
     """Median log ratio (3,) of the two cameras' colours over surfaces that both see, and over how many pixels."""
-    z = depth.depth[2 :: 2 * _STEP, 2 :: 2 * _STEP]
-    y, x = np.nonzero(np.isfinite(z))
-    x_full, y_full = 2 * _STEP * x + 2.0, 2 * _STEP * y + 2.0
+    pixels, z = ours.points(2)
     M, b = transfer(camera, other)
-    p = z[y, x].astype(np.float64)[:, None] * (np.column_stack([x_full, y_full, np.ones(len(x))]) @ M.T) + b
+    p = z * (pixels @ M.T) + b
     with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
-    h, w = other_depth.depth.shape
-    inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < w - 1) & (v < h - 1)
-    u, v, there, x_full, y_full = u[inside], v[inside], p[inside, 2], x_full[inside], y_full[inside]
-    seen = other_depth.depth[(v + 0.5).astype(int), (u + 0.5).astype(int)]
-    agrees = np.abs(seen - there) < 0.01 * there
-    ours, theirs = _at(image, x_full[agrees], y_full[agrees]), _at(other_image, u[agrees], v[agrees])
-    usable = ((ours > 10) & (ours < 245) & (theirs > 10) & (theirs < 245)).all(axis=1)
+        at = p[:, :2] / p[:, 2:]
+    inside = (p[:, 2] > 0) & (at >= 0).all(axis=1) & (at < [other.width - 1, other.height - 1]).all(axis=1)
+    pixels, at, there = pixels[inside], at[inside], p[inside, 2]
+    agrees = np.abs(_at(theirs.depth, at) - there) < 0.01 * there
+    one, two = (_at(colors, places[agrees]).astype(np.float64) for colors, places in ((ours.colors, pixels), (theirs.colors, at)))
+    usable = ((one > 10) & (one < 245) & (two > 10) & (two < 245)).all(axis=1)
     if usable.sum() < 50:
         return np.zeros(3), 0
-    return np.median(np.log(ours[usable] / theirs[usable]), axis=0).astype(np.float64), int(usable.sum())
+    return np.median(np.log(one[usable] / two[usable]), axis=0), int(usable.sum())
 
 
-def _at(image: Float32s, x: Float64s, y: Float64s) -> Float32s:
-    """(n, 3) pixels of a thumbnail at full-size positions."""
-    h, w = image.shape[:2]
-    rows = np.minimum((y + 0.5).astype(int) // _STEP, h - 1)
-    columns = np.minimum((x + 0.5).astype(int) // _STEP, w - 1)
-    return np.asarray(image[rows, columns])
+def _at(values: Uint8s | Float32s, places: Float64s) -> np.ndarray:
+    """(n, ...) what a glance holds at positions of the full size."""
+    h, w = values.shape[:2]
+    x, y = (places[:, :2].T + 0.5).astype(int) // STEP
+    return np.asarray(values[np.minimum(y, h - 1), np.minimum(x, w - 1)])

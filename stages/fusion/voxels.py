@@ -6,6 +6,7 @@ to level 1, 2, ...  Sites in which near and far things are seen at once keep bot
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,10 @@ Int64s = npt.NDArray[np.int64]
 
 _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
+_BLOCK = 1 << 18
+_COLUMNS, _BEST = 14, 12
+"""Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count; from `_BEST` on the
+largest values: confidence, cameras."""
 
 
 @dataclass(frozen=True)
@@ -40,50 +45,68 @@ class VoxelGrid:
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
         self.origin = origin
-        self._cells = _Cells(np.zeros(0, np.int64), [np.zeros(0, np.float32)] * 12, [np.zeros(0, np.float32)] * 2)
-        self._waiting: list[_Cells] = []
+        self._keys = np.zeros(0, np.int64)
+        self._sums = np.zeros((0, _COLUMNS), np.float32)
 
     def add(self, samples: Samples) -> None:
         """Merge in the samples of one view; what lies beyond half a million edges from the origin is left out."""
         level = np.clip(np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0))), 0, _LEVELS - 1).astype(np.int64)
-        cells = np.floor((samples.points - self.origin) / (self.edge * 2.0**level)[:, None]).astype(np.int64) + _HALF
+        edges = (self.edge * 2.0**level)[:, None]
+        away = (samples.points - self.origin) / edges
+        cells = np.floor(away).astype(np.int64)
+        away = ((away - cells - 0.5) * edges).astype(np.float32)
+        cells += _HALF
         inside = ((cells >= 0) & (cells < 2 * _HALF)).all(axis=1)
         keys = level << 60 | cells[:, 0] << 40 | cells[:, 1] << 20 | cells[:, 2]
-        del cells
-        away = (samples.points - self._centres(keys)).astype(np.float32)
-        w, c = samples.weight, samples.confidence
-        sums = [away[:, k] * w for k in range(3)] + [samples.normals[:, k] * w for k in range(3)]
-        sums += [samples.colors[:, k] * c for k in range(3)] + [w, c, np.ones_like(w)]
-        kept = [column[inside] for column in (*sums, c, samples.cameras)]
-        self._waiting.append(_merged([_Cells(keys[inside], kept[:12], kept[12:])]))
-        if sum(len(cells.keys) for cells in self._waiting) > len(self._cells.keys) // 2:
-            self._settle()
+        del cells, level, edges
+        order = np.flatnonzero(inside)
+        order = order[np.argsort(keys[order], kind="stable")]
+        if not len(order):
+            return
+        w, c = samples.weight[order], samples.confidence[order]
+        rows = np.empty((len(order), _COLUMNS), np.float32)
+        rows[:, 0:3], rows[:, 3:6], rows[:, 6:9] = away[order], samples.normals[order], samples.colors[order]
+        rows[:, 0:6] *= w[:, None]
+        rows[:, 6:9] *= c[:, None]
+        rows[:, 9], rows[:, 10], rows[:, 11], rows[:, 12], rows[:, 13] = w, c, 1.0, c, samples.cameras[order]
+        del away, samples
+        keys = keys[order]
+        starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+        summed = np.empty((len(starts), _COLUMNS), np.float32)
+        np.add.reduceat(rows[:, :_BEST], starts, out=summed[:, :_BEST])
+        np.maximum.reduceat(rows[:, _BEST:], starts, out=summed[:, _BEST:])
+        del rows
+        self._merge(keys[starts], summed)
 
-    def merged(self, neighbours: int) -> Samples:
-        """One sample for each voxel that has at least so many occupied ones within three edges of it.
+    def merged(self, neighbours: int) -> Iterator[Samples]:
+        """One sample for each voxel that has at least so many occupied ones within three edges of it, some at a time.
 
         Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, not their sum: views
         share pairs, so their errors are not independent; confidence and cameras are the best sample's.
         """
-        self._settle()
-        kept = sociable(self._cells.keys, neighbours)
-        keys = self._cells.keys[kept]
-        sums, best = ([column[kept] for column in columns] for columns in (self._cells.sums, self._cells.best))
-        w, c, n = sums[9:12]
-        normals = np.column_stack(sums[3:6])
-        return Samples(
-            self._centres(keys) + np.column_stack([column / w for column in sums[0:3]]),
-            normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30),
-            np.column_stack([column / c for column in sums[6:9]]),
-            w / n,
-            best[0],
-            best[1],
-            (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
-        )
+        kept = np.flatnonzero(sociable(self._keys, neighbours))
+        for first in range(0, len(kept), _BLOCK):
+            rows = kept[first : first + _BLOCK]
+            keys, sums = self._keys[rows], self._sums[rows]
+            w, c, n = (sums[:, k, None] for k in (9, 10, 11))
+            length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
+            yield Samples(
+                self._centres(keys) + sums[:, 0:3] / w,
+                sums[:, 3:6] / np.maximum(length, 1e-30),
+                sums[:, 6:9] / c,
+                (w / n)[:, 0],
+                sums[:, 12].copy(),  # a view would keep all the block's sums alive
+                sums[:, 13].copy(),
+                (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
+            )
 
-    def _settle(self) -> None:
-        self._cells = _merged([self._cells, *self._waiting])
-        self._waiting = []
+    def _merge(self, keys: Int64s, sums: Float32s) -> None:
+        """Put the voxels of one view among those known, in place: the known ones are never held twice."""
+        before = len(self._keys)
+        after = before + _count_new(self._keys, keys)
+        self._keys.resize(after, refcheck=False)
+        self._sums.resize((after, _COLUMNS), refcheck=False)
+        _merge_from_the_end(self._keys, self._sums, before, keys, sums)
 
     def _centres(self, keys: Int64s) -> Float64s:
         """(n, 3) middles of voxels; positions are summed relative to them, in single precision."""
@@ -91,41 +114,55 @@ class VoxelGrid:
         return np.asarray(self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None], dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """Occupied voxels in the order of their keys: sums of what is averaged (position, normal, colour, weight, confidence, count),
-    and what the best sample decides (confidence, cameras); each column (n,) float32."""
+@kernel
+def _count_new(known: Int64s, keys: Int64s) -> int:
+    """How many of `keys` are not among those known; both are sorted."""
+    count, at = 0, 0
+    for k in range(len(keys)):
+        while at < len(known) and known[at] < keys[k]:
+            at += 1
+        if at == len(known) or known[at] != keys[k]:
+            count += 1
+    return count
 
-    keys: Int64s
-    sums: list[Float32s]
-    best: list[Float32s]
 
-
-def _merged(parts: list[_Cells]) -> _Cells:
-    """Uses its parts up, one column at a time, so that no second copy of all of them is ever held."""
-    keys = np.concatenate([part.keys for part in parts])
-    if not len(keys):
-        return parts[0]
-    order = np.argsort(keys, kind="stable")
-    keys = keys[order]
-    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-
-    def gather(columns: list[Float32s]) -> Float32s:
-        return np.asarray(np.concatenate(columns)[order])
-
-    sums = [np.add.reduceat(gather([part.sums.pop(0) for part in parts]), starts) for _ in range(12)]
-    best = [np.maximum.reduceat(gather([part.best.pop(0) for part in parts]), starts) for _ in range(2)]
-    return _Cells(keys[starts], sums, best)
+@kernel
+def _merge_from_the_end(keys: Int64s, sums: Float32s, before: int, new_keys: Int64s, new_sums: Float32s) -> None:
+    """Merge sorted rows into the first `before` sorted rows of an array that has just the room for all."""
+    a, b = before - 1, len(new_keys) - 1
+    for to in range(len(keys) - 1, -1, -1):
+        if b < 0:
+            return  # what is left is in its place
+        if a >= 0 and keys[a] > new_keys[b]:
+            keys[to] = keys[a]
+            for c in range(_COLUMNS):
+                sums[to, c] = sums[a, c]
+            a -= 1
+        elif a >= 0 and keys[a] == new_keys[b]:
+            keys[to] = keys[a]
+            for c in range(_BEST):
+                sums[to, c] = sums[a, c] + new_sums[b, c]
+            for c in range(_BEST, _COLUMNS):
+                sums[to, c] = max(sums[a, c], new_sums[b, c])
+            a -= 1
+            b -= 1
+        else:
+            keys[to] = new_keys[b]
+            for c in range(_COLUMNS):
+                sums[to, c] = new_sums[b, c]
+            b -= 1
 
 
 def sociable(keys: Int64s, neighbours: int) -> Bools:
     """Which voxels (sorted keys) have at least `neighbours` others of their own or a finer level within three edges."""
     kept = np.zeros(len(keys), np.bool_)
-    levels = keys >> 60
-    for level in np.unique(levels):
-        members = np.flatnonzero(levels == level)
-        present = np.unique(np.concatenate([_coarser(keys[levels == fine], int(level - fine)) for fine in range(level + 1)]))
-        kept[members] = _count_near(keys[members] & ((1 << 60) - 1), present, neighbours + 1) > neighbours
+    bounds = np.searchsorted(keys, np.arange(_LEVELS + 1) << 60)
+    for level in range(_LEVELS):
+        members = slice(bounds[level], bounds[level + 1])
+        own = keys[members] & ((1 << 60) - 1)
+        finer = [_coarser(keys[bounds[fine] : bounds[fine + 1]], level - fine) for fine in range(level)]
+        present = np.unique(np.concatenate([own, *finer])) if sum(map(len, finer)) else own
+        kept[members] = _count_near(own, present, neighbours + 1) > neighbours
     return kept
 
 

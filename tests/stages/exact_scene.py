@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbflow_stages.depth import view_depth
 from wbflow_stages.epipolar import backproject, project
 from wbflow_stages.rectification.mapping import from_rectified, rectified_size, to_rectified
-from wbflow_stages.types import INVALID, Camera, Disparity, Frame, Pair, Rectification, View
+from wbflow_stages.types import INVALID, Camera, DepthMap, Disparity, Frame, Pair, Rectification, Rejected, View
 
 BOX = (np.array([-1.5, -1.0, 0.0]), np.array([0.5, 1.0, 1.6]))  # two corners, metres at scale 1
 WALL_Y = 4.0
@@ -33,6 +34,17 @@ class Yard:
         inside = np.minimum(X - low, high - X).min(axis=1)
         box = np.where(outside > 0, outside, np.abs(inside))
         return np.minimum(np.minimum(np.abs(X[:, 2]), np.abs(X[:, 1] - WALL_Y)), box)
+
+    def depths(self, **parameters: float) -> dict[str, DepthMap]:
+        """Depth of each view from its pairs, where there is any."""
+        found = {name: self.depth(name, **parameters) for name in self.cameras}
+        return {name: depth for name, depth in found.items() if isinstance(depth, DepthMap)}
+
+    def depth(self, name: str, **parameters: float) -> DepthMap | Rejected:
+        """Depth of one view from its pairs."""
+        others = {other: camera for other, camera in self.cameras.items() if other != name}
+        pairs = {pair: disparity for pair, disparity in self.disparities.items() if name in pair}
+        return view_depth(self.cameras[name], others, {pair: self.rectifications[pair] for pair in pairs}, pairs, **parameters)
 
     def colour(self, points: np.ndarray) -> np.ndarray:
         """What a camera of exposure 1 sees there, (n, 3)."""

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from exact_scene import make_yard, true_depth
+from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
-from wbflow_stages.types import Cloud, Frame, Rejected
+from wbflow_stages.fusion.depth import inverse_depth_slopes
+from wbflow_stages.types import Cloud, DepthMap, Frame, Rejected
 
 
 def fused(yard, **parameters) -> Cloud:
-    cloud = fuse(yard.frames, yard.cameras, yard.rectifications, yard.disparities, **parameters)
+    cloud = fuse(yard.frames, yard.cameras, yard.depths(), **parameters)
     assert isinstance(cloud, Cloud)
     return cloud
 
@@ -86,19 +90,22 @@ def test_the_voxel_can_be_set():
 def test_masked_pixels_give_no_points():
     yard = make_yard()
     frames = {name: Frame(f.image, np.zeros_like(f.mask), f.view) for name, f in yard.frames.items()}
-    assert isinstance(fuse(frames, yard.cameras, yard.rectifications, yard.disparities), Rejected)
+    assert isinstance(fuse(frames, yard.cameras, yard.depths()), Rejected)
 
 
 def test_without_pairs_the_reason_is_given():
     yard = make_yard()
-    answer = fuse(yard.frames, yard.cameras, {}, {})
-    assert isinstance(answer, Rejected) and "no pair" in answer.reason
+    name, *others = yard.cameras
+    alone = view_depth(yard.cameras[name], {other: yard.cameras[other] for other in others}, {}, {})
+    assert isinstance(alone, Rejected) and "no pair" in alone.reason
+    answer = fuse(yard.frames, yard.cameras, {})
+    assert isinstance(answer, Rejected) and "no view has any depth" in answer.reason
 
 
 def test_pairs_of_unsolved_cameras_are_passed_over():
     yard = make_yard()
-    cameras = {name: yard.cameras[name] for name in list(yard.cameras)[:2]}
-    cloud = fuse(yard.frames, cameras, yard.rectifications, yard.disparities)
+    known = replace(yard, cameras={name: yard.cameras[name] for name in list(yard.cameras)[:2]})
+    cloud = fuse(yard.frames, known.cameras, known.depths())
     assert isinstance(cloud, Cloud) and cloud.views.max() == 2
 
 
@@ -108,34 +115,37 @@ def test_the_same_inputs_give_the_same_bytes():
         assert getattr(clouds[0], name).tobytes() == getattr(clouds[1], name).tobytes()
 
 
-class Counting(Mapping):
-    """A lazy mapping that notes how often an item is loaded."""
+class Loading(Mapping):
+    """A lazy mapping that counts what is loaded, and how much of it was in memory at once."""
 
-    def __init__(self, items) -> None:
-        self.items_, self.loads = dict(items), 0
+    def __init__(self, items: Mapping[str, DepthMap]) -> None:
+        self.kept, self.loaded, self.most = dict(items), [], 0
 
-    def __getitem__(self, key):
-        self.loads += 1
-        return self.items_[key]
+    def __getitem__(self, key: str) -> DepthMap:
+        depth = replace(self.kept[key], depth=self.kept[key].depth.copy())
+        self.loaded.append(weakref.ref(depth.depth))
+        self.most = max(self.most, sum(array() is not None for array in self.loaded))
+        return depth
 
-    def __iter__(self) -> Iterator:
-        return iter(self.items_)
+    def __contains__(self, key: object) -> bool:
+        return key in self.kept
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.kept)
 
     def __len__(self) -> int:
-        return len(self.items_)
+        return len(self.kept)
 
 
-def test_each_disparity_is_loaded_once_for_each_of_its_views():
-    yard = make_yard()
-    lazy = Counting(yard.disparities)
-    fuse(yard.frames, yard.cameras, yard.rectifications, lazy)
-    assert lazy.loads == 2 * len(yard.disparities)
+def test_the_depth_of_a_large_site_is_never_in_memory_at_once():
+    yard = make_yard(tuple(range(-57, 58, 6)), width=120, max_angle=18)
+    lazy = Loading(yard.depths())
+    assert isinstance(fuse(yard.frames, yard.cameras, lazy, check_views=4), Cloud)
+    assert len(yard.cameras) == 20 and lazy.most <= 13
+    assert len(lazy.loaded) < 4 * len(yard.cameras)
 
 
 def test_a_refined_depth_takes_the_place_of_the_pairs():
-    from wbflow_stages.fusion.depth import inverse_depth_slopes
-    from wbflow_stages.types import DepthMap
-
     yard = make_yard()
     refined = {}
     for name, camera in yard.cameras.items():
@@ -144,7 +154,7 @@ def test_a_refined_depth_takes_the_place_of_the_pairs():
         support = np.full(depth.shape, 1, np.uint32)
         slopes = inverse_depth_slopes(depth, camera.K[0, 0])
         refined[name] = DepthMap(depth, 0.001 * depth, *slopes, support, partners, support > 0)
-    lazy = Counting(yard.disparities)
-    cloud = fuse(yard.frames, yard.cameras, yard.rectifications, lazy, refined)
-    assert isinstance(cloud, Cloud) and lazy.loads == 0
+    lazy = Loading(yard.depths())
+    cloud = fuse(yard.frames, yard.cameras, lazy, refined)
+    assert isinstance(cloud, Cloud) and not lazy.loaded
     assert np.percentile(yard.distance(cloud.points), 95) < 0.001

@@ -56,7 +56,7 @@ def test_disparity_is_black_where_unknown_and_coloured_by_nearness():
 
 def test_the_cloud_is_seen_from_above_with_its_cameras():
     yard = make_yard()
-    cloud = fuse(yard.frames, yard.cameras, yard.rectifications, yard.disparities)
+    cloud = fuse(yard.frames, yard.cameras, yard.depths())
     assert isinstance(cloud, Cloud)
     shown = picture(cloud_preview(cloud, yard.cameras)).astype(int)
     red = (shown[..., 0] > 150) & (shown[..., 1] < 120) & (shown[..., 2] < 120)

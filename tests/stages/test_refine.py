@@ -8,24 +8,23 @@ import numpy as np
 import pytest
 
 from exact_scene import Yard, make_yard, true_depth
-from wbflow_stages.fuse import fuse, view_depth
-from wbflow_stages.fusion.depth import NoiseModel
+from wbflow_stages.fuse import fuse
 from wbflow_stages.refine import refine
-from wbflow_stages.types import INVALID, Cloud, DepthMap, Frame, Rejected
+from wbflow_stages.types import INVALID, Camera, Cloud, DepthMap, Frame, Rejected
 
 
 def refined(yard: Yard, name: str, **parameters) -> DepthMap:
-    pairs = [pair for pair in yard.disparities if name in pair]
-    answer = refine(
-        yard.frames[name],
-        yard.frames,
-        yard.cameras,
-        {pair: yard.rectifications[pair] for pair in pairs},
-        {pair: yard.disparities[pair] for pair in pairs},
-        **parameters,
-    )
+    answer = refine(*inputs(yard, name), **parameters)
     assert isinstance(answer, DepthMap)
     return answer
+
+
+def inputs(yard: Yard, name: str) -> tuple[Frame, Camera, DepthMap, dict[str, Frame], dict[str, Camera]]:
+    """What `refine` is given of a view: itself, its depth from pairs, and the views around it."""
+    around = [other for other in yard.cameras if other != name]
+    depth = yard.depth(name)
+    assert isinstance(depth, DepthMap)
+    return yard.frames[name], yard.cameras[name], depth, {n: yard.frames[n] for n in around}, {n: yard.cameras[n] for n in around}
 
 
 def errors(yard: Yard, name: str, depth: np.ndarray) -> np.ndarray:
@@ -50,7 +49,7 @@ def noisy() -> Yard:
 
 def test_noise_of_the_pairs_is_reduced(noisy: Yard):
     name = list(noisy.cameras)[1]
-    start = view_depth(name, noisy.cameras, noisy.rectifications, noisy.disparities, NoiseModel())
+    start = noisy.depths()[name]
     after = refined(noisy, name)
     both = np.isfinite(start.depth) & np.isfinite(after.depth)
     before_error, after_error = errors(noisy, name, start.depth)[both], errors(noisy, name, after.depth)[both]
@@ -68,7 +67,7 @@ def test_sigma_is_about_the_error(noisy: Yard):
 def test_holes_are_filled_from_their_rims():
     yard = punched(make_yard((-24, -8, 8, 24), noise_px=0.2))
     name = list(yard.cameras)[1]
-    start = view_depth(name, yard.cameras, yard.rectifications, yard.disparities, NoiseModel())
+    start = yard.depths()[name]
     after = refined(yard, name)
     filled = np.isfinite(after.depth) & ~np.isfinite(start.depth)
     assert filled.sum() > 0.4 * (~np.isfinite(start.depth)).sum()
@@ -87,8 +86,8 @@ def test_slopes_are_those_of_the_surface(noisy: Yard):
 
 def test_the_cloud_gets_better(noisy: Yard):
     depths = {name: refined(noisy, name) for name in noisy.cameras}
-    plain = fuse(noisy.frames, noisy.cameras, noisy.rectifications, noisy.disparities, voxel_m=0.04)
-    better = fuse(noisy.frames, noisy.cameras, noisy.rectifications, noisy.disparities, depths, voxel_m=0.04)
+    plain = fuse(noisy.frames, noisy.cameras, noisy.depths(), voxel_m=0.04)
+    better = fuse(noisy.frames, noisy.cameras, noisy.depths(), depths, voxel_m=0.04)
     assert isinstance(plain, Cloud) and isinstance(better, Cloud)
     assert np.median(noisy.distance(better.points)) < 0.7 * np.median(noisy.distance(plain.points))
     assert len(better.points) > 0.9 * len(plain.points)
@@ -111,29 +110,21 @@ def test_the_same_inputs_give_the_same_bytes(noisy: Yard):
 
 
 def test_what_cannot_be_refined_says_why(noisy: Yard):
-    name, *others = noisy.cameras
-    frame = noisy.frames[name]
-    unknown = refine(frame, noisy.frames, {n: noisy.cameras[n] for n in others}, noisy.rectifications, noisy.disparities)
-    assert isinstance(unknown, Rejected) and "pose" in unknown.reason
-    nothing = refine(frame, noisy.frames, noisy.cameras, {}, {})
-    assert isinstance(nothing, Rejected) and "no pair" in nothing.reason
-    given = frame, noisy.frames, noisy.cameras, noisy.rectifications, noisy.disparities
+    given = inputs(noisy, next(iter(noisy.cameras)))
     aside = refine(*given, min_angle_deg=80, max_angle_deg=90)
     assert isinstance(aside, Rejected) and "angle" in aside.reason
+    elsewhere = {name: replace(camera, component=1) for name, camera in given[4].items()}
+    alone = refine(*given[:4], elsewhere)
+    assert isinstance(alone, Rejected) and "angle" in alone.reason
 
 
 def test_frames_of_different_sizes_work_together():
     """The left camera's picture is half as large again; the pair of the two others starts the middle one off."""
     small, large = make_yard((-12, 0, 12), noise_px=0.3), make_yard((-12, 0, 12), width=360)
     left, middle, right = small.cameras
-    pair = middle, right
-    after = refine(
-        small.frames[middle],
-        small.frames | {left: large.frames[left]},
-        small.cameras | {left: large.cameras[left]},
-        {pair: small.rectifications[pair]},
-        {pair: small.disparities[pair]},
-    )
-    assert isinstance(after, DepthMap) and after.partners == (left, right)
+    disparities = {pair: d for pair, d in small.disparities.items() if pair == (middle, right)}
+    frames, cameras = small.frames | {left: large.frames[left]}, small.cameras | {left: large.cameras[left]}
+    after = refined(replace(small, frames=frames, cameras=cameras, disparities=disparities), middle)
+    assert after.partners == (left, right)
     assert (after.support & 1).astype(bool).mean() > 0.4  # the large picture confirms much
     assert np.nanmedian(errors(small, middle, after.depth)) < 0.004

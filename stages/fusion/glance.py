@@ -1,0 +1,73 @@
+"""What is seen of a view at a glance, on every 4th pixel: enough to plan the fusion of a whole site, small enough to be held."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Camera, DepthMap, Float32s, Float64s, Frame, Uint8s
+from .depth import transfer
+
+STEP = 4
+
+
+@dataclass(frozen=True)
+class Glance:
+    """colors: (h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach;
+    depth, sigma: (h / 4, w / 4) float32, of the pixel beside each block's middle."""
+
+    colors: Uint8s
+    depth: Float32s
+    sigma: Float32s
+
+    def points(self, step: int) -> tuple[Float64s, Float64s]:
+        """Pixels (n, 3), homogeneous, and depths (n, 1) of every `step`-th place that has a depth."""
+        depth = self.depth[::step, ::step]
+        y, x = np.nonzero(np.isfinite(depth))
+        pixels = np.column_stack([STEP * step * x + STEP // 2, STEP * step * y + STEP // 2, np.ones(len(x))])
+        return pixels.astype(np.float64), depth[y, x].astype(np.float64)[:, None]
+
+
+def glance(frame: Frame, depth: DepthMap) -> Glance:
+    """Look at a view."""
+    h, w = frame.image.shape[:2]
+    colors = cv2.resize(frame.image, (max(1, w // STEP), max(1, h // STEP)), interpolation=cv2.INTER_AREA)
+    cells = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
+    return Glance(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy(), depth.sigma[cells].copy())
+
+
+def nearest_views(name: str, cameras: Mapping[str, Camera], glances: Mapping[str, Glance], count: int) -> list[str]:
+    """The views that see most of what `name` sees; at most `count`, at least 1 % in common."""
+    pixels, z = glances[name].points(2)
+    if not len(z):
+        return []
+    shares = []
+    for other in cameras:
+        if other == name:
+            continue
+        M, b = transfer(cameras[name], cameras[other])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            p = z * (pixels @ M.T) + b
+            u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
+        inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u <= cameras[other].width - 1) & (v <= cameras[other].height - 1)
+        shares.append((float(inside.mean()), other))
+    order = sorted(range(len(shares)), key=lambda k: -shares[k][0])
+    return [shares[k][1] for k in order[:count] if shares[k][0] >= 0.01]
+
+
+def natural_voxel(cameras: Mapping[str, Camera], glances: Mapping[str, Glance]) -> float:
+    """What a pixel covers, or one and a half sigmas if that is more, in the median over all views: finer voxels hold only noise.
+
+    Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
+    """
+    edges = [np.fmax(g.depth / cameras[name].K[0, 0], 1.5 * g.sigma)[1::2, 1::2].ravel() for name, g in glances.items()]
+    median = float(np.nanmedian(np.concatenate(edges)))
+    decade = 10.0 ** np.floor(np.log10(median))
+    return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))
+
+
+_PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
+"""Renard's series R10: ten steps to a decade."""
