@@ -122,7 +122,7 @@ def _kept(
         one, other, certain = other, one, matches.confidence_right
         valid, valid_other = valid_other, valid
     one = (np.rint((one - offset) * 16) / 16 + offset).astype(np.float32)  # as stored, so that what is checked is what is kept
-    agreed = valid & agreeing(one, other, sign, tolerance_px) & lands_on(valid_other, one, sign)
+    agreed = valid & (certain > 0) & agreeing(one, other, sign, tolerance_px) & lands_on(valid_other, one, sign)
     kept = without_specks(np.where(agreed, one, np.float32(np.nan)), speck)
     known = ~np.isnan(kept)
     stored = np.full(one.shape, INVALID, dtype=np.int16)

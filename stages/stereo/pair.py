@@ -35,7 +35,8 @@ class RectifiedPair:
 class DenseMatches:
     """Disparity of both views before any check between them: (h, w) float32 pixels, nan where the matcher has no answer.
 
-    left: x2 = x1 - d; right: x1 = x2 + d; confidence_left, confidence_right: (h, w) float32, 0 to 1.
+    left: x2 = x1 - d; right: x1 = x2 + d; confidence_left, confidence_right: (h, w) float32, 0 to 1; where it
+    is 0, the value may confirm the other view's but is not kept itself.
     """
 
     left: Float32s

@@ -26,6 +26,15 @@ _LIKENESS = 8.0
 _DEAREST = 0.6
 """Planes that cost more are no matches."""
 
+_VOTERS, _VOTER_STRIDE = 6, 3
+"""How far away, in pixels, and how densely neighbours are asked what a pixel's disparity should be."""
+
+_CONFIRMED_PX = 2.0
+"""Both views tell the same of a pixel if they differ by no more."""
+
+_DOUBTFUL = 2.75
+"""How much the surroundings of a pixel may disagree with its plane, see `_doubt`."""
+
 _DIRECT_PX = 1.0e6
 """Larger pairs start from PatchMatch at half the size, others from SGM at half the size."""
 
@@ -34,10 +43,13 @@ _BEYOND = 0.5
 
 
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
-    """Disparity of both views to a fraction of a pixel; confidence 1 - cost."""
+    """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
     view1, view2 = _matched_views(pair)
-    left, right = view1.smoothed(), view2.smoothed()[:, ::-1]
-    return DenseMatches(left, np.ascontiguousarray(right), 1 - view1.cost, np.ascontiguousarray(1 - view2.cost[:, ::-1]))
+    left, mirrored_right = view1.smoothed(), view2.smoothed()
+    right = np.ascontiguousarray(mirrored_right[:, ::-1])
+    confidence1 = view1.confidence(left, disagreement(left, right, -1))
+    confidence2 = view2.confidence(mirrored_right, np.ascontiguousarray(disagreement(right, left, 1)[:, ::-1]))
+    return DenseMatches(left, right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))
 
 
 class _View:
@@ -64,7 +76,12 @@ class _View:
 
     def smoothed(self) -> Float32s:
         """Disparity (h, w), nan where too costly."""
-        return _smoothed(self.pair.left, self.planes, self.cost, _DEAREST)
+        return _voted(self.pair.left, self.planes, _smoothed(self.pair.left, self.planes, self.cost, _DEAREST))
+
+    def confidence(self, disparity: Float32s, difference: Float32s) -> Float32s:
+        """(h, w), for the smoothed disparity and its difference from what the other view says."""
+        doubt = _doubt(disparity, self.planes, difference)
+        return np.where(doubt <= _DOUBTFUL, 1 - self.cost, 0).astype(np.float32)
 
     def seen_from_other(self) -> Float32s:
         return _seen_from_other(self.planes, self.cost)
@@ -351,3 +368,76 @@ def _smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float)
             det = s * minor - sx * (sx * syy - sxy * sy) + sy * (sx * sxy - sxx * sy)
             out[y, x] = d + (v * minor - sx * (vx * syy - sxy * vy) + sy * (vx * sxy - sxx * vy)) / det
     return out
+
+
+@kernel
+def _voted(image: Float32s, planes: Float32s, disparity: Float32s) -> Float32s:
+    """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
+
+    A wrong plane, or one of the other side of an edge, is outvoted; slanted surfaces keep their slant."""
+    height, width = disparity.shape
+    out = np.full((height, width), np.nan, dtype=np.float32)
+    count = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
+    votes = np.empty(count, dtype=np.float32)
+    weights = np.empty(count, dtype=np.float32)
+    soft = np.float32(1.0 / _LIKENESS)
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(disparity[y, x]):
+                continue
+            total = np.float32(0.0)
+            n = 0
+            for dy in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                row = y + dy
+                if not 0 <= row < height:
+                    continue
+                for dx in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                    column = x + dx
+                    if not 0 <= column < width or np.isnan(disparity[row, column]):
+                        continue
+                    a, b = planes[row, column, 1], planes[row, column, 2]
+                    vote = disparity[row, column] - a * np.float32(dx) - b * np.float32(dy)
+                    unlike = (image[row, column] - image[y, x]) * soft
+                    w = np.float32(1.0) / (np.float32(1.0) + unlike * unlike)
+                    total += w
+                    k = n
+                    while k > 0 and votes[k - 1] > vote:  # kept in order
+                        votes[k], weights[k] = votes[k - 1], weights[k - 1]
+                        k -= 1
+                    votes[k], weights[k] = vote, w
+                    n += 1
+            so_far = np.float32(0.0)
+            for k in range(n):
+                so_far += weights[k]
+                if 2 * so_far >= total:
+                    out[y, x] = votes[k]
+                    break
+    return out
+
+
+@kernel
+def _doubt(disparity: Float32s, planes: Float32s, difference: Float32s) -> Float32s:
+    """(h, w) doubt in each pixel's plane: how far its 5x5 neighbours lie from it on average, the more where disparity is torn.
+
+    Neighbours that the other view does not confirm count as 3 px away: where one is wrong, those beside it are suspect."""
+    height, width = disparity.shape
+    doubt = np.full((height, width), np.inf, dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            if not difference[y, x] <= _CONFIRMED_PX:
+                continue
+            d, a, b = disparity[y, x], planes[y, x, 1], planes[y, x, 2]
+            low, high = d, d
+            away = 0.0
+            count = 0
+            for row in range(max(y - 2, 0), min(y + 3, height)):
+                for column in range(max(x - 2, 0), min(x + 3, width)):
+                    count += 1
+                    if not difference[row, column] <= _CONFIRMED_PX:
+                        away += 3.0
+                        continue
+                    v = disparity[row, column]
+                    low, high = min(low, v), max(high, v)
+                    away += min(abs(v - d - a * (column - x) - b * (row - y)), 3.0)
+            doubt[y, x] = away / count * (1 + 0.15 * (high - low))
+    return doubt

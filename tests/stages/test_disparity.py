@@ -159,6 +159,22 @@ def test_any_function_of_the_same_signature_plugs_in(monkeypatch: pytest.MonkeyP
     assert np.nanmax(np.abs(known - 20)) == 0
 
 
+def test_what_a_matcher_does_not_believe_is_not_kept_but_may_confirm_the_other_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, right, rectification, _ = case(slope=0.0)
+
+    def half_believed(pair: RectifiedPair) -> DenseMatches:
+        flat, sure = np.full(pair.left.shape, 20, dtype=np.float32), np.ones(pair.left.shape, dtype=np.float32)
+        doubtful = sure.copy()
+        doubtful[:90] = 0
+        return DenseMatches(flat, flat, doubtful, sure)
+
+    monkeypatch.setitem(MATCHERS, "half_believed", half_believed)
+    found = match_dense(left, right, rectification, matcher="half_believed")  # type: ignore[arg-type]
+    assert isinstance(found, Disparity)
+    assert (found.left[:90] == INVALID).all() and (found.left[90:, 40:] != INVALID).all()
+    assert (found.right[:, :200] != INVALID).all()
+
+
 @pytest.mark.parametrize("matcher", NAMES)
 def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image(matcher: Matcher) -> None:
     """Rows are rays from the epipole; the wall is slanted, its image in the second camera is drawn by its homography."""
