@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from ..kernels import kernel
 from ..types import Bools, Float32s
@@ -17,6 +18,7 @@ from .checks import disagreement, fill_along_rows, without_specks
 from .pair import DenseMatches, RectifiedPair, halved, mirrored
 
 Scalar = np.float32
+Int64s = npt.NDArray[np.int64]
 
 _SWEEPS = 2
 _RADIUS, _STRIDE = 3, 2
@@ -370,6 +372,21 @@ def _smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float)
     return out
 
 
+def _sorting_network(count: int) -> Int64s:
+    """(m, 2) places to compare, and to exchange where the first is larger, that sort `count` values (Batcher's merge exchange,
+    Knuth 5.2.2 M).  No branch depends on the values, so that whole rows of pixels are sorted at once."""
+    pairs = []
+    for p in (2**i for i in range((count - 1).bit_length())):
+        for k in (p >> i for i in range(p.bit_length())):
+            for j in range(k % p, count - k, 2 * k):
+                pairs += [(i, i + k) for i in range(j, min(j + k, count - k)) if i // (2 * p) == (i + k) // (2 * p)]
+    return np.array(pairs, dtype=np.int64)
+
+
+_VOTES = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
+_NETWORK = _sorting_network(_VOTES)
+
+
 @kernel
 def _voted(image: Float32s, planes: Float32s, disparity: Float32s) -> Float32s:
     """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
@@ -377,41 +394,44 @@ def _voted(image: Float32s, planes: Float32s, disparity: Float32s) -> Float32s:
     A wrong plane, or one of the other side of an edge, is outvoted; slanted surfaces keep their slant."""
     height, width = disparity.shape
     out = np.full((height, width), np.nan, dtype=np.float32)
-    count = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
-    votes = np.empty(count, dtype=np.float32)
-    weights = np.empty(count, dtype=np.float32)
+    votes = np.empty((_VOTES, width), dtype=np.float32)
+    weights = np.empty((_VOTES, width), dtype=np.float32)
+    total = np.empty(width, dtype=np.float32)
+    so_far = np.empty(width, dtype=np.float32)
     soft = np.float32(1.0 / _LIKENESS)
     for y in range(height):
-        for x in range(width):
-            if np.isnan(disparity[y, x]):
-                continue
-            total = np.float32(0.0)
-            n = 0
-            for dy in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
-                row = y + dy
-                if not 0 <= row < height:
-                    continue
-                for dx in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
-                    column = x + dx
-                    if not 0 <= column < width or np.isnan(disparity[row, column]):
-                        continue
+        total[:] = 0.0
+        k = 0
+        for dy in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+            row = min(max(y + dy, 0), height - 1)
+            for dx in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                for x in range(width):
+                    column = min(max(x + dx, 0), width - 1)
                     a, b = planes[row, column, 1], planes[row, column, 2]
-                    vote = disparity[row, column] - a * np.float32(dx) - b * np.float32(dy)
+                    vote = disparity[row, column] - a * np.float32(column - x) - b * np.float32(row - y)
                     unlike = (image[row, column] - image[y, x]) * soft
                     w = np.float32(1.0) / (np.float32(1.0) + unlike * unlike)
-                    total += w
-                    k = n
-                    while k > 0 and votes[k - 1] > vote:  # kept in order
-                        votes[k], weights[k] = votes[k - 1], weights[k - 1]
-                        k -= 1
-                    votes[k], weights[k] = vote, w
-                    n += 1
-            so_far = np.float32(0.0)
-            for k in range(n):
-                so_far += weights[k]
-                if 2 * so_far >= total:
-                    out[y, x] = votes[k]
-                    break
+                    if np.isnan(vote):
+                        vote, w = np.float32(0.0), np.float32(0.0)
+                    votes[k, x], weights[k, x] = vote, w
+                    total[x] += w
+                k += 1
+        for q in range(_NETWORK.shape[0]):
+            i, j = _NETWORK[q]
+            for x in range(width):
+                vote1, vote2, w1, w2 = votes[i, x], votes[j, x], weights[i, x], weights[j, x]
+                swap = vote1 > vote2
+                votes[i, x] = vote2 if swap else vote1
+                votes[j, x] = vote1 if swap else vote2
+                weights[i, x] = w2 if swap else w1
+                weights[j, x] = w1 if swap else w2
+        so_far[:] = 0.0
+        for k in range(_VOTES):
+            for x in range(width):
+                before = so_far[x]
+                so_far[x] = before + weights[k, x]
+                if 2 * before < total[x] and 2 * so_far[x] >= total[x] and not np.isnan(disparity[y, x]):
+                    out[y, x] = votes[k, x]
     return out
 
 
