@@ -40,6 +40,13 @@ def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]
     return camera2.R @ camera1.R.T, camera2.R @ (camera1.C - camera2.C)
 
 
+def rotation_between_deg(A: Float64s, B: Float64s) -> float:
+    """Degrees between two rotations (3, 3)."""
+    turn = A.T @ B
+    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return float(np.degrees(np.arctan2(sine, np.trace(turn) - 1)))
+
+
 def essential_to_fundamental(R: Float64s, t: Float64s, K1: Float64s, K2: Float64s) -> Float64s:
     """F of unit norm from `cam2_R_cam1`, `cam2_t_cam1` and the intrinsics (Hartley & Zisserman, eq. 9.2)."""
     F = np.linalg.inv(K2).T @ skew(t) @ R @ np.linalg.inv(K1)

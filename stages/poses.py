@@ -2,15 +2,19 @@
 
 Solved: rotations of all pairs are compared and contradictions dropped; what is left is grown into models view by view, with
 bundle adjustment; each model is put into the world by whatever is known of it.  Known poses then stay where they are, unless the
-images contradict them: a wrong one is named and solved like an unknown one.
+images contradict them (`known_poses`): a wrong one is named, with how far it seems off, and solved like an unknown one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
-from .epipolar import camera_of
-from .types import Camera, Frame, Geometry, Pair, Placement, Poses, Rejected, Survey, View
+import numpy as np
+
+from .epipolar import camera_of, relative_pose, rotation_between_deg
+from .known_poses import PAIR_PX, check_cameras, contradicted, epipolar_error_px, evidence_on
+from .types import Camera, Frame, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
 
 
 def solve_poses(
@@ -32,11 +36,11 @@ def solve_poses(
     placements
         R and C as the site states them, where it does.
     geometries
-        Two-view geometry of the pairs; not looked at where all poses and intrinsics are stated.
+        Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
     survey
         Known distances and control points.
     frames
-        Pixels of all cameras, to sharpen what the poses rest on; without them the keypoints stay where they were found.
+        Pixels of all cameras, to sharpen what solved poses rest on; without them the keypoints stay where they were found.
     max_rotation_error_deg
         A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
     max_epipolar_px
@@ -48,18 +52,82 @@ def solve_poses(
     """
     if len(views) < 2:
         return Rejected("one camera makes no cloud: two or more that see the same things are needed", {"cameras": len(views)})
+    survey = survey or Survey()
     stated = stated_cameras(views, placements)
-    exact = [name for name in stated if placements[name].sigma_m == 0]
-    if len(exact) == len(views) or not geometries:
-        return _as_stated(views, placements, stated, survey or Survey())
-    # here, so that a night whose poses are all known does not wait for what solves poses
+    exact = {name: camera for name, camera in stated.items() if placements[name].sigma_m == 0}
+    if not geometries:
+        return _as_stated(views, placements, stated, survey)
+    seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(exact)}
+    wrong, unclear = _check(exact, seen)
+    checks = check_cameras({name: camera for name, camera in exact.items() if name not in wrong}, seen)
+    notes = (f"the known poses of {_listed(unclear)} contradict each other: which is wrong cannot be told",) if unclear else ()
+    if len(exact) == len(views) and not wrong:
+        found = _as_stated(views, placements, stated, survey)
+        if isinstance(found, Rejected):
+            return found
+        return replace(found, verdicts=_verdicts(found.cameras, seen), checks=checks, notes=notes)
+    # here, so that a night whose poses are all known and right does not wait for what solves poses
     from .sfm.solve import solve_from_pairs
 
-    args = views, placements, geometries, survey or Survey(), stated
+    believed = {name: placement for name, placement in placements.items() if name not in wrong}
+    trusted = {name: camera for name, camera in stated.items() if name not in wrong}
+    args = views, believed, geometries, survey, trusted
     found = solve_from_pairs(*args, frames or {}, max_rotation_error_deg, max_epipolar_px)
-    return (
-        _as_stated(views, placements, stated, survey or Survey()) if isinstance(found, Rejected) and len(stated) >= 2 else found
+    if isinstance(found, Rejected) and len(trusted) >= 2:
+        found = _as_stated(views, believed, trusted, survey)
+    if isinstance(found, Rejected):
+        return found
+    moved = {name: _moved(exact[name], found.cameras.get(name), name, seen) for name in wrong}
+    suspects = {name: _suspicion(name, check, found.metric) for name, check in moved.items()}
+    return replace(
+        found,
+        checks=checks | moved,
+        suspects={**suspects, **found.suspects},
+        notes=(*suspects.values(), *(() if set(unclear) & set(found.suspects) else notes), *found.notes),
     )
+
+
+def _check(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> tuple[list[str], list[str]]:
+    """Cameras whose known poses are wrong, and those among which there is another wrong one."""
+    wrong, unclear = contradicted(evidence_on(cameras, geometries))
+    if 2 * len(wrong + unclear) >= len(cameras):  # no single camera has moved: the calibration as a whole does not fit
+        return [], wrong + unclear
+    return wrong, unclear
+
+
+def _verdicts(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, PairVerdict]:
+    """How known poses fit each pair; whether it can be used, rectification decides."""
+    found = {}
+    for pair, geometry in geometries.items():
+        error = epipolar_error_px(cameras, pair, geometry)
+        reason = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else ""
+        turned = float("nan")
+        if geometry.cam2_R_cam1 is not None:
+            turned = rotation_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
+        found["--".join(pair)] = PairVerdict(True, reason, geometry.epipolar_px, error, turned, bool(reason))
+    return found
+
+
+def _moved(stated: Camera, solved: Camera | None, name: str, geometries: Mapping[Pair, Geometry]) -> PoseCheck:
+    """A camera that is not where it is said to be, and by how much."""
+    mine = {pair: geometry for pair, geometry in geometries.items() if name in pair}
+    inliers = sum(geometry.inliers for geometry in mine.values())
+    if solved is None or solved.component != 0:
+        return PoseCheck(len(mine), inliers, float("nan"), True)
+    length = float(np.linalg.norm(solved.C - stated.C))
+    return PoseCheck(len(mine), inliers, float("nan"), True, length, rotation_between_deg(solved.R, stated.R))
+
+
+def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
+    what = f"the known pose of {name} contradicts the images"
+    if np.isnan(check.off_m):
+        return f"{what}; by how much cannot be told: it is left out. Has it been moved?"
+    length = f"{check.off_m:.3f} {'m' if metric else 'units'}"
+    return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def stated_cameras(views: Mapping[str, View], placements: Mapping[str, Placement]) -> dict[str, Camera]:

@@ -256,6 +256,23 @@ class PairVerdict:
 
 
 @dataclass(frozen=True)
+class PoseCheck:
+    """How tonight's images agree with a camera's known pose.
+
+    pairs, inliers: what could check it; epipolar_px: median of its pairs' median distances to the epipolar lines of the known
+    poses; moved: the pose is contradicted, the camera has been solved anew; off_m, off_deg: how far that is from where it is said
+    to be (world lengths and degrees; nan where not moved, or not to be told).
+    """
+
+    pairs: int
+    inliers: int
+    epipolar_px: float
+    moved: bool = False
+    off_m: float = float("nan")
+    off_deg: float = float("nan")
+
+
+@dataclass(frozen=True)
 class Poses:
     """Cameras in one frame.
 
@@ -265,6 +282,7 @@ class Poses:
     how much; focals: ids of cameras whose focal length was solved; components: ids that share a world, the main one first (a
     camera's `component` is its place here); joins: for each component but the first, the pair that would join it best;
     scale: what the scale comes from; crs: coordinate system of the main component, "" for a local one;
+    checks: by id, of the cameras with known poses;
     notes: what the operator should know; points: scene points that the cameras rest on; reprojection_px: their median error.
     """
 
@@ -283,6 +301,7 @@ class Poses:
     notes: tuple[str, ...] = ()
     points: int = 0
     reprojection_px: float = float("nan")
+    checks: Mapping[str, PoseCheck] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

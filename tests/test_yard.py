@@ -89,3 +89,25 @@ def test_captures_at_fault_cost_only_their_cameras(yard: Path, tmp_path: Path) -
     assert cameras[second]["outcome"] == "ok", "one capture of three is left"
     assert len(cameras[second]["notes"]) == 2
     assert record["cloud"]["points"] > 1000
+
+
+def test_a_camera_that_has_been_turned_is_named_with_how_far_and_the_others_stay(yard: Path, tmp_path: Path) -> None:
+    cameras = json.loads((yard / "cameras.json").read_text())
+    name, entry = sorted(cameras.items())[1]
+    angle = np.radians(3.0)
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    entry["R"] = (turn @ np.array(entry["R"])).tolist()
+    turned = tmp_path / "turned.json"
+    turned.write_text(json.dumps(cameras))
+    site = yard / "turned.yaml"
+    site.write_text((yard / "site.yaml").read_text().replace("calibration: cameras.json", f"calibration: {turned}"))
+    record = run(site, "--until", "poses", "--work", str(yard / ".wbflow" / "yard"))
+    (named,) = record["poses"]["suspects"]
+    assert named == name
+    poses = {camera["id"]: camera["pose"] for camera in record["cameras"]}
+    assert poses[name]["moved"] and abs(poses[name]["off_deg"] - 3) < 0.3 and poses[name]["off_m"] < 0.2
+    assert all(pose["epipolar_px"] < 1 and pose["inliers"] > 50 for camera, pose in poses.items() if camera != name)
+    run_folder = yard / ".wbflow" / "yard" / "runs" / record["run"]
+    assert "Has it been moved?" in (run_folder / "report.html").read_text()
+    solved = json.loads((run_folder / "cameras.json").read_text())
+    assert all(np.allclose(solved[camera]["C"], cameras[camera]["C"]) for camera in cameras if camera != name)

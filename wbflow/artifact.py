@@ -82,15 +82,24 @@ def parts(value: Any) -> dict[str, str]:
 
 
 def figures(value: Any) -> dict[str, Any]:
-    """Plain fields of a dataclass (scalars, tuples and mappings of them) by name; rows of its arrays as `<field>_count`."""
+    """Plain fields of a dataclass by name: scalars, tuples and mappings of them or of small dataclasses; rows of its arrays as
+    `<field>_count`."""
     found: dict[str, Any] = {}
     for name in (f.name for f in dataclasses.fields(value)):
         field = getattr(value, name)
         if _is_plain(field):
             found[name] = field
+        elif isinstance(field, Mapping) and all(map(_is_small, field.values())):
+            found[name] = {key: figures(entry) for key, entry in field.items()}
         elif hasattr(field, "shape") and field.shape:
             found[f"{name}_count"] = int(field.shape[0])
     return found
+
+
+def _is_small(value: Any) -> bool:
+    """A dataclass of nothing but scalars and words."""
+    fields = [getattr(value, f.name) for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else [()]
+    return all(isinstance(field, bool | int | float | str) for field in fields)
 
 
 def _is_plain(value: Any) -> bool:

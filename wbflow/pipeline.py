@@ -100,7 +100,7 @@ STAGES: tuple[Stage, ...] = (
         needs={
             "views": Need("frames", "all", part="view"),
             "placements": Need("site:placement", "all"),
-            "geometries": Need("geometry", "all", unless_posed=True),
+            "geometries": Need("geometry", "all"),
             "survey": Need("site:survey"),
             "frames": Need("frames", "all", unless_posed=True),
         },

@@ -84,14 +84,17 @@ def _cloud(plan: Plan, task: Task) -> dict[str, Any] | None:
 
 
 def _poses(plan: Plan) -> dict[str, Any] | None:
-    """How the cameras came to stand where they do, without the cameras themselves (those are in cameras.json)."""
+    """How the cameras came to stand where they do, without the cameras themselves (those are in cameras.json) and what is said
+    of each camera and pair elsewhere."""
     state = plan.states.get(Task("poses", ()))
-    return {name: _rounded(value) for name, value in _figures(state).items()} if state and state.usable else None
+    if state is None or not state.usable:
+        return None
+    return {name: _rounded(value) for name, value in _figures(state).items() if name not in {"verdicts", "checks"}}
 
 
 def _camera(plan: Plan, camera: str) -> dict[str, Any]:
     states = [plan.states.get(Task(stage, (camera,))) for stage in ("frames", "features")]
-    record: dict[str, Any] = {"id": camera, "outcome": "ok", "keypoints": None, "reason": None, "notes": []}
+    record: dict[str, Any] = {"id": camera, "outcome": "ok", "keypoints": None, "reason": None, "notes": [], "pose": None}
     for state in filter(None, states):
         if not state.usable:
             return record | {"outcome": state.outcome, "reason": state.reason}
@@ -99,6 +102,7 @@ def _camera(plan: Plan, camera: str) -> dict[str, Any]:
         record["keypoints"] = _figures(state).get("xy_count", record["keypoints"])
     poses = plan.states.get(Task("poses", ()))
     solved = _figures(poses) if poses else {}
+    record["pose"] = _rounded(solved.get("checks", {}).get(camera))
     if camera in solved.get("suspects", {}):
         record["notes"] = [*record["notes"], solved["suspects"][camera]]
     if camera in solved.get("unsolved", {}):
@@ -123,7 +127,7 @@ def _pairs(plan: Plan) -> list[tuple[str, str]]:
 
 def _pair(plan: Plan, pair: tuple[str, str]) -> dict[str, Any]:
     record: dict[str, Any] = {"left": pair[0], "right": pair[1], "outcome": "ok"}
-    record |= dict.fromkeys(("matches", "inliers", "angle_deg", "epipolar_px", "vertical_px", "density", "reason"))
+    record |= dict.fromkeys(("matches", "inliers", "angle_deg", "epipolar_px", "poses_px", "vertical_px", "density", "reason"))
     names = {
         "matches": {"x1_count": "matches"},
         "geometry": {
@@ -144,7 +148,9 @@ def _pair(plan: Plan, pair: tuple[str, str]) -> dict[str, Any]:
         if not state.usable and record["outcome"] == "ok":
             record |= {"outcome": state.outcome, "reason": state.reason, "stage": stage}
             record["inliers"] = figures.get("inliers", record["inliers"])
-    return record
+    poses = plan.states.get(Task("poses", ()))
+    verdict = _figures(poses).get("verdicts", {}).get("--".join(pair), {}) if poses else {}
+    return record | {"poses_px": _rounded(verdict.get("adjusted_px"))}
 
 
 def _figures(state: State) -> dict[str, Any]:
@@ -152,4 +158,6 @@ def _figures(state: State) -> dict[str, Any]:
 
 
 def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
     return round(value, 4) if isinstance(value, float) else value

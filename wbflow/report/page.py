@@ -100,7 +100,13 @@ def _faults(record: dict[str, Any], events: list[dict[str, Any]]) -> str:
     )
     if record.get("reason"):
         rows += f'<li><b>cloud</b>: <span class="reason">{escape(record["reason"])}</span></li>'
-    return f"<h2>What failed</h2><ul>{rows}</ul>" if rows else ""
+    moved = (record.get("poses") or {}).get("suspects", {})
+    warnings = "".join(
+        f'<li><b>{escape(name)}</b>: <span class="reason">{escape(why)}</span></li>' for name, why in moved.items()
+    )
+    return (f"<h2>What failed</h2><ul>{rows}</ul>" if rows else "") + (
+        f"<h2>What has changed</h2><ul>{warnings}</ul>" if warnings else ""
+    )
 
 
 def _cloud(record: dict[str, Any], pictures: dict[str, str]) -> str:
@@ -145,13 +151,13 @@ def _cameras(record: dict[str, Any], pictures: dict[str, str]) -> str:
 
 
 def _pairs(record: dict[str, Any], pictures: dict[str, str]) -> str:
-    columns = ("matches", "inliers", "angle_deg", "epipolar_px", "vertical_px", "density")
-    names = ("matches", "inliers", "angle °", "epipolar px", "vertical px", "density")
+    columns = ("matches", "inliers", "angle_deg", "epipolar_px", "poses_px", "vertical_px", "density")
+    names = ("matches", "inliers", "angle °", "epipolar px", "by the poses px", "vertical px", "density")
     head = "<th>pair</th>" + "".join(f"<th>{n}</th>" for n in names) + '<th class="words">outcome</th>'
     rows, cards = [], []
     for pair in record["pairs"]:
         name = f"{pair['left']}--{pair['right']}"
-        cells = "".join(f"<td>{_number(pair[c])}</td>" for c in columns)
+        cells = "".join(f"<td>{_number(pair.get(c))}</td>" for c in columns)
         words = (
             "ok" if pair["outcome"] == "ok" else f'<span class="reason">{pair["outcome"]}</span>: {escape(str(pair["reason"]))}'
         )
