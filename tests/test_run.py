@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from conftest import ToySite
+from wbflow.ply import read_ply
 
 PAIRS = 6
 
@@ -26,6 +28,24 @@ def test_a_run_leaves_cloud_cameras_report_and_record(toy: ToySite) -> None:
     assert record["cloud"]["points"] == 2 * PAIRS
     assert [camera["outcome"] for camera in record["cameras"]] == ["ok"] * 4
     assert all(pair["outcome"] == "ok" and pair["density"] == 1.0 for pair in record["pairs"])
+
+
+def test_a_cloud_on_the_map_says_in_its_header_where_it_is(toy: ToySite) -> None:
+    toy.run()
+    assert b"comment crs" not in toy.cloud
+    site = json.loads(toy.file.read_text())
+    site["cameras"] = [
+        {"id": name, "pose": {"latitude": 53.5 + 1e-4 * k, "longitude": 10.0, "height": 20.0}}
+        for k, name in enumerate(toy.cameras)
+    ]
+    toy.file.write_text(json.dumps(site))
+    before = read_ply(toy.work / "runs" / "latest" / "cloud.ply")
+    record = toy.run()
+    header = toy.cloud.split(b"end_header")[0].decode().splitlines()
+    assert f"comment crs {record['poses']['crs']}" in header
+    assert "comment x y z are metres east, north and up of latitude 53.5 longitude 10.0 height 20.0 (WGS 84)" in header
+    after = read_ply(toy.work / "runs" / "latest" / "cloud.ply")
+    assert all((before[name] == after[name]).all() for name in before)
 
 
 def test_a_second_run_does_nothing_and_publishes_the_same_cloud(toy: ToySite) -> None:

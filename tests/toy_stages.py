@@ -98,7 +98,7 @@ def solve_poses(
     names = list(views)
     groups = tuple(tuple(names[k::worlds]) for k in range(worlds))
     cameras = {n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds) for i, n in enumerate(names)}
-    return Poses(cameras, {}, {}, metric=True, source="calibration", components=groups)
+    return Poses(cameras, {}, {}, metric=True, source="calibration", components=groups, crs=survey.crs)
 
 
 def rectify(

@@ -78,6 +78,14 @@ def cloud_bytes(cloud: Any) -> bytes | bytearray:
     return ply_bytes(columns, comments=("made by wbflow",))
 
 
+def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
+    """The same PLY with further comments in its header, after the first."""
+    if not comments:
+        return ply
+    at = ply.index(b"element vertex")
+    return b"".join([ply[:at], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[at:]])
+
+
 def cloud_figures(cloud: Any) -> dict[str, Any]:
     """Corners of the box around a `Cloud`, for the records."""
     return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}

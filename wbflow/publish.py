@@ -11,6 +11,7 @@ from . import artifact
 from .files import sync_folder, write_atomic
 from .night import Night
 from .plan import Plan, Task
+from .ply import with_comments
 
 
 @dataclass(frozen=True)
@@ -24,14 +25,26 @@ class Publication:
     def collect(plan: Plan) -> Publication:
         """Raises DamagedArtifact."""
         clouds = {cloud_file(task): _bytes(plan, task) for task in plan.states if task.stage == "fuse"}
+        found = {name: data for name, data in clouds.items() if data is not None}
         solved = _bytes(plan, Task("poses", ()))
-        cameras = None if solved is None else cameras_json(artifact.decode(solved))
-        return Publication({name: data for name, data in clouds.items() if data is not None}, cameras)
+        poses = None if solved is None else artifact.decode(solved)
+        if poses is not None and poses.crs and "cloud.ply" in found:
+            found["cloud.ply"] = with_comments(found["cloud.ply"], place_comments(poses.crs))
+        return Publication(found, None if poses is None else cameras_json(poses))
 
 
 def cloud_file(task: Task) -> str:
     """The file of a component's cloud in a run's folder: cloud.ply for the main one."""
     return f"cloud{''.join(f'-{name}' for name in task.subject)}.ply"
+
+
+def place_comments(crs: str) -> tuple[str, ...]:
+    """Where on Earth the coordinates of a cloud begin: its coordinate system as PROJ reads it, and the origin in words."""
+    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
+    if not {"lat_0", "lon_0", "h_0"} <= set(named):
+        return (f"crs {crs}",)
+    origin = f"latitude {named['lat_0']} longitude {named['lon_0']} height {named['h_0']}"
+    return f"crs {crs}", f"x y z are metres east, north and up of {origin} (WGS 84)"
 
 
 def cameras_json(poses: Any) -> str:
