@@ -26,7 +26,11 @@ _UNKNOWN_COST = 35
 
 def match_census_sgm(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views, to a fraction of a pixel in the left one, in whole pixels in the right one."""
-    volume = census_costs(pair)
+    return semi_global(pair, census_costs(pair))
+
+
+def semi_global(pair: RectifiedPair, volume: Uint8s) -> DenseMatches:
+    """The same from any costs (h, w, disparities) uint8 of the size of the census's."""
     large = _large_steps(pair.left)
     summed = np.zeros(volume.shape, dtype=np.uint16)
     for backward in (False, True):
