@@ -23,6 +23,7 @@ def adjust(
     *,
     held: Collection[int] = (),
     focals: Mapping[int, int] | None = None,
+    positions: Mapping[int, tuple[Float64s, float]] | None = None,
     loss_px: float,
     iterations: int = 100,
 ) -> tuple[dict[int, Camera], Float64s]:
@@ -40,6 +41,9 @@ def adjust(
     focals
         Views whose focal length and radial distortion are solved too, each with the number of its lens: views of one lens share
         them.
+    positions
+        Views whose centre is known, (3,) with its standard deviation in standard deviations of the pixels' noise; three or more,
+        or none.  The cameras must stand in the world already.
     loss_px
         Scale of the Cauchy loss.
     iterations
@@ -55,10 +59,16 @@ def adjust(
             config.set_constant_cam_intrinsics(view + 1)
     for view in held:
         config.set_constant_rig_from_world_pose(view + 1)
-    if not held:
-        config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     options = _options(loss_px, iterations, bool(focals))
-    solver = pycolmap.create_default_bundle_adjuster(options, config, model)
+    if positions:
+        priors = [_prior(model, view, C, sigma) for view, (C, sigma) in positions.items()]
+        with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+        with_priors.alignment_ransac.random_seed = 0
+        solver = pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, model)
+    else:
+        if not held:
+            config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        solver = pycolmap.create_default_bundle_adjuster(options, config, model)
     solver.solve()
     moved = X.copy()
     moved[points] = [model.point3D(i + 1).xyz for i in range(len(points))]
@@ -94,6 +104,16 @@ def _model(
             track.add_element(views[k], places[k])
         model.add_point3D(X[point], track)
     return model, points
+
+
+def _prior(model: pycolmap.Reconstruction, view: int, C: Float64s, sigma: float) -> pycolmap.PosePrior:
+    return pycolmap.PosePrior(
+        pose_prior_id=view + 1,
+        corr_data_id=model.image(view + 1).data_id,
+        position=C,
+        position_covariance=sigma**2 * np.eye(3),
+        coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+    )
 
 
 def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:

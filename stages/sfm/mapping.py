@@ -108,10 +108,17 @@ def grow(
     return _with_own_lenses(refine(model, rounds=4, loss_px=COARSE_PX))
 
 
-def refine(model: Model, known: Collection[int] = (), rounds: int = 2, loss_px: float | None = None) -> Model:
+def refine(
+    model: Model,
+    known: Collection[int] = (),
+    rounds: int = 2,
+    loss_px: float | None = None,
+    positions: Mapping[int, tuple[Float64s, float]] | None = None,
+) -> Model:
     """The model after so many rounds of triangulation, adjustment and sorting out; cameras in `known` stay.
 
-    loss_px: scale of the robust loss; None: from the noise of the residuals.
+    loss_px: scale of the robust loss; None: from the noise of the residuals; positions: of three views or more, with standard
+    deviations, in the world where the model already stands.
     """
     free = {view: lens for view, lens in model.lenses.items() if view in model.cameras}
     if len(model.cameras) < FOCALS_FROM and not known:
@@ -121,8 +128,11 @@ def refine(model: Model, known: Collection[int] = (), rounds: int = 2, loss_px: 
         if not model.use.any():
             return model
         held = [view for view in known if view in model.cameras]
-        loss = max(FINE * _noise(model.error_px()[model.use]), 1e-3) if loss_px is None else loss_px
-        cameras, X = adjust(model.cameras, model.tracks, model.X, model.use, held=held, focals=free, loss_px=loss)
+        noise = max(_noise(model.error_px()[model.use]), 4e-4)
+        loss = FINE * noise if loss_px is None else loss_px
+        weighed = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
+        args = model.cameras, model.tracks, model.X, model.use
+        cameras, X = adjust(*args, held=held, focals=free, positions=weighed, loss_px=loss)
         model = _filtered(replace(model, cameras=cameras, X=X))
     return model
 

@@ -13,6 +13,11 @@ from ..types import Camera, Float64s, Placement, Survey
 from .mapping import Model, refine, replace_cameras
 from .problem import Problem
 
+EXACT_SHARE = 1e-4
+"""An exact position without a rotation counts as known to this share of the scene's distance..."""
+LOOSE_SHARE = 0.005
+"""...and where all are known no better than this, the images know the shape better: they give frame and scale only."""
+
 
 @dataclass(frozen=True)
 class World:
@@ -58,6 +63,12 @@ def to_world(problem: Problem, model: Model, placements: Mapping[str, Placement]
     if len(held) >= 2:
         stated = {view: _at(model.cameras[view], placed[view]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
+    else:
+        measured = {number[name]: placements[name] for name in alignment.trusted if name in number}
+        distance = depth * alignment.similarity.scale
+        positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in measured.items() if p.C is not None}
+        if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
+            model = refine(model, positions=positions)
     suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items()}
     source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
     return World(model, True, metric or scale is not None, source, suspects, scale_notes)

@@ -123,6 +123,28 @@ def test_positions_with_a_standard_deviation_place_the_model_but_do_not_bend_it(
     assert max(np.linalg.norm(camera.C - site.cameras[name].C) for name, camera in poses.cameras.items()) < 0.2
 
 
+@pytest.mark.parametrize("sigma", [0.0, 0.001])
+def test_positions_that_are_known_better_than_the_images_tell_pull_the_cameras_there(sigma: float) -> None:
+    site = make_pair_site(5, noise_px=0.8)
+    rng = np.random.default_rng(0)
+    measured = {name: Placement(None, c.C + sigma * rng.normal(size=3), sigma) for name, c in site.cameras.items()}
+    poses = solve(site, measured)
+    off = [np.linalg.norm(poses.cameras[name].C - camera.C) for name, camera in site.cameras.items()]
+    assert np.mean(off) < 0.7 * _mean_error_of_similarity(solve(site), site)
+    assert np.mean(off) < max(2 * sigma, 0.001)
+
+
+def _mean_error_of_similarity(poses: Poses, site: PairSite) -> float:
+    """Mean error of the centres, metres, after the similarity that fits them best."""
+    a = np.array([poses.cameras[name].C for name in site.cameras])
+    b = np.array([camera.C for camera in site.cameras.values()])
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, S, Vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1, 1, np.linalg.det(U @ Vt)])
+    fitted = (S @ signs) / (a * a).sum() * a @ (U * signs @ Vt).T
+    return float(np.linalg.norm(fitted - b, axis=1).mean())
+
+
 def test_a_known_distance_gives_the_scale() -> None:
     site = make_pair_site(5)
     metres = float(np.linalg.norm(site.cameras["c0"].C - site.cameras["c4"].C))
