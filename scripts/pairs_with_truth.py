@@ -214,7 +214,7 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
     from wbflow_stages.synthetic.cameras import choose_mounts, look_at
     from wbflow_stages.synthetic.layout import static_yard, yard_light
-    from wbflow_stages.synthetic.renderer import Stage
+    from wbflow_stages.synthetic.renderer import Stage, build_atlas
     from wbflow_stages.synthetic.sensor import develop, sensor_of
     from wbflow_stages.synthetic.yard import render_view, true_depth
 
@@ -223,7 +223,10 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     K = np.array([[1.1 * width, 0, (width - 1) / 2], [0, 1.1 * width, (height - 1) / 2], [0, 0, 1]])
     file = cache / f"walls-{width}.npz"
     arrays = dict(np.load(file)) if file.exists() else {}
-    stage = None if arrays else Stage(static_yard(np.random.default_rng([0, 1]), 0.0098, choose_mounts(8)), yard_light("day"))
+    stage = None
+    if not arrays:
+        scene = static_yard(np.random.default_rng([0, 1]), 0.0098, choose_mounts(8))
+        stage = Stage(scene, yard_light("day"), build_atlas(scene.textures))
     views = {}
     for section, places, target in WALLS:
         for k, place in enumerate(places):
