@@ -21,6 +21,7 @@ import numpy as np
 from ..types import Bools, Features, Float32s, Float64s, Int32s
 
 _TINY = 1e-10
+_DEPENDENT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,8 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance:
     X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
     """
     d = X.shape[1]
-    Qx, Rx = np.linalg.qr(X)
-    Qy, Ry = np.linalg.qr(Y)
+    Qx, Rx = _orthonormal(X)
+    Qy, Ry = _orthonormal(Y)
     A, iterations = np.eye(2), 0
     while True:
         iterations += 1
@@ -64,6 +65,26 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance:
         if iterations >= max_iterations or np.abs(update - A).max() < tolerance * np.abs(update).max():
             return Procrustes(Qx @ U, Qy @ Vt.T, A, iterations)
         A = update
+
+
+def _orthonormal(X: Float64s) -> tuple[Float64s, Float64s]:
+    """X = Q R with orthonormal columns Q, by Cholesky's factor of X^T X, twice: as exact as Householder's reflections at a
+    quarter of their time, as long as no column nearly depends on the others (Yamamoto et al., ETNA 2015)."""
+    Q, R = X, np.eye(X.shape[1])
+    for _ in range(2):
+        try:
+            step = np.linalg.cholesky(Q.T @ Q).T
+        except np.linalg.LinAlgError:
+            return _by_reflections(X)
+        if np.diag(step).min() < _DEPENDENT * np.diag(step).max():
+            return _by_reflections(X)
+        Q, R = Q @ np.linalg.inv(step), step @ R
+    return Q, R
+
+
+def _by_reflections(X: Float64s) -> tuple[Float64s, Float64s]:
+    Q, R = np.linalg.qr(X)
+    return Q, R
 
 
 def literal_dominance(P: Float32s, dominance: float) -> Bools:
