@@ -153,7 +153,7 @@ def rotation_angle_deg(R: Float64s) -> float:
 
 
 @dataclass(frozen=True)
-class PairVerdict:
+class LoopVerdict:
     """good_probability: after the site's check; reason: why the pair is not to be used, None where it is; triangles: loops of
     three cameras that it is in; closed: how many of them close."""
 
@@ -172,7 +172,7 @@ PRIOR_SHIFT = 0.5
 TREE_DEG = 4.0
 
 
-def site_verdict(geometries: Mapping[Pair, Geometry]) -> dict[Pair, PairVerdict]:
+def site_verdict(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopVerdict]:
     """Judge all pairs of a site together; for each pair whether it may enter the poses.
 
     Mean-field beliefs over the triangles of cameras, then a maximum spanning tree of the believed pairs: what disagrees with the
@@ -196,7 +196,7 @@ def site_verdict(geometries: Mapping[Pair, Geometry]) -> dict[Pair, PairVerdict]
     verdicts = {}
     for k, pair in enumerate(pairs):
         p = probability(float(belief[k]))
-        verdicts[pair] = PairVerdict(p if reasons[pair] is None else min(p, 0.5), reasons[pair], int(count[k]), int(closing[k]))
+        verdicts[pair] = LoopVerdict(p if reasons[pair] is None else min(p, 0.5), reasons[pair], int(count[k]), int(closing[k]))
     return verdicts
 
 
