@@ -50,18 +50,16 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance:
 
     X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
     """
-    d = X.shape[1]
     Qx, Rx = _orthonormal(X)
     Qy, Ry = _orthonormal(Y)
     A, iterations = np.eye(2), 0
     while True:
         iterations += 1
-        T = np.eye(d)
-        T[:2, :2] = A
-        U, D, Vt = np.linalg.svd(Rx @ T.T @ Ry.T)
+        mapped = np.column_stack([Rx[:, :2] @ A.T, Rx[:, 2:]])  # Rx T^T
+        U, D, Vt = np.linalg.svd(mapped @ Ry.T)
         rank = int((_TINY * D[0] < D).sum())  # beyond it U and V are arbitrary
         U, Vt = U[:, :rank], Vt[:rank]
-        update = (Ry.T @ Vt.T @ U.T @ Rx)[:2, :2]
+        update = (Vt @ Ry[:, :2]).T @ (U.T @ Rx[:, :2])  # the corner of Y^T P^T X
         if iterations >= max_iterations or np.abs(update - A).max() < tolerance * np.abs(update).max():
             return Procrustes(Qx @ U, Qy @ Vt.T, A, iterations)
         A = update
