@@ -30,8 +30,8 @@ alike (edges are mostly level or plumb, so the seam lies between), and no place 
 def detect(
     frame: Frame,
     *,
-    keypoints: int = 4000,
-    tilted_keypoints: int = 2000,
+    keypoints: int = 6000,
+    tilted_keypoints: int = 3000,
     contrast_threshold: float = 0.01,
     grid_columns: int = 6,
     crowding: float = 2.0,

@@ -23,7 +23,7 @@ def match(
     *,
     matcher: Matcher = "structural",
     dominance: float = 0.8,
-    neighbours: int = 5,
+    neighbours: int = 7,
     rounds: int = 4,
     tilt: Tilt = "auto",
     weak_matches: int = 300,
