@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -49,6 +50,18 @@ class TrueView:
             raise SystemExit(f"{self.scene} {self.name}: {found.reason}")
         return found
 
+    @cached_property
+    def plain_sift(self) -> Features:
+        """All that OpenCV's SIFT finds at its defaults, with its own descriptors: what a user has without this project."""
+        grey = cv2.cvtColor(self.frame.image, cv2.COLOR_RGB2GRAY)
+        found, descriptors = cv2.SIFT.create().detectAndCompute(grey, None)
+        c, s = np.cos(np.radians([k.angle for k in found])), np.sin(np.radians([k.angle for k in found]))
+        frames = np.array([k.size for k in found])[:, None, None] * np.array([[c, -s], [s, c]]).transpose(2, 0, 1)
+        descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+        responses = np.array([k.response for k in found], np.float32)
+        xy, tilts = np.array([k.pt for k in found], np.float64), np.zeros(len(found), np.uint8)
+        return Features(xy, frames, descriptors, responses, tilts, self.frame.view, keypoints=len(found))
+
     def without_lens(self) -> Features:
         """The features of a camera whose intrinsics nobody knows."""
         return replace(self.features, view=View(self.camera.width, self.camera.height))
@@ -62,6 +75,14 @@ class TrueView:
         z = np.zeros(len(x))
         z[inside] = self.depth[at[inside, 1], at[inside, 0]]
         return np.where(z > 0, z, np.nan)
+
+
+def on_one_thread() -> None:
+    """Start this program again with one thread a library: those that wait for work spin, and count as CPU seconds."""
+    cv2.setNumThreads(1)
+    if "OPENBLAS_NUM_THREADS" not in os.environ:
+        os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.argv])
 
 
 def photographed(scene: str, width: int, names: list[str] | None = None) -> dict[str, TrueView]:
