@@ -241,7 +241,7 @@ def _sweep(
 ) -> None:  # fmt: skip
     """One pass over the image, from the upper left or from the lower right.
 
-    Each pixel tries four neighbours' planes, what the other view proposes, then three random changes."""
+    Each pixel tries four neighbours' planes, what the other view proposes, then two random changes."""
     height, width = left.shape
     taps = ((2 * _RADIUS) // _STRIDE + 1) ** 2
     weights = np.empty(taps, dtype=np.float32)
@@ -315,13 +315,13 @@ def _sweep(
             state = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)
             state ^= np.uint64(sweep + 1) * np.uint64(0x165667B19E3779F9)
             state, _ = _random(state | np.uint64(1))
-            for _q in range(3):
+            for _q in range(2):
                 state, r1 = _random(state)
                 state, r2 = _random(state)
                 state, r3 = _random(state)
                 nd, na, nb = d + r1 * shift, a + r2 * turn, b + r3 * turn
-                shift *= np.float32(0.3)
-                turn *= np.float32(0.4)
+                shift *= np.float32(0.2)
+                turn *= np.float32(0.3)
                 if nd < low or nd > high or na > 0.9 or na < -6.0 or abs(nb) > 6.0:
                     continue
                 nc = _cost(right, x, y, nd, na, nb, weights, pattern, spread)
@@ -333,7 +333,7 @@ def _sweep(
 
 @kernel
 def _smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float) -> Float32s:
-    """(h, w) disparity: the planes' own, corrected by a least-squares plane through what neighbours within 3 px say.
+    """(h, w) disparity: the planes' own, corrected by a least-squares plane through what neighbours within 2 px say.
 
     They must nearly agree, and weigh by likeness."""
     height, width = cost.shape
@@ -348,9 +348,9 @@ def _smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float)
             near = 1.5 + 0.7 * (abs(a) + abs(b))  # errors between the rows shift a steep plane the more
             s, sx, sy, sxx, syy, sxy = 0.0, 0.0, 0.0, 2.0, 2.0, 0.0  # 2: slopes stay the plane's own where little speaks
             v, vx, vy = 0.0, 0.0, 0.0
-            for row in range(max(y - 3, 0), min(y + 4, height)):
+            for row in range(max(y - 2, 0), min(y + 3, height)):
                 dy = row - y
-                for column in range(max(x - 3, 0), min(x + 4, width)):
+                for column in range(max(x - 2, 0), min(x + 3, width)):
                     dx = column - x
                     e = planes[row, column, 0] - (d + a * dx + b * dy)
                     if cost[row, column] >= dearest or abs(e) > near:
