@@ -117,7 +117,6 @@ def estimate_geometry(
         distinct_cells=evidence.distinct_cells,
         distinct_share=evidence.distinct_share,
         agreement=evidence.agreement,
-        half_px=evidence.half_px,
         half_rotation_deg=evidence.half_rotation_deg,
         stretch=evidence.stretch,
         warnings=_warnings(support, contradicted, few_inliers, small_area, min_inliers),

@@ -189,9 +189,9 @@ class Geometry:
     nan without relative pose; homography_share: share of the inliers that one homography explains too;
     score (log odds) and good_probability: is the pair to be believed (see `verdict`), from distinct_cells: cells of a 12x8 grid
     with distinctive matches, distinct_share: share of the inliers without a look-alike in their own image, agreement: share of
-    the clear matches found without geometry that F explains, half_px: median epipolar distance of each half of the inliers to
-    the F of the other half, half_rotation_deg: angle between the rotations that they tell (nan without K), stretch: median log
-    ratio of the axes of the local affine maps; warnings: named degenerate cases that did not reject the pair.
+    the clear matches found without geometry that F explains, half_rotation_deg: angle between the rotations that the two halves
+    of the inliers tell (nan without K), stretch: median log ratio of the axes of the local affine maps;
+    warnings: named degenerate cases that did not reject the pair.
     """
 
     F: Float64s
@@ -215,7 +215,6 @@ class Geometry:
     distinct_cells: int = 0
     distinct_share: float = 0.0
     agreement: float = 0.0
-    half_px: float = float("nan")
     half_rotation_deg: float = float("nan")
     stretch: float = 0.0
     warnings: tuple[str, ...] = ()
