@@ -1,4 +1,8 @@
-"""How far the demo's newest cloud is from the rendered truth.    measure_demo.py DEMO_FOLDER [--json FILE]"""
+"""How far the demo's newest cloud is from the rendered truth.    measure_demo.py DEMO_FOLDER [--json FILE]
+
+The demo's captures carry a burned-in clock, which masks leave out, and people and vehicles, which stand elsewhere in each capture;
+the truth is the empty yard: what is left of either counts against the cloud.
+"""
 
 from __future__ import annotations
 

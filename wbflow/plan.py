@@ -320,7 +320,7 @@ class Plan:
         if part and part not in state.receipt.parts:
             if need.optional:
                 return Absent()
-            raise _Impossible(f"{upstream} has no {part}")
+            raise _Impossible(f"{upstream} has nothing for {part.partition('[')[2].removesuffix(']') or part}")
         return Stored(upstream, part).resolved(self.cache, state.receipt)
 
     def _join(self, origin: Stage, need: Need, task: Task) -> Input:
