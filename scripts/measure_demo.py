@@ -1,6 +1,6 @@
 """How far the demo's newest cloud is from the rendered truth.    measure_demo.py DEMO_FOLDER [--json FILE]
 
-The demo's captures carry a burned-in clock, which masks leave out, and people and vehicles, which stand elsewhere in each capture;
+The demo's captures carry a burned-in clock, which masks leave out, and people and vehicles that stand elsewhere each time;
 the truth is the empty yard: what is left of either counts against the cloud.
 """
 
