@@ -34,7 +34,7 @@ _VOTERS, _VOTER_STRIDE = 6, 3
 _CONFIRMED_PX = 2.0
 """Both views tell the same of a pixel if they differ by no more."""
 
-_DOUBTFUL = 2.75
+_DOUBTFUL = 2.6
 """How much the surroundings of a pixel may disagree with its plane, see `_doubt`."""
 
 _DIRECT_PX = 1.0e6

@@ -24,6 +24,9 @@ _WIDER = 1.0
 _LEAST_SHARE = 0.002
 """Disparities count as found from this share of the agreeing pixels on."""
 
+_PAYS = 0.02
+"""Share of the agreeing pixels that a search farther by the matches' range must find: small pieces of look-alikes agree, too."""
+
 _ENOUGH = 0.1
 """Share of the common area that must agree for the quick look to be believed."""
 
@@ -40,10 +43,20 @@ def prepared(pair: RectifiedPair) -> RectifiedPair:
     common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
     if agreed.sum() < max(_ENOUGH * common.sum(), 50):
         return _flattened(pair)
-    near, far = np.percentile(found.left[agreed], [100 * _LEAST_SHARE, 100 * (1 - _LEAST_SHARE)])
+    near = _reach(found.left[agreed], small.disparity_min, small.disparity_max)
+    far = -_reach(-found.left[agreed], -small.disparity_max, -small.disparity_min)
     margin = 2 * _SHRINK + 0.05 * (pair.disparity_max - pair.disparity_min)
     low, high = int(np.floor(_SHRINK * near - margin)), int(np.ceil(_SHRINK * far + margin))
     return replace(_exposed_alike(pair, small, found.left, agreed), disparity_min=low, disparity_max=high)
+
+
+def _reach(disparity: Float32s, lowest: int, highest: int) -> float:
+    """The least of the disparities (n,) that enough others lie below, of a search from `lowest` to `highest`."""
+    ordered = np.sort(disparity)
+    matches = (highest - lowest) / (1 + 2 * _WIDER)
+    beyond = (lowest + _WIDER * matches - ordered) / matches  # the range of the matches
+    share = np.arange(1, len(ordered) + 1) / len(ordered)
+    return float(ordered[np.argmax(share >= np.maximum(_LEAST_SHARE, _PAYS * beyond))])
 
 
 def _shrunk(pair: RectifiedPair) -> RectifiedPair:
