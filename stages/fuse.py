@@ -22,7 +22,7 @@ from .fusion.glance import glance, natural_voxel, nearest_views
 from .fusion.voxels import Samples, VoxelGrid
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Rejected
 
-_IN_MEMORY = 12
+_IN_MEMORY = 8
 """Depth maps kept at hand: the next view is mostly compared with the same ones."""
 
 
