@@ -14,7 +14,7 @@ import numpy as np
 
 from .epipolar import camera_of, relative_pose, rotation_between_deg
 from .known_poses import PAIR_PX, check_cameras, contradicted, epipolar_error_px, evidence_on
-from .types import Camera, Frame, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
+from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
 
 
 def solve_poses(
@@ -22,7 +22,6 @@ def solve_poses(
     placements: Mapping[str, Placement],
     geometries: Mapping[Pair, Geometry],
     survey: Survey | None = None,
-    frames: Mapping[str, Frame] | None = None,
     *,
     max_rotation_error_deg: float = 4.0,
     max_epipolar_px: float = 2.0,
@@ -39,8 +38,6 @@ def solve_poses(
         Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
     survey
         Known distances and control points.
-    frames
-        Pixels of all cameras, to sharpen what solved poses rest on; without them the keypoints stay where they were found.
     max_rotation_error_deg
         A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
     max_epipolar_px
@@ -71,8 +68,7 @@ def solve_poses(
 
     believed = {name: placement for name, placement in placements.items() if name not in wrong}
     trusted = {name: camera for name, camera in stated.items() if name not in wrong}
-    args = views, believed, geometries, survey, trusted
-    found = solve_from_pairs(*args, frames or {}, max_rotation_error_deg, max_epipolar_px)
+    found = solve_from_pairs(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected) and len(trusted) >= 2:
         found = _as_stated(views, believed, trusted, survey)
     if isinstance(found, Rejected):

@@ -89,7 +89,6 @@ def solve_poses(
     placements: Mapping[str, Placement],
     geometries: Mapping[Pair, Geometry],
     survey: Survey,
-    frames: Mapping[str, Frame],
     *,
     worlds: int = 1,
 ) -> Poses | Rejected:

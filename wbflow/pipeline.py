@@ -102,7 +102,6 @@ STAGES: tuple[Stage, ...] = (
             "placements": Need("site:placement", "all"),
             "geometries": Need("geometry", "all"),
             "survey": Need("site:survey"),
-            "frames": Need("frames", "all", unless_posed=True),
         },
         optional=True,
     ),

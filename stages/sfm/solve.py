@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
-from ..types import Camera, Frame, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
-from .mapping import Model, refine
+from ..types import Camera, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
+from .mapping import refine
 from .problem import Problem
 from .rotations import angle_between
-from .sharpen import sharpened, smooth_grey
 from .tracks import Edge, without_distortion
 from .world import World, to_world
 
@@ -27,7 +26,6 @@ def solve_from_pairs(
     geometries: Mapping[Pair, Geometry],
     survey: Survey,
     stated: Mapping[str, Camera],
-    frames: Mapping[str, Frame],
     max_rotation_error_deg: float,
     max_epipolar_px: float,
 ) -> Poses | Rejected:
@@ -38,15 +36,8 @@ def solve_from_pairs(
     if not models:
         figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
         return Rejected("no two cameras could be placed: " + problem.why_nothing(trusted), figures)
-    worlds = [to_world(problem, _final(problem, model, frames), placements, survey) for model in models]
+    worlds = [to_world(problem, refine(model, rounds=3), placements, survey) for model in models]
     return _collect(problem, worlds, stated, dropped, max_epipolar_px, survey)
-
-
-def _final(problem: Problem, model: Model, frames: Mapping[str, Frame]) -> Model:
-    """The model as sharp as the pixels allow."""
-    if all(problem.names[view] in frames for view in model.cameras):
-        model = sharpened(model, {view: smooth_grey(frames[problem.names[view]]) for view in model.cameras})
-    return refine(model, rounds=3)
 
 
 def _collect(
