@@ -19,13 +19,13 @@ from .triangulation import angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0
 """An observation farther from its point than this is wrong, whatever the noise; also the threshold of resection."""
-NOISES = 5.0
-"""In the end, an observation farther from its point than this many standard deviations is wrong."""
+NOISES = 20.0
+"""In the end, an observation farther from its point than this many standard deviations of the noise is wrong.  So many, because
+the noise is that of the many small keypoints: those of large ones scatter more, and they are what ties wide views together."""
 COARSE_PX = 1.0
 """Scale of the robust loss while views are still being added..."""
-FINE = 2.4
-"""...and in the end, in standard deviations of the noise: the Cauchy loss then wastes a twentieth of what least squares would get
-from Gaussian noise, and is hardly drawn by the many errors that are a little larger."""
+FINE = 10.0
+"""...and in the end, in standard deviations of the noise."""
 MIN_ANGLE = np.radians(1.0)
 """Rays that meet at less than this don't make a point."""
 MIN_POINTS = 12

@@ -130,7 +130,7 @@ def test_positions_that_are_known_better_than_the_images_tell_pull_the_cameras_t
     measured = {name: Placement(None, c.C + sigma * rng.normal(size=3), sigma) for name, c in site.cameras.items()}
     poses = solve(site, measured)
     off = [np.linalg.norm(poses.cameras[name].C - camera.C) for name, camera in site.cameras.items()]
-    assert np.mean(off) < 0.7 * _mean_error_of_similarity(solve(site), site)
+    assert np.mean(off) < 0.8 * _mean_error_of_similarity(solve(site), site)
     assert np.mean(off) < max(2 * sigma, 0.001)
 
 
