@@ -19,7 +19,7 @@ from .epipolar import apply_homography, essential_to_fundamental, homogeneous, s
 from .types import Bools, Float64s, View
 
 CONFIDENCE = 0.9999
-MIN_ITERATIONS, MAX_ITERATIONS = 300, 20000
+MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
 INLIER_FACTOR = 1.5
 """An inlier of the refined model lies within this times the threshold, in Sampson distance."""
 

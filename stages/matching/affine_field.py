@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..kernels import kernel
-from ..types import Float64s, Int64s
+from ..types import Float64s, Int32s, Int64s
+from .nearest_points import nearest_points
 
 _WIDTH_RANK = 8
 """The distance of this neighbour (0 is the nearest) is the width of the weights."""
@@ -37,8 +37,7 @@ def fit_affine_field(
 
     neighbours: matches that a query asks; ridge: pull toward the mean of the frame affines, no unit.
     """
-    distance, index = cKDTree(x1).query(queries, min(neighbours, len(x1) - 1) + 1)
-    distance, index = np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
+    distance, index = nearest_points(x1, queries, min(neighbours, len(x1) - 1) + 1)
     m = len(queries)
     field = AffineField(np.empty((m, 2)), np.empty((m, 2, 2)), np.empty(m), np.empty(m))
     _fit(
@@ -52,7 +51,7 @@ def fit_affine_field(
 def _fit(
     queries: Float64s,
     distance: Float64s,
-    index: Int64s,
+    index: Int32s,
     x1: Float64s,
     x2: Float64s,
     affine: Float64s,
@@ -65,7 +64,7 @@ def _fit(
 ) -> None:
     k = distance.shape[1]
     w0, w, e, u, v, s, t = np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k)
-    order = np.empty(k, np.int64)
+    order = np.arange(k)
     for q in range(len(queries)):
         width = distance[q, min(k - 1, _WIDTH_RANK)] + 1.0
         scale = width + 5.0
@@ -118,7 +117,8 @@ def _fit(
             a11 = (c01 * but + c11 * bvt + c12 * bt) / det
             ct = (c02 * but + c12 * bvt + c22 * bt) / det
             for a in range(k):
-                e[a] = np.hypot(a00 * u[a] + a01 * v[a] + cs + ms - s[a], a10 * u[a] + a11 * v[a] + ct + mt - t[a])
+                es, et = a00 * u[a] + a01 * v[a] + cs + ms - s[a], a10 * u[a] + a11 * v[a] + ct + mt - t[a]
+                e[a] = np.sqrt(es * es + et * et)
             spread = max(_weighted_median(e, w0, order), 1.0)
             for a in range(k):
                 w[a] = w0[a] / (1 + (e[a] / (2 * spread)) ** 2) ** 2
@@ -138,11 +138,11 @@ def _weighted_median(values: Float64s, weights: Float64s, order: Int64s) -> floa
     total = 0.0
     for a in range(k):
         total += weights[a]
-        at = a
-        while at > 0 and values[order[at - 1]] > values[a]:
+        mine, at = order[a], a
+        while at > 0 and values[order[at - 1]] > values[mine]:
             order[at] = order[at - 1]
             at -= 1
-        order[at] = a
+        order[at] = mine
     below = 0.0
     for a in range(k):
         below += weights[order[a]]

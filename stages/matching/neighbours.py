@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..kernels import kernel
-from ..types import Float32s, Float64s, Int32s
+from ..types import Float32s, Float64s, Int32s, Uint8s
 
-_BLOCK = 512
+_BLOCK, _SPAN = 512, 32
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     k = max(min(k, n1, n2), 0)
     rows, row_best = np.full((n1, k), -1, np.int32), np.full((n1, k), -2, np.float32)
     columns, column_best = np.full((n2, k), -1, np.int32), np.full((n2, k), -2, np.float32)
-    other = np.ascontiguousarray(descriptors2.T)
+    other, enough = np.ascontiguousarray(descriptors2.T), np.full(n2, -2, np.float32)
     for start in range(0, n1 if k else 0, _BLOCK):
-        _keep_best(descriptors1[start : start + _BLOCK] @ other, start, rows, row_best, columns, column_best)
+        _keep_best(descriptors1[start : start + _BLOCK] @ other, start, rows, row_best, columns, column_best, enough)
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
@@ -53,30 +53,49 @@ def _distance(similarity: Float32s) -> Float32s:
 
 @kernel
 def _keep_best(
-    similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s
+    similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s, enough: Float32s
 ) -> None:
-    """Merge a block of similarities into the best k of its rows and of all columns; of equals, the first index stays."""
-    k = rows.shape[1]
+    """Merge a block of similarities into the best k of its rows and of all columns; of equals, the first index stays.
+
+    enough: (n2,) the last of each column's best.  Few similarities enter a list: spans twice as long each time are compared at
+    once with what was enough before them, and only what exceeds that is looked at.
+    """
+    k, n = rows.shape[1], similarity.shape[1]
+    marks = np.zeros((n + 7) // 8, np.uint64)
     for i in range(similarity.shape[0]):
-        row = start + i
-        for j in range(similarity.shape[1]):
-            s = similarity[i, j]
-            if s > row_best[row, k - 1]:
-                at = k - 1
-                while at > 0 and s > row_best[row, at - 1]:
-                    row_best[row, at] = row_best[row, at - 1]
-                    rows[row, at] = rows[row, at - 1]
-                    at -= 1
-                row_best[row, at] = s
-                rows[row, at] = j
-            if s > column_best[j, k - 1]:
-                at = k - 1
-                while at > 0 and s > column_best[j, at - 1]:
-                    column_best[j, at] = column_best[j, at - 1]
-                    columns[j, at] = columns[j, at - 1]
-                    at -= 1
-                column_best[j, at] = s
-                columns[j, at] = row
+        row, first, last = start + i, 0, min(_SPAN, n)
+        while first < n:
+            _mark(similarity[i, first:last], row_best[row, k - 1], enough[first:last], marks.view(np.uint8))
+            for eight in range((last - first + 7) // 8):
+                if marks[eight] == 0:
+                    continue
+                for j in range(first + 8 * eight, min(first + 8 * eight + 8, last)):
+                    s = similarity[i, j]
+                    if s > row_best[row, k - 1]:
+                        _insert(row_best[row], rows[row], s, j)
+                    if s > enough[j]:
+                        _insert(column_best[j], columns[j], s, row)
+                        enough[j] = column_best[j, k - 1]
+            first, last = last, min(2 * last, n)
+
+
+@kernel
+def _mark(values: Float32s, least: float, enough: Float32s, marks: Uint8s) -> None:
+    """Mark the values that exceed `least`, or their own entry of `enough`."""
+    for n in range(len(values)):
+        marks[n] = np.uint8(values[n] > least) | np.uint8(values[n] > enough[n])
+
+
+@kernel
+def _insert(best: Float32s, index: Int32s, value: float, at: int) -> None:
+    """Put a value into a list from high to low; the last falls out."""
+    place = len(best) - 1
+    while place > 0 and value > best[place - 1]:
+        best[place] = best[place - 1]
+        index[place] = index[place - 1]
+        place -= 1
+    best[place] = value
+    index[place] = at
 
 
 @kernel

@@ -17,17 +17,17 @@ one field.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from ..epipolar import symmetric_epipolar_distance
 from ..features import PLAIN, TILTED
 from ..kernels import kernel
 from ..types import Features, Float32s, Float64s, Int32s, Int64s
 from .affine_field import AffineField, fit_affine_field
 from .assignment import assign, without_repeats
+from .nearest_points import nearest_points
 from .neighbours import Neighbours, nearest_neighbours
 
 
@@ -66,6 +66,7 @@ VOTERS = 24
 VOTE_PX, VOTE_PER_PX, VOTE_RAD, VOTE_LOG_SCALE = 8.0, 0.3, 0.6, 0.8
 """A seed's neighbour confirms it within 8 px + 0.3 of their distance, 0.6 rad and a log scale of 0.8."""
 MIN_SIGMA_PX, MAX_SIGMA_PX, MAX_RADIUS_PX = 2.0, 15.0, 40.0
+SEARCH_CELL_PX = 12.0
 TRUST_HALF = 1.5
 """Support at which the field is trusted as much as the descriptors alone."""
 MAX_DISTANCE = 1.08
@@ -112,8 +113,27 @@ def guided_matches(
 
 
 @dataclass(frozen=True)
+class Candidates:
+    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d).
+
+    near: the nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates; noise: (n1,) and (n2,), the local
+    noise levels; q: (c,) descriptor distances over the noise.
+    """
+
+    descriptors1: Float32s
+    descriptors2: Float32s
+    neighbours: int
+    near: Neighbours
+    noise1: Float32s
+    noise2: Float32s
+    i: Int32s
+    j: Int32s
+    q: Float64s
+
+
+@dataclass(frozen=True)
 class ViewPair:
-    """One view of the left frame against one of the right: rows of the `Features`, and the candidates i--j by descriptor."""
+    """One view of the left frame against one of the right: rows of the `Features`, places, frames of 1, inverse frames of 2."""
 
     rows1: Int32s
     rows2: Int32s
@@ -121,14 +141,7 @@ class ViewPair:
     x2: Float64s
     frames1: Float64s
     unframes2: Float64s
-    descriptors1: Float32s
-    descriptors2: Float32s
-    near: Neighbours
-    noise1: Float32s
-    noise2: Float32s
-    i: Int32s
-    j: Int32s
-    q: Float64s
+    candidates: Candidates
 
 
 def view_pairs(left: Features, right: Features, tilted: bool, neighbours: int = 7) -> list[ViewPair]:
@@ -143,21 +156,35 @@ def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbou
     rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
     if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
         return None
-    d1, d2 = left.descriptors[rows1], right.descriptors[rows2]
-    near = nearest_neighbours(d1, d2, neighbours + NOISE_RANK)
+    found = _candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours)
+    return ViewPair(rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], _inverses(right.frames[rows2]), found)
+
+
+def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int) -> Candidates:
+    """Candidates of two sets of descriptors: each proposes its `neighbours` nearest.
+
+    The last few searches are remembered: a pair's geometry asks for what its matching has just found.
+    """
+    for known in list(_REMEMBERED):
+        same = np.array_equal(known.descriptors1, descriptors1) and np.array_equal(known.descriptors2, descriptors2)
+        if same and known.neighbours == neighbours:
+            return known
+    near = nearest_neighbours(descriptors1, descriptors2, neighbours + NOISE_RANK)
     noise1, noise2 = near.row_distance[:, -1].copy(), near.column_distance[:, -1].copy()
-    i = np.repeat(np.arange(len(d1), dtype=np.int64), neighbours)
-    j = np.repeat(np.arange(len(d2), dtype=np.int64), neighbours)
-    from_rows = i * len(d2) + near.rows[:, :neighbours].ravel()
-    from_columns = near.columns[:, :neighbours].ravel().astype(np.int64) * len(d2) + j
-    edges = np.unique(np.concatenate([from_rows, from_columns]))
-    ei, ej = (edges // len(d2)).astype(np.int32), (edges % len(d2)).astype(np.int32)
-    q = np.empty(len(ei))
-    _relative_distances(d1, d2, noise1, noise2, ei, ej, q)
-    return ViewPair(
-        rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], _inverses(right.frames[rows2]),
-        d1, d2, near, noise1, noise2, ei, ej, q,
-    )  # fmt: skip
+    n1, n2 = len(descriptors1), len(descriptors2)
+    from_rows = np.arange(n1)[:, None] * n2 + near.rows[:, :neighbours]
+    from_columns = near.columns[:, :neighbours].astype(np.int64) * n2 + np.arange(n2)[:, None]
+    edges = np.unique(np.concatenate([from_rows.ravel(), from_columns.ravel()]))
+    i, j = (edges // n2).astype(np.int32), (edges % n2).astype(np.int32)
+    q = np.empty(len(i))
+    _relative_distances(descriptors1, descriptors2, noise1, noise2, i, j, q)
+    found = Candidates(descriptors1, descriptors2, neighbours, near, noise1, noise2, i, j, q)
+    _REMEMBERED.append(found)
+    return found
+
+
+_REMEMBERED: deque[Candidates] = deque(maxlen=3)
+"""One for each combination of views that a pair can bring in."""
 
 
 def rival_distances(
@@ -169,7 +196,7 @@ def rival_distances(
     for problem in problems:
         mine = np.flatnonzero(np.isin(i1, problem.rows1) & np.isin(i2, problem.rows2))
         at1, at2 = np.searchsorted(problem.rows1, i1[mine]), np.searchsorted(problem.rows2, i2[mine])
-        near = problem.near
+        near = problem.candidates.near
         forward = _first_apart(problem.x2[near.rows[at1]], right.xy[i2[mine]], near.row_distance[at1], apart_px)
         backward = _first_apart(problem.x1[near.columns[at2]], left.xy[i1[mine]], near.column_distance[at2], apart_px)
         rivals[mine] = np.minimum(forward, backward)
@@ -201,7 +228,7 @@ def _seeds(problems: list[ViewPair]) -> Correspondences:
 
 def mutual_neighbours(problem: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
     """i, j of mutual nearest neighbours of a view pair, and first over second distance, the worse of both ways."""
-    near = problem.near
+    near = problem.candidates.near
     i = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows)))
     j = near.rows[i, 0]
     forward = near.row_distance[i, 0] / np.maximum(near.row_distance[i, 1], 1e-9)
@@ -222,8 +249,8 @@ def _votes(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
     """(n,) how many of a seed's nearest seeds predict it, place and frame."""
     votes = np.zeros(len(x1), np.int32)
     if len(x1) >= 4:
-        _, index = cKDTree(x1).query(x1, min(VOTERS, len(x1) - 1) + 1)
-        _count_votes(np.asarray(index, dtype=np.int64), x1, x2, affine, votes)
+        _, index = nearest_points(x1, x1, min(VOTERS, len(x1) - 1) + 1)
+        _count_votes(index, x1, x2, affine, votes)
     return votes
 
 
@@ -264,7 +291,7 @@ def _expect(
     """Candidates whose probability has at least `odds` against all rivals together, as rows of the `Features`."""
     sigma = np.maximum(field.sigma_px, MIN_SIGMA_PX)
     trust = field.support / (field.support + TRUST_HALF)
-    i, j, q = problem.i, problem.j, problem.q
+    i, j, q = problem.candidates.i, problem.candidates.j, problem.candidates.q
     if search:
         more_i, more_j, more_q = _near_predictions(problem, field, sigma, trust)
         i, j, q = np.concatenate([i, more_i]), np.concatenate([j, more_j]), np.concatenate([q, more_q])
@@ -272,15 +299,15 @@ def _expect(
     e = EVIDENCE
     coefficients = np.array([
         e.alone, e.alone_slope, e.final if last else e.growing, e.slope,
-        e.distance_weight, e.sigma_weight, e.scale_weight, e.angle_weight,
+        e.distance_weight, e.sigma_weight, e.scale_weight, e.angle_weight, e.epipolar, e.epipolar_weight,
     ])  # fmt: skip
+    forward = field.affine @ problem.frames1
     _score(
-        i, j, q, problem.x2, problem.frames1, problem.unframes2, field.prediction, field.affine, sigma, trust,
-        coefficients, log_odds,
+        i, j, q, problem.x2, forward, _log_scale(forward), problem.unframes2, _log_scale(problem.unframes2),
+        field.prediction, sigma, trust, coefficients, log_odds,
     )  # fmt: skip
     if F is not None:
-        distance = symmetric_epipolar_distance(F, problem.x1[i], problem.x2[j])
-        log_odds += e.epipolar - e.epipolar_weight * np.log1p(distance**2)
+        _score_epipolar(i, j, problem.x1, problem.x2, np.ascontiguousarray(F), coefficients, log_odds)
     p = assign(i, j, log_odds, len(problem.x1), len(problem.x2))
     keep = p > odds * (1 - p)
     return problem.rows1[i[keep]], problem.rows2[j[keep]], p[keep]
@@ -290,26 +317,19 @@ def _near_predictions(problem: ViewPair, field: AffineField, sigma: Float64s, tr
     """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted."""
     asking = np.flatnonzero((trust > 0.5) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
-    cell = MAX_RADIUS_PX
+    cell = SEARCH_CELL_PX
     origin = problem.x2.min(axis=0)
     cells = np.floor((problem.x2 - origin) / cell).astype(np.int64)
     columns, rows = cells.max(axis=0) + 1
     key = cells[:, 1] * columns + cells[:, 0]
     order = np.argsort(key, kind="stable").astype(np.int32)
     starts = np.searchsorted(key[order], np.arange(columns * rows + 1)).astype(np.int32)
-    first = np.searchsorted(problem.i, np.arange(len(problem.x1) + 1)).astype(np.int32)
-    size = _search(
-        asking, radius, field.prediction, problem.x2, origin, cell, columns, rows, order, starts, first, problem.j,
-        problem.descriptors1, problem.descriptors2, problem.noise1, problem.noise2,
-        np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0),
+    c = problem.candidates
+    first = np.searchsorted(c.i, np.arange(len(problem.x1) + 1)).astype(np.int32)
+    return _search(
+        asking, radius, field.prediction, problem.x2, origin, cell, columns, rows, order, starts, first, c.j,
+        c.descriptors1, c.descriptors2, c.noise1, c.noise2,
     )  # fmt: skip
-    i, j, q = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size)
-    size = _search(
-        asking, radius, field.prediction, problem.x2, origin, cell, columns, rows, order, starts, first, problem.j,
-        problem.descriptors1, problem.descriptors2, problem.noise1, problem.noise2,
-        i, j, q,
-    )  # fmt: skip
-    return i[:size], j[:size], q[:size]
 
 
 def _inverses(m: Float64s) -> Float64s:
@@ -330,14 +350,32 @@ def _relative_distances(
 @kernel
 def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: int, j: int) -> float:
     """Descriptor distance over the mean noise level of the two keypoints."""
-    dot = np.float32(0.0)
-    for k in range(d1.shape[1]):
-        dot += d1[i, k] * d2[j, k]
+    dot = _dot(d1[i], d2[j])
     return float(np.sqrt(max(2 - 2 * float(dot), 0.0)) / (0.5 * (noise1[i] + noise2[j]) + 1e-9))
 
 
 @kernel
-def _count_votes(index: Int64s, x1: Float64s, x2: Float64s, affine: Float64s, votes: Int32s) -> None:
+def _dot(a: Float32s, b: Float32s) -> float:
+    """In eight sums that don't wait for each other."""
+    s0, s1, s2, s3 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+    s4, s5, s6, s7 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+    whole = len(a) // 8 * 8
+    for k in range(0, whole, 8):
+        s0 += a[k] * b[k]
+        s1 += a[k + 1] * b[k + 1]
+        s2 += a[k + 2] * b[k + 2]
+        s3 += a[k + 3] * b[k + 3]
+        s4 += a[k + 4] * b[k + 4]
+        s5 += a[k + 5] * b[k + 5]
+        s6 += a[k + 6] * b[k + 6]
+        s7 += a[k + 7] * b[k + 7]
+    for k in range(whole, len(a)):
+        s0 += a[k] * b[k]
+    return float(((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7)))
+
+
+@kernel
+def _count_votes(index: Int32s, x1: Float64s, x2: Float64s, affine: Float64s, votes: Int32s) -> None:
     for n in range(len(x1)):
         a = affine[n]
         det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
@@ -368,31 +406,54 @@ def _score(
     j: Int32s,
     q: Float64s,
     x2: Float64s,
-    frames1: Float64s,
+    forward: Float64s,
+    log_scale1: Float64s,
     unframes2: Float64s,
+    log_scale2: Float64s,
     prediction: Float64s,
-    affine: Float64s,
     sigma: Float64s,
     trust: Float64s,
     coefficients: Float64s,
     log_odds: Float64s,
 ) -> None:
-    """Log odds of the candidates i--j by `Evidence`, without the epipolar term; coefficients in the order of its fields."""
-    alone, alone_slope, base, slope, by_distance, by_sigma, by_scale, by_angle = coefficients
+    """Log odds of the candidates i--j by `Evidence`, without the epipolar term; coefficients in the order of its fields.
+
+    forward: keypoint frames of image 1 as the field maps them into image 2; log_scale: of these and of the inverse frames of 2.
+    """
+    alone, alone_slope, base, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:8]
     for c in range(len(i)):
         a, b = i[c], j[c]
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
         penalty = by_distance * np.log1p(r2 / sigma[a] ** 2) + by_sigma * np.log(sigma[a] / MIN_SIGMA_PX)
-        A, M, N = affine[a], frames1[a], unframes2[b]
-        w00, w01 = A[0, 0] * M[0, 0] + A[0, 1] * M[1, 0], A[0, 0] * M[0, 1] + A[0, 1] * M[1, 1]
-        w10, w11 = A[1, 0] * M[0, 0] + A[1, 1] * M[1, 0], A[1, 0] * M[0, 1] + A[1, 1] * M[1, 1]
-        q00, q01 = N[0, 0] * w00 + N[0, 1] * w10, N[0, 0] * w01 + N[0, 1] * w11
-        q10, q11 = N[1, 0] * w00 + N[1, 1] * w10, N[1, 0] * w01 + N[1, 1] * w11
-        zoom = 0.5 * np.log(abs(q00 * q11 - q01 * q10) + 1e-9)
+        W, N = forward[a], unframes2[b]
+        q00, q01 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0], N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]
+        q10, q11 = N[1, 0] * W[0, 0] + N[1, 1] * W[1, 0], N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
+        zoom = log_scale1[a] + log_scale2[b]
         turn = np.arctan2(q10 - q01, q00 + q11)
         penalty += by_scale * np.log1p((zoom / 0.25) ** 2) + by_angle * np.log1p((turn / 0.25) ** 2)
         t = trust[a]
         log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
+
+
+def _log_scale(m: Float64s) -> Float64s:
+    """(n,) logarithm of how much (n, 2, 2) maps enlarge; those that flatten count as enormously small."""
+    area = np.abs(m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0])
+    return np.asarray(0.5 * np.log(np.maximum(area, 1e-12)), dtype=np.float64)
+
+
+@kernel
+def _score_epipolar(
+    i: Int32s, j: Int32s, x1: Float64s, x2: Float64s, F: Float64s, coefficients: Float64s, log_odds: Float64s
+) -> None:
+    """Add what the symmetric distance to the epipolar lines tells."""
+    base, weight = coefficients[8], coefficients[9]
+    for c in range(len(i)):
+        x, y, u, v = x1[i[c], 0], x1[i[c], 1], x2[j[c], 0], x2[j[c], 1]
+        a2, b2, c2 = F[0, 0] * x + F[0, 1] * y + F[0, 2], F[1, 0] * x + F[1, 1] * y + F[1, 2], F[2, 0] * x + F[2, 1] * y + F[2, 2]
+        a1, b1 = F[0, 0] * u + F[1, 0] * v + F[2, 0], F[0, 1] * u + F[1, 1] * v + F[2, 1]
+        algebraic = abs(u * a2 + v * b2 + c2)
+        distance = 0.5 * algebraic * (1 / np.sqrt(a2 * a2 + b2 * b2) + 1 / np.sqrt(a1 * a1 + b1 * b1))
+        log_odds[c] += base - weight * np.log1p(distance * distance)
 
 
 @kernel
@@ -413,28 +474,25 @@ def _search(
     d2: Float32s,
     noise1: Float32s,
     noise2: Float32s,
-    out_i: Int32s,
-    out_j: Int32s,
-    out_q: Float64s,
-) -> int:
+) -> tuple[Int32s, Int32s, Float64s]:
     """Pairs of an asking keypoint and a keypoint of image 2 within its radius that are not candidates yet (first, known: their
-    list by row) and whose relative distance is small.  Without room in `out_*` it only counts, before the descriptors speak."""
+    list by row) and whose relative distance, the third result, is small."""
+    room = 4 * len(asking) + 16
+    out_i, out_j, out_q = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
     count = 0
     for n in range(len(asking)):
         a = asking[n]
         px, py = prediction[a, 0], prediction[a, 1]
         limit = radius[n] ** 2
-        cx, cy = np.floor((px - origin[0]) / cell), np.floor((py - origin[1]) / cell)
-        if not (-2 < cx < columns + 1 and -2 < cy < rows + 1):
+        left, right = (px - radius[n] - origin[0]) / cell, (px + radius[n] - origin[0]) / cell
+        top, bottom = (py - radius[n] - origin[1]) / cell, (py + radius[n] - origin[1]) / cell
+        if not (right >= 0 and left < columns and bottom >= 0 and top < rows):
             continue
-        for row in range(max(int(cy) - 1, 0), min(int(cy) + 2, rows)):
-            for column in range(max(int(cx) - 1, 0), min(int(cx) + 2, columns)):
+        for row in range(int(max(top, 0.0)), int(min(bottom, rows - 1.0)) + 1):
+            for column in range(int(max(left, 0.0)), int(min(right, columns - 1.0)) + 1):
                 for at in range(starts[row * columns + column], starts[row * columns + column + 1]):
                     b = order[at]
                     if (x2[b, 0] - px) ** 2 + (x2[b, 1] - py) ** 2 >= limit:
-                        continue
-                    if len(out_i) == 0:
-                        count += 1
                         continue
                     new = True
                     for k in range(first[a], first[a + 1]):
@@ -443,7 +501,11 @@ def _search(
                     if not new:
                         continue
                     q = _relative_distance(d1, d2, noise1, noise2, a, b)
-                    if q < MAX_DISTANCE:
-                        out_i[count], out_j[count], out_q[count] = a, b, q
-                        count += 1
-    return count
+                    if q >= MAX_DISTANCE:
+                        continue
+                    if count == len(out_i):
+                        out_i, out_j = np.concatenate((out_i, out_i)), np.concatenate((out_j, out_j))
+                        out_q = np.concatenate((out_q, out_q))
+                    out_i[count], out_j[count], out_q[count] = a, b, q
+                    count += 1
+    return out_i[:count], out_j[:count], out_q[:count]

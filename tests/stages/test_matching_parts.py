@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from wbflow_stages.matching.affine_field import fit_affine_field
 from wbflow_stages.matching.assignment import assign, without_repeats
+from wbflow_stages.matching.nearest_points import nearest_points
 from wbflow_stages.matching.neighbours import nearest_neighbours
 from wbflow_stages.matching.procrustes import literal_dominance, nearest_dominance, procrustes
 
@@ -32,6 +33,22 @@ def test_neighbours_are_those_of_brute_force(n1, n2, k, seed):
 def test_of_equal_neighbours_the_first_stays():
     near = nearest_neighbours(np.eye(4, dtype=np.float32)[[0]], np.eye(4, dtype=np.float32)[[1, 0, 0, 2]], 1)
     assert near.rows[0, 0] == 1
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 300), st.integers(1, 40), st.sampled_from([0.0, 1e-4, 1.0, 30.0]), st.integers(0, 1000))
+def test_nearest_points_are_those_of_brute_force_however_they_lie(n, k, width, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.random((n, 2)) * [500.0 * width, 500.0]
+    points[: n // 3] = points[0] + rng.random((n // 3, 2))  # a cluster
+    points[-1] = points[-1] * 10 + 5  # and one far away
+    queries = np.vstack([rng.random((40, 2)) * 1200 - 300, points[: n // 2]])
+    k = min(k, n)
+    distance, index = nearest_points(points, queries, k)
+    brute = np.linalg.norm(queries[:, None] - points[None], axis=2)
+    np.testing.assert_allclose(distance, np.sort(brute, axis=1)[:, :k], atol=1e-9)
+    np.testing.assert_allclose(np.take_along_axis(brute, index.astype(int), 1), distance, atol=1e-9)
+    assert all(len(set(row)) == k for row in index.tolist())
 
 
 def test_thin_procrustes_equals_the_dense_svd_on_the_row_space():
