@@ -41,19 +41,22 @@ def pair_depth(
     side
         1 if `camera` is the pair's left view, 2 if it is its right one.
     """
-    y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
-    pixels = np.column_stack([x, y]).astype(np.float64)
-    rectified = to_rectified(rectification, side, pixels)
-    d = _sample(disparity_px(disparity, side), rectified)
-    known = np.flatnonzero(np.isfinite(d))
-    shift = -d[known] if side == 1 else d[known]
-    shifted = rectified[known] + np.column_stack([shift, np.zeros(len(shift))])
-    partner = from_rectified(rectification, 2 if side == 1 else 1, shifted)
-    depth = np.full(camera.height * camera.width, np.nan, np.float32)
+    depth = np.full((camera.height, camera.width), np.nan, np.float32)
     gain = np.full_like(depth, np.nan)
+    d = disparity_px(disparity, side)
+    sign = -1.0 if side == 1 else 1.0
     M, b = transfer(camera, other)
-    _triangulate(pixels[known], partner, M, b, known, depth, gain)
-    return depth.reshape(camera.height, camera.width), gain.reshape(camera.height, camera.width)
+    H, H_other = (rectification.H1, rectification.H2) if side == 1 else (rectification.H2, rectification.H1)
+    if H is not None and H_other is not None:
+        _by_homographies(d, sign, H, np.linalg.inv(H_other).astype(np.float64), M, b, depth, gain)
+    else:
+        y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
+        pixels = np.column_stack([x, y]).astype(np.float64)
+        at = to_rectified(rectification, side, pixels)
+        at[:, 0] += sign * _sample(d, at)
+        partner = from_rectified(rectification, 2 if side == 1 else 1, at)
+        _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
+    return depth, gain
 
 
 def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
@@ -63,45 +66,74 @@ def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
 
 
 @kernel
+def _by_homographies(
+    disparity: Float32s, sign: float, H: Float64s, H_back: Float64s, M: Float64s, b: Float64s, depth: Float32s, gain: Float32s
+) -> None:
+    """Depth and |dz/dpixel| of every pixel; H: to the rectified image, H_back: from that of the other view to its frame."""
+    h, w = depth.shape
+    for y in range(h):
+        for x in range(w):
+            scale = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+            u, v = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / scale, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / scale
+            d = _disparity_at(disparity, u, v)
+            if np.isnan(d):
+                continue
+            u += sign * d
+            scale = H_back[2, 0] * u + H_back[2, 1] * v + H_back[2, 2]
+            depth[y, x], gain[y, x] = _depth_at(
+                x,
+                y,
+                (H_back[0, 0] * u + H_back[0, 1] * v + H_back[0, 2]) / scale,
+                (H_back[1, 0] * u + H_back[1, 1] * v + H_back[1, 2]) / scale,
+                M,
+                b,
+            )
+
+
+@kernel
 def _sample(disparity: Float32s, at: Float64s) -> Float64s:
-    """Disparity at fractional positions: bilinear on a smooth surface, else the nearest pixel's, so that no edge is smeared."""
-    h, w = disparity.shape
-    out = np.full(len(at), np.nan)
+    out = np.empty(len(at))
     for n in range(len(at)):
-        x, y = at[n, 0], at[n, 1]
-        if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
-            continue
-        x0, y0 = int(x), int(y)
-        fx, fy = x - x0, y - y0
-        a, b = disparity[y0, x0], disparity[y0, x0 + 1]
-        c, d = disparity[y0 + 1, x0], disparity[y0 + 1, x0 + 1]
-        if max(a, b, c, d) - min(a, b, c, d) <= 2.5 and not np.isnan(a + b + c + d):
-            out[n] = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
-        else:
-            out[n] = disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)]
+        out[n] = _disparity_at(disparity, at[n, 0], at[n, 1])
     return out
 
 
 @kernel
-def _triangulate(
-    pixels: Float64s, partner: Float64s, M: Float64s, b: Float64s, index: np.ndarray, depth: Float32s, gain: Float32s
-) -> None:
-    """Closed-form least squares on the two linear equations of each partner; writes depth and |dz/dpixel| at `index`."""
+def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
+    """Disparity at a fractional position: bilinear on a smooth surface, else the nearest pixel's, so that no edge is smeared."""
+    h, w = disparity.shape
+    if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
+        return np.nan
+    x0, y0 = int(x), int(y)
+    fx, fy = x - x0, y - y0
+    a, b = disparity[y0, x0], disparity[y0, x0 + 1]
+    c, d = disparity[y0 + 1, x0], disparity[y0 + 1, x0 + 1]
+    if max(a, b, c, d) - min(a, b, c, d) <= 2.5 and not np.isnan(a + b + c + d):
+        return float((a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy)
+    return float(disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)])
+
+
+@kernel
+def _triangulate(pixels: Float64s, partner: Float64s, M: Float64s, b: Float64s, depth: Float32s, gain: Float32s) -> None:
     for n in range(len(pixels)):
-        x, y = pixels[n, 0], pixels[n, 1]
-        u, v = partner[n, 0], partner[n, 1]
-        m0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
-        m1 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
-        m2 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
-        a1, b1 = m0 - u * m2, b[0] - u * b[2]
-        a2, b2 = m1 - v * m2, b[1] - v * b[2]
-        z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
-        w = z * m2 + b[2]
-        if z > 0 and w > 0:
-            du = (m0 * b[2] - b[0] * m2) / (w * w)
-            dv = (m1 * b[2] - b[1] * m2) / (w * w)
-            depth[index[n]] = z
-            gain[index[n]] = 1.0 / np.sqrt(du * du + dv * dv)
+        depth[n], gain[n] = _depth_at(pixels[n, 0], pixels[n, 1], partner[n, 0], partner[n, 1], M, b)
+
+
+@kernel
+def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) -> tuple[float, float]:
+    """Closed-form least squares on the two linear equations of the partner (u, v); depth and |dz/dpixel|, nan behind a camera."""
+    m0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
+    m1 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
+    m2 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
+    a1, b1 = m0 - u * m2, b[0] - u * b[2]
+    a2, b2 = m1 - v * m2, b[1] - v * b[2]
+    z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
+    w = z * m2 + b[2]
+    if not (z > 0 and w > 0):  # nor where the partner is unknown
+        return np.nan, np.nan
+    du = (m0 * b[2] - b[0] * m2) / (w * w)
+    dv = (m1 * b[2] - b[1] * m2) / (w * w)
+    return z, 1.0 / np.sqrt(du * du + dv * dv)
 
 
 def fuse_pairs(
@@ -170,27 +202,52 @@ def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tupl
 
 @kernel
 def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_y: Float32s) -> None:
-    """Least squares through the centre over neighbours on the same surface."""
+    """Least squares through the centre over neighbours on the same surface; a row at a time, one neighbour of all its pixels after
+    the other, which the compiler does for several pixels at once."""
     h, w = q.shape
+    xx, yy, xy, xq, yq = np.empty(w), np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     for y in range(h):
+        xx[:], yy[:], xy[:], xq[:], yq[:] = 1.0, 1.0, 0.0, 0.0, 0.0
+        for j in range(max(0, y - radius), min(h, y + radius + 1)):
+            for dx in range(-radius, radius + 1):
+                dy = j - y
+                if max(abs(dx), abs(dy)) == 0:
+                    continue
+                first, last = max(0, -dx), min(w, w - dx)
+                here, there = q[y, first:last], q[j, first + dx : last + dx]
+                _add_neighbour(
+                    here, there, float(dx), float(dy), steepest,
+                    xx[first:last], yy[first:last], xy[first:last], xq[first:last], yq[first:last],
+                )  # fmt: skip
         for x in range(w):
-            c = q[y, x]
-            if np.isnan(c):
-                continue
-            xx, yy, xy, xq, yq = 1.0, 1.0, 0.0, 0.0, 0.0
-            for j in range(max(0, y - radius), min(h, y + radius + 1)):
-                for i in range(max(0, x - radius), min(w, x + radius + 1)):
-                    dx, dy = i - x, j - y
-                    e = q[j, i] - c
-                    if abs(e) <= steepest * c * max(abs(dx), abs(dy)):
-                        xx += dx * dx
-                        yy += dy * dy
-                        xy += dx * dy
-                        xq += dx * e
-                        yq += dy * e
-            det = xx * yy - xy * xy
-            slope_x[y, x] = (xq * yy - yq * xy) / det
-            slope_y[y, x] = (yq * xx - xq * xy) / det
+            if not np.isnan(q[y, x]):
+                det = xx[x] * yy[x] - xy[x] * xy[x]
+                slope_x[y, x] = (xq[x] * yy[x] - yq[x] * xy[x]) / det
+                slope_y[y, x] = (yq[x] * xx[x] - xq[x] * xy[x]) / det
+
+
+@kernel
+def _add_neighbour(
+    here: Float32s,
+    there: Float32s,
+    dx: float,
+    dy: float,
+    steepest: float,
+    xx: Float64s,
+    yy: Float64s,
+    xy: Float64s,
+    xq: Float64s,
+    yq: Float64s,
+) -> None:
+    reach = max(abs(dx), abs(dy))
+    for x in range(len(here)):
+        e = there[x] - here[x]
+        near = abs(e) <= steepest * here[x] * reach  # never where one is unknown
+        xx[x] += dx * dx if near else 0.0
+        yy[x] += dy * dy if near else 0.0
+        xy[x] += dx * dy if near else 0.0
+        xq[x] += dx * e if near else 0.0
+        yq[x] += dy * e if near else 0.0
 
 
 def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np.ndarray) -> Float64s:
