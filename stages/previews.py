@@ -16,7 +16,7 @@ from .types import Camera, Cloud, DepthMap, Disparity, Float32s, Float64s, Frame
 WIDTH = 480
 QUALITY = 80
 _LINES = 60
-_DOTS = 2_000_000
+_DOTS = 500_000
 
 
 def frame_preview(frame: Frame, **_: object) -> Uint8s:

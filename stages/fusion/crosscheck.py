@@ -47,7 +47,7 @@ def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera],
             *(numbers.of(other, seen), visible, agreeing, violating, pairs),
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
-    _count(pairs, numbers.cameras_of_pairs, count, seen_by)
+    _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
     return Verdict(count, seen_by, visible, agreeing, violating)
 
 
@@ -62,9 +62,13 @@ class _PairNumbers:
         self._numbers: dict[frozenset[str], int] = {}
         self._cameras: dict[str, int] = {}
 
+    @property
+    def met(self) -> int:
+        return min(len(self._numbers), 64)
+
     def of(self, view: str, depth: DepthMap) -> Uint8s:
-        """(32,) uint8: the number of the pair with each of a view's partners (255: not counted)."""
-        table = np.full(32, 255, np.uint8)
+        """(n,) uint8: the number of the pair with each of a view's n partners (255: not counted)."""
+        table = np.full(len(depth.partners), 255, np.uint8)
         for k, partner in enumerate(depth.partners):
             number = self._numbers.setdefault(frozenset((view, partner)), len(self._numbers))
             if number < 64:
@@ -80,7 +84,7 @@ def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
     pairs = np.zeros((h, w), np.uint64)
     for y in range(h):
         for x in range(w):
-            for k in range(32):
+            for k in range(len(bits)):
                 if (support[y, x] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
                     pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
     return pairs
@@ -129,7 +133,7 @@ def _compare(
             visible[y, x] += 1
             if there <= z + tolerance:
                 agreeing[y, x] += 1
-                for k in range(32):
+                for k in range(len(bits)):
                     if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
                         pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
             elif there > z + 4.0 * tolerance:
@@ -145,7 +149,7 @@ def _count(pairs: Uint64s, pair_index: Uint8s, count: Uint8s, cameras: Uint16s) 
         for x in range(w):
             if pairs[y, x] == 0:
                 continue
-            for k in range(64):
+            for k in range(len(pair_index)):
                 if (pairs[y, x] >> np.uint64(k)) & np.uint64(1):
                     count[y, x] += 1
                     for end in range(2):
