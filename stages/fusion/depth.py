@@ -202,8 +202,8 @@ def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tupl
 
 @kernel
 def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_y: Float32s) -> None:
-    """Least squares through the centre over neighbours on the same surface; one neighbour of a row's pixels after the other, which
-    the compiler adds for several pixels at once."""
+    """Least squares through the centre over neighbours on the same surface; one neighbour of all pixels of a row after the other,
+    which the compiler does for several pixels at once."""
     h, w = q.shape
     xx, yy, xy, xq, yq = np.empty(w), np.empty(w), np.empty(w), np.empty(w), np.empty(w)
     for y in range(h):

@@ -204,7 +204,7 @@ def sociable(keys: Int64s, neighbours: int) -> Bools:
 def _distinct(keys: Int64s) -> Int64s:
     """Sorted, each once; numpy's `unique` takes five times as long for millions of integers."""
     keys = np.sort(keys)
-    return keys[np.concatenate([[True], keys[1:] != keys[:-1]])]
+    return np.asarray(keys[np.concatenate([[True], keys[1:] != keys[:-1]])])
 
 
 def _coarser(keys: Int64s, steps: int) -> Int64s:
