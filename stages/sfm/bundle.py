@@ -25,6 +25,7 @@ def adjust(
     focals: Mapping[int, int] | None = None,
     positions: Mapping[int, tuple[Float64s, float]] | None = None,
     loss_px: float,
+    tolerance: float,
     iterations: int = 100,
 ) -> tuple[dict[int, Camera], Float64s]:
     """Move cameras and points so that the observations in `use` are met best.
@@ -46,8 +47,10 @@ def adjust(
         or none.  The cameras must stand in the world already.
     loss_px
         Scale of the Cauchy loss.
+    tolerance
+        Ends when a step lowers the cost by no more than this share...
     iterations
-        At most.
+        ...or after so many steps.
     """
     focals = focals or {}
     rows = np.flatnonzero(use)
@@ -59,7 +62,7 @@ def adjust(
             config.set_constant_cam_intrinsics(view + 1)
     for view in held:
         config.set_constant_rig_from_world_pose(view + 1)
-    options = _options(loss_px, iterations, bool(focals))
+    options = _options(loss_px, tolerance, iterations, bool(focals))
     if positions:
         priors = [_prior(model, view, C, sigma) for view, (C, sigma) in positions.items()]
         with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
@@ -125,7 +128,7 @@ def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:
     return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
 
 
-def _options(loss_px: float, iterations: int, refine_focal: bool) -> pycolmap.BundleAdjustmentOptions:
+def _options(loss_px: float, tolerance: float, iterations: int, refine_focal: bool) -> pycolmap.BundleAdjustmentOptions:
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_focal_length = refine_focal
@@ -136,7 +139,7 @@ def _options(loss_px: float, iterations: int, refine_focal: bool) -> pycolmap.Bu
     solver = options.ceres.solver_options
     solver.num_threads = 1
     solver.max_num_iterations = iterations
-    solver.function_tolerance = 1e-10
+    solver.function_tolerance = tolerance
     solver.gradient_tolerance = 1e-10
     solver.parameter_tolerance = 1e-12
     return options

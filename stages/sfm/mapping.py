@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import poselib
 
-from ..epipolar import triangulate_depth
+from ..epipolar import backproject, project, triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
-from .tracks import Edge, Tracks, straightened, without_distortion
+from .tracks import Edge, Tracks, spread_tracks, straightened, without_distortion
 from .triangulation import angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0
@@ -34,6 +34,15 @@ MIN_SHARED = 5
 """So many at least on how far it is from a view that it makes a pair with..."""
 SAME_LENGTH = 0.1
 """...to this share of the distance; and at least half of those that could."""
+SETTLED = 1e-3
+"""Rounds end when no more than this share of the observations comes or goes."""
+ROUGH, EXACT = 1e-5, 1e-7
+"""An adjustment ends when a step lowers its cost by no more than this share: until all views are there, and then.  Exact is what
+a long row of cameras needs, whose bending costs next to nothing: with 1e-5, one of 100 cameras ended four times as far off."""
+GROWN = 1.25
+"""All cameras are adjusted again when there are so many times more than the last time..."""
+SKETCH, SKETCH_STEPS = 5, 10
+"""...with so many observations in each field of a view, in so many steps."""
 FOCALS_FROM = 3
 """Focal lengths are solved once there are so many views: two leave them nearly free."""
 
@@ -92,48 +101,103 @@ def grow(
     model = _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
         return None
+    adjusted = len(model.cameras)
     failed: dict[int, int] = {}
-    while True:
-        seen = _visible_points(model, set(cameras) - set(model.cameras))
-        candidates = [view for view, count in seen.items() if count >= MIN_SHARED and failed.get(view, -1) < count]
-        if not candidates:
-            break
-        view = max(candidates, key=lambda v: (seen[v], -v))
+    while following := _next_view(model, cameras, geometries, failed):
+        view, camera = following
+        model = replace_cameras(model, {**model.cameras, view: camera})
+        if len(model.cameras) >= GROWN * adjusted:
+            model, adjusted = _sketched(model), len(model.cameras)
+        else:
+            model = _fitted(model, view)
+    return _with_own_lenses(_sketched(model))
+
+
+def _next_view(
+    model: Model, cameras: Mapping[int, Camera], geometries: Mapping[Edge, Geometry], failed: dict[int, int]
+) -> tuple[int, Camera] | None:
+    """The view that sees most of the model's points among those that can be placed, and its camera.
+
+    failed: how many points a view saw that could not be placed: it is tried again only with more.
+    """
+    tracks = model.tracks
+    seen = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
+    waiting = [view for view in cameras if view not in model.cameras and seen[view] >= max(MIN_SHARED, failed.get(view, 0) + 1)]
+    for view in sorted(waiting, key=lambda v: (-seen[v], v)):
         bare = _with_lens(cameras[view], view, model)
         camera = _resect(bare, view, model) or _attached(bare, view, model, geometries)
-        if camera is None:
-            failed[view] = seen[view]
-            continue
-        model = refine(replace_cameras(model, {**model.cameras, view: camera}), rounds=1, loss_px=COARSE_PX)
-    return _with_own_lenses(refine(model, rounds=4, loss_px=COARSE_PX))
+        if camera is not None:
+            return view, camera
+        failed[view] = int(seen[view])
+    return None
+
+
+def _sketched(model: Model) -> Model:
+    """The growing model after an adjustment that is good enough for views to come: of a part of the tracks, in a few steps."""
+    model = _retriangulated(model)
+    focals = _lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
+    args = model.cameras, model.tracks, model.X, _spread(model)
+    cameras, _ = adjust(*args, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+    return _retriangulated(replace(model, cameras=cameras))
+
+
+def _fitted(model: Model, view: int) -> Model:
+    """The model with this one camera fitted to the others, which stay; what the view doesn't see stays, too."""
+    tracks = model.tracks
+    seen = np.zeros(tracks.count, bool)
+    seen[tracks.track[tracks.view == view]] = True
+    rows = seen[tracks.track]
+    number = np.cumsum(seen, dtype=np.int32) - 1
+    theirs = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
+    around = {v: model.cameras[v] for v in np.unique(theirs.view).tolist() if v in model.cameras}
+    part = _retriangulated(Model(around, theirs, model.X[seen], model.use[rows], model.lenses))
+    if part.use.any():
+        lenses = _lenses(model)
+        own = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
+        args, held = (around, theirs, part.X, _spread(part)), [v for v in around if v != view]
+        cameras, _ = adjust(*args, held=held, focals=own, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+        part = _retriangulated(replace(part, cameras=cameras))
+    X, use = model.X.copy(), model.use.copy()
+    X[seen], use[rows] = part.X, part.use
+    return replace(model, cameras=model.cameras | part.cameras, X=X, use=use)
+
+
+def _spread(model: Model) -> Bools:
+    """(n,) observations of a part of the tracks that still covers every view."""
+    return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH)[model.tracks.track])
+
+
+def _lenses(model: Model) -> dict[int, int]:
+    """The lenses that are solved with the model as it is."""
+    return {view: lens for view, lens in model.lenses.items() if view in model.cameras}
 
 
 def refine(
     model: Model,
     known: Collection[int] = (),
     rounds: int = 2,
-    loss_px: float | None = None,
+    rough: bool = False,
     positions: Mapping[int, tuple[Float64s, float]] | None = None,
 ) -> Model:
-    """The model after so many rounds of triangulation, adjustment and sorting out; cameras in `known` stay.
+    """The model after rounds of triangulation, adjustment and sorting out, until that settles; cameras in `known` stay.
 
-    loss_px: scale of the robust loss; None: from the noise of the residuals; positions: of three views or more, with standard
-    deviations, in the world where the model already stands.
+    rounds: at most; rough: with the loss and the tolerance of a model that still grows; positions: of three views or more, with
+    standard deviations, in the world where the model already stands.
     """
-    free = {view: lens for view, lens in model.lenses.items() if view in model.cameras}
-    if len(model.cameras) < FOCALS_FROM and not known:
-        free = {}
+    free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known else {}
+    held = [view for view in known if view in model.cameras]
     for _ in range(rounds):
-        model = _retriangulated(model)
+        before, model = model.use, _retriangulated(model)
         if not model.use.any():
             return model
-        held = [view for view in known if view in model.cameras]
         noise = max(_noise(model.error_px()[model.use]), 4e-4)
-        loss = FINE * noise if loss_px is None else loss_px
         weighed = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
+        loss, tolerance = (COARSE_PX, ROUGH) if rough else (FINE * noise, EXACT)
         args = model.cameras, model.tracks, model.X, model.use
-        cameras, X = adjust(*args, held=held, focals=free, positions=weighed, loss_px=loss)
+        cameras, X = adjust(*args, held=held, focals=free, positions=weighed, loss_px=loss, tolerance=tolerance)
         model = _filtered(replace(model, cameras=cameras, X=X))
+        if (model.use != before).sum() <= SETTLED * model.use.sum():
+            break
     return model
 
 
@@ -146,27 +210,37 @@ def _from_best_pair(
     cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry], lenses: Mapping[int, int]
 ) -> Model | None:
     """The pair with most points at a good angle; points that other views share count twice, since these are to follow."""
-    best: tuple[float, Model] | None = None
+    best: tuple[float, dict[int, Camera]] | None = None
     lengths = np.bincount(tracks.track, minlength=tracks.count)
+    rows = {view: np.flatnonzero(tracks.view == view) for view in cameras}
     for (i, j), geometry in geometries.items():
         R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
         if R is None or t is None:
             continue
         pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
-        unseen = Model(pair, tracks, np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool), lenses)
-        model = _retriangulated(unseen)
-        wide = angles(pair, tracks, model.X, model.use)
-        worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths > 2))).sum())
+        shared, a, b = np.intersect1d(tracks.track[rows[i]], tracks.track[rows[j]], return_indices=True)
+        wide = _angles_of_pair(pair[i], pair[j], tracks.xy[rows[i][a]], tracks.xy[rows[j][b]])
+        worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths[shared] > 2))).sum())
         if best is None or worth > best[0]:
-            best = (worth, model)
-    if best is None or np.isfinite(best[1].X[:, 0]).sum() < MIN_POINTS:
+            best = worth, pair
+    if best is None:
         return None
-    return refine(best[1], rounds=2, loss_px=COARSE_PX)
+    nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
+    model = _retriangulated(Model(best[1], tracks, nowhere, unused, lenses))
+    if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
+        return None
+    return refine(model, rounds=2, rough=True)
 
 
-def _visible_points(model: Model, views: Collection[int]) -> dict[int, int]:
-    there = np.isfinite(model.X[model.tracks.track, 0])
-    return {view: int((there & (model.tracks.view == view)).sum()) for view in sorted(views)}
+def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
+    """(n,) radians at which the rays of two cameras meet; 0 where they miss each other, or meet behind one of them."""
+    X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
+    projected, depth = project(right, X)
+    with np.errstate(invalid="ignore"):
+        meet = (np.linalg.norm(projected - x2, axis=1) < LOOSE_PX) & (depth > 0)
+        rays = [(X - camera.C) / np.linalg.norm(X - camera.C, axis=1, keepdims=True) for camera in (left, right)]
+        angle = np.arccos(np.clip(np.einsum("ni,ni->n", *rays), -1, 1))
+    return np.where(meet & np.isfinite(angle), angle, 0.0)
 
 
 def _with_lens(camera: Camera, view: int, model: Model) -> Camera:
@@ -235,7 +309,8 @@ def _with_own_lenses(model: Model) -> Model:
             members.setdefault(model.lenses[view], []).append(view)
     if all(len(views) == 1 for views in members.values()):
         return model
-    own = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, loss_px=COARSE_PX)
+    model = refine(model, rounds=4, rough=True)
+    own = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, rough=True)
     focal = {view: np.log(camera.K[0, 0]) for view, camera in own.cameras.items()}
     spread = max(np.ptp([focal[view] for view in views]) for views in members.values())
     gain = np.median(own.error_px()[own.use]) / np.median(model.error_px()[model.use])

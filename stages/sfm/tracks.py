@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..kernels import kernel
-from ..types import Camera, Float64s, Geometry, Int32s, Int64s
+from ..types import Bools, Camera, Float64s, Geometry, Int32s, Int64s
 
 Edge = tuple[int, int]
 """Two views by number, in the order of the pair."""
+FIELDS = (16, 12)
+"""A view is divided into so many columns and rows, to see how its observations are spread."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,31 @@ def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:
     _, track = np.unique(track[keep], return_inverse=True)
     keep, track = keep[order := np.lexsort((view[keep], track))], track[order]
     return Tracks(track.astype(np.int32), view[keep].astype(np.int32), xy[keep], int(track.max(initial=-1)) + 1)
+
+
+def spread_tracks(tracks: Tracks, use: Bools, wanted: int) -> Bools:
+    """(count,) a part of the tracks that still covers each view: where there are more than `wanted` observations in a field of a
+    view, only those of tracks that another field needs.  Longest tracks first.
+    """
+    low, high = tracks.xy.min(axis=0, initial=0), tracks.xy.max(axis=0, initial=1)
+    column, row = np.minimum(((tracks.xy - low) / (high - low) * FIELDS).astype(np.int64), np.array(FIELDS) - 1).T
+    field = (tracks.view * FIELDS[1] + row) * FIELDS[0] + column
+    length = np.bincount(tracks.track[use], minlength=tracks.count)
+    first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))
+    return _needed(np.argsort(-length, kind="stable"), first, field, use, wanted)
+
+
+@kernel
+def _needed(order: Int64s, first: Int64s, field: Int64s, use: Bools, wanted: int) -> Bools:
+    """The tracks that some field needs, taken in the given order."""
+    there = np.zeros(field.max() + 1, np.int64)
+    needed = np.zeros(len(order), np.bool_)
+    for t in order:
+        for k in range(first[t], first[t + 1]):
+            needed[t] |= use[k] and there[field[k]] < wanted
+        for k in range(first[t], first[t + 1]):
+            there[field[k]] += needed[t] and use[k]
+    return needed
 
 
 def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, list[Int64s]], Float64s, Int64s]:

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..kernels import kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
 POLISH = 4
 """Gauss-Newton steps on the reprojection error after the linear solution."""
+PARALLEL = 1e-9
+"""Rays that meet at less than about the root of this (radians) have no point."""
 
 
 def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale_px: float) -> Float64s:
@@ -18,42 +21,31 @@ def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale
 
     Start: the point nearest to all rays.  Then least squares on the reprojection error with Cauchy weights of `scale_px`.
     """
-    rows = np.flatnonzero(use & posed(cameras, tracks))
-    track, d, C = tracks.track[rows], rays(cameras, tracks)[rows], _centres(cameras, tracks)[rows]
-    M = np.eye(3) - d[:, :, None] * d[:, None, :]
-    A = _sum(track, M.reshape(-1, 9), tracks.count).reshape(-1, 3, 3)
-    b = _sum(track, np.einsum("nij,nj->ni", M, C), tracks.count)
-    seen = np.bincount(track, minlength=tracks.count)
-    X = np.full((tracks.count, 3), np.nan)
-    enough = np.flatnonzero(seen >= 2)
-    enough = enough[np.linalg.eigvalsh(A[enough])[:, 0] > 1e-9]
-    X[enough] = np.linalg.solve(A[enough], b[enough, :, None])[:, :, 0]
-    for _ in range(POLISH):
-        X[enough] = _step(cameras, tracks, rows, X, scale_px)[enough]
-    return X
+    KR, C = _stacked(cameras, tracks)
+    first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))
+    d = rays(cameras, tracks)
+    return _points(first, tracks.view, tracks.xy, use & posed(cameras, tracks), d, KR, C, scale_px)
 
 
 def residuals(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s) -> Float64s:
     """(n, 2) observed minus projected, pixels; inf where the view has no camera, nan where there is no point, or behind it."""
-    found = np.full((len(tracks.track), 2), np.inf)
-    for view, camera in cameras.items():
-        rows = tracks.view == view
-        local = (X[tracks.track[rows]] - camera.C) @ camera.R.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            projected = (local @ camera.K.T)[:, :2] / local[:, 2:]
-        found[rows] = np.where(local[:, 2:] > 0, tracks.xy[rows] - projected, np.nan)
-    return found
+    KR, C = _stacked(cameras, tracks)
+    p = np.einsum("nij,nj->ni", KR[tracks.view], X[tracks.track] - C[tracks.view])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(p[:, 2:] > 0, tracks.xy - p[:, :2] / p[:, 2:], np.nan)
+    found[~posed(cameras, tracks)] = np.inf
+    return np.asarray(found, dtype=np.float64)
 
 
 def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bools) -> Float64s:
     """(count,) radians: how widely the observations in `use` look at their point (twice the largest angle to their mean ray)."""
     rows = np.flatnonzero(use & posed(cameras, tracks))
     track = tracks.track[rows]
-    d = X[track] - _centres(cameras, tracks)[rows]
+    d = X[track] - _stacked(cameras, tracks)[1][tracks.view[rows]]
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    mean = _sum(track, np.nan_to_num(d), tracks.count)
+    total = np.column_stack([np.bincount(track, np.nan_to_num(d[:, i]), tracks.count) for i in range(3)])
     with np.errstate(invalid="ignore"):
-        mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+        mean = total / np.linalg.norm(total, axis=1, keepdims=True)
     off = np.arccos(np.clip(np.einsum("ni,ni->n", d, mean[track]), -1, 1))
     widest = np.zeros(tracks.count)
     np.maximum.at(widest, track, np.nan_to_num(off))
@@ -67,51 +59,96 @@ def posed(cameras: Mapping[int, Camera], tracks: Tracks) -> Bools:
 
 def rays(cameras: Mapping[int, Camera], tracks: Tracks) -> Float64s:
     """(n, 3) unit directions in the world of the observations; zeros where the view has no camera."""
-    d = np.zeros((len(tracks.track), 3))
+    back = np.zeros((_views(cameras, tracks), 3, 3))
     for view, camera in cameras.items():
-        rows = tracks.view == view
-        x = np.column_stack([tracks.xy[rows], np.ones(int(rows.sum()))])
-        d[rows] = x @ np.linalg.inv(camera.K).T @ camera.R
-        d[rows] /= np.linalg.norm(d[rows], axis=1, keepdims=True)
-    return d
+        back[view] = camera.R.T @ np.linalg.inv(camera.K)
+    M = back[tracks.view]
+    d = np.einsum("nij,nj->ni", M[:, :, :2], tracks.xy) + M[:, :, 2]
+    return np.asarray(d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300), dtype=np.float64)
 
 
-def _centres(cameras: Mapping[int, Camera], tracks: Tracks) -> Float64s:
-    C = np.zeros((len(tracks.track), 3))
+def _views(cameras: Mapping[int, Camera], tracks: Tracks) -> int:
+    return 1 + max(int(tracks.view.max(initial=-1)), max(cameras, default=-1))
+
+
+def _stacked(cameras: Mapping[int, Camera], tracks: Tracks) -> tuple[Float64s, Float64s]:
+    """K R (views, 3, 3) and C (views, 3) by number of the view, zeros where there is no camera."""
+    KR, C = np.zeros((_views(cameras, tracks), 3, 3)), np.zeros((_views(cameras, tracks), 3))
     for view, camera in cameras.items():
-        C[tracks.view == view] = camera.C
-    return C
+        KR[view], C[view] = camera.K @ camera.R, camera.C
+    return KR, C
 
 
-def _step(cameras: Mapping[int, Camera], tracks: Tracks, rows: Int64s, X: Float64s, scale_px: float) -> Float64s:
-    """One Gauss-Newton step of all points; a point whose step would be undefined stays."""
-    H, g = np.zeros((tracks.count, 9)), np.zeros((tracks.count, 3))
-    for view, camera in cameras.items():
-        mine = rows[tracks.view[rows] == view]
-        track = tracks.track[mine]
-        local = (X[track] - camera.C) @ camera.R.T
-        KR = camera.K @ camera.R
-        with np.errstate(divide="ignore", invalid="ignore"):
-            p = local @ camera.K.T
-            x = p[:, :2] / p[:, 2:]
-            r = tracks.xy[mine] - x
-            J = (KR[None, :2, :] - x[:, :, None] * KR[None, 2:, :]) / p[:, 2, None, None]
-            weight = 1 / (1 + (r**2).sum(1) / scale_px**2)
-        weight = np.where((local[:, 2] > 0) & np.isfinite(weight), weight, 0)
-        J, r = np.nan_to_num(J, posinf=0, neginf=0), np.nan_to_num(r, posinf=0, neginf=0)
-        H += _sum(track, np.einsum("n,nki,nkj->nij", weight, J, J).reshape(-1, 9), tracks.count)
-        g += _sum(track, np.einsum("n,nki,nk->ni", weight, J, r), tracks.count)
-    normal = H.reshape(-1, 3, 3)
-    trace = np.trace(normal, axis1=1, axis2=2)
-    solid = trace > 0
-    normal[solid] += 1e-9 * trace[solid, None, None] * np.eye(3)
-    moved = X.copy()
-    moved[solid] += np.linalg.solve(normal[solid], g[solid, :, None])[:, :, 0]
-    return np.where(np.isfinite(moved), moved, X)
+@kernel
+def _points(
+    first: Int64s, view: Int32s, xy: Float64s, use: Bools, d: Float64s, KR: Float64s, C: Float64s, scale_px: float
+) -> Float64s:
+    """The points of `triangulate`, one after the other; the observations of track t are first[t] to first[t + 1]."""
+    X = np.full((len(first) - 1, 3), np.nan)
+    H, g, J, step = np.zeros((3, 3)), np.zeros(3), np.zeros((2, 3)), np.zeros(3)
+    for t in range(len(first) - 1):
+        H[:], g[:], seen = 0, 0, 0
+        for k in range(first[t], first[t + 1]):
+            if not use[k]:
+                continue
+            seen += 1
+            c = C[view[k]]
+            along = d[k, 0] * c[0] + d[k, 1] * c[1] + d[k, 2] * c[2]
+            for i in range(3):
+                g[i] += c[i] - d[k, i] * along
+                H[i, i] += 1
+                for j in range(3):
+                    H[i, j] -= d[k, i] * d[k, j]
+        # two of the three eigenvalues are about as large as the number of rays: the determinant tells the smallest
+        if seen < 2 or _solve(H, g, step) < PARALLEL * seen**2:
+            continue
+        X[t] = step
+        for _ in range(POLISH):
+            H[:], g[:] = 0, 0
+            for k in range(first[t], first[t + 1]):
+                if use[k]:
+                    _add(KR[view[k]], C[view[k]], xy[k], X[t], scale_px, J, H, g)
+            trace = H[0, 0] + H[1, 1] + H[2, 2]
+            for i in range(3):
+                H[i, i] += 1e-9 * trace
+            if _solve(H, g, step) > 0 and np.isfinite(step.sum()):
+                X[t] += step
+    return X
 
 
-def _sum(index: Int32s, values: Float64s, count: int) -> Float64s:
-    """Rows of `values` added up by `index`, always in the same order."""
-    if len(values) == 0:
-        return np.zeros((count, values.shape[1]))
-    return np.column_stack([np.bincount(index, weights=column, minlength=count) for column in values.T])
+@kernel
+def _add(KR: Float64s, C: Float64s, x: Float64s, X: Float64s, scale_px: float, J: Float64s, H: Float64s, g: Float64s) -> None:
+    """Add one observation to the normal equations of its point, unless the point is behind the camera."""
+    px, py, pz = 0.0, 0.0, 0.0
+    for i in range(3):
+        px += KR[0, i] * (X[i] - C[i])
+        py += KR[1, i] * (X[i] - C[i])
+        pz += KR[2, i] * (X[i] - C[i])
+    if not pz > 0:
+        return
+    u, v = px / pz, py / pz
+    ru, rv = x[0] - u, x[1] - v
+    weight = 1 / (1 + (ru * ru + rv * rv) / scale_px**2)
+    for i in range(3):
+        J[0, i] = (KR[0, i] - u * KR[2, i]) / pz
+        J[1, i] = (KR[1, i] - v * KR[2, i]) / pz
+    for i in range(3):
+        g[i] += weight * (J[0, i] * ru + J[1, i] * rv)
+        for j in range(3):
+            H[i, j] += weight * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
+
+
+@kernel
+def _solve(H: Float64s, g: Float64s, x: Float64s) -> float:
+    """x = H^-1 g for a symmetric H, by its cofactors; returns the determinant."""
+    a = H[1, 1] * H[2, 2] - H[1, 2] * H[1, 2]
+    b = H[0, 2] * H[1, 2] - H[0, 1] * H[2, 2]
+    c = H[0, 1] * H[1, 2] - H[0, 2] * H[1, 1]
+    e = H[0, 0] * H[2, 2] - H[0, 2] * H[0, 2]
+    f = H[0, 1] * H[0, 2] - H[0, 0] * H[1, 2]
+    i = H[0, 0] * H[1, 1] - H[0, 1] * H[0, 1]
+    determinant = H[0, 0] * a + H[0, 1] * b + H[0, 2] * c
+    x[0] = (a * g[0] + b * g[1] + c * g[2]) / determinant
+    x[1] = (b * g[0] + e * g[1] + f * g[2]) / determinant
+    x[2] = (c * g[0] + f * g[1] + i * g[2]) / determinant
+    return float(determinant)

@@ -51,6 +51,13 @@ def test_errors_grow_with_the_noise_and_no_faster() -> None:
     assert errors[-1] > errors[0]
 
 
+def test_many_cameras_are_solved_as_well_as_few() -> None:
+    site = make_pair_site(24, noise_px=0.2, degrees=10, points=200)
+    poses = solve(site)
+    assert len(poses.cameras) == 24
+    assert aligned_errors(poses, site.cameras)[0] < 1e-3
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_every_wrong_pair_is_found_and_costs_nothing(seed: int) -> None:
     site = make_pair_site(8, seed=seed, noise_px=0.2, degrees=8)
