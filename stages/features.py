@@ -26,6 +26,10 @@ ANGLE_SEAM_DEG = 45.0
 """SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
 alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
 
+SMALL_PX = 100
+"""An image with fewer pixels for each keypoint wanted is described in one go: it holds hardly more keypoints than are wanted, and
+describing some afterwards builds the pyramid of scales anew."""
+
 
 def detect(
     frame: Frame,
@@ -79,7 +83,7 @@ def _features(views: list[_View], view: View, light: str) -> Features:
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
     plain = len(views[0][0])
-    lookalikes = nearest_elsewhere(descriptors, xy, descriptors[:plain], xy[:plain])
+    lookalikes = nearest_elsewhere(descriptors, xy, plain)
     return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, light)
 
 
@@ -101,12 +105,13 @@ def _equalised(grey: Uint8s) -> Uint8s:
 
 
 def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
-    found = sift.detect(grey, None)
+    small = grey.size < SMALL_PX * wanted
+    found, every = sift.detectAndCompute(grey, None) if small else (sift.detect(grey, None), None)
     rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], dtype=np.float64).reshape(-1, 5)
     chosen = _spread(rows, _usable(rows, mask), grey.shape, wanted, grid_columns, crowding)
     if len(chosen) == 0:
         return np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32)
-    _, raw = sift.compute(grey, [found[i] for i in chosen])
+    raw = sift.compute(grey, [found[i] for i in chosen])[1] if every is None else every[chosen]
     rows = rows[chosen]
     return rows[:, :2], _keypoint_frames(rows[:, 2], np.radians(rows[:, 3])), _root(raw), rows[:, 4].astype(np.float32)
 

@@ -69,7 +69,7 @@ def _lookalikes(features: Features) -> Float32s:
     """Distance of each keypoint to the most similar one elsewhere in its own image."""
     if len(features.lookalikes) == len(features.xy):
         return features.lookalikes
-    return nearest_elsewhere(features.descriptors, features.xy, features.descriptors, features.xy)
+    return nearest_elsewhere(features.descriptors, features.xy, len(features.xy))
 
 
 def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
