@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..kernels import kernel
+from ..sorting import sorting_network
 from ..types import Float64s, Int32s, Int64s
 from .nearest_points import nearest_points
 
+_BATCH = 128
 _WIDTH_RANK = 8
 """The distance of this neighbour (0 is the nearest) is the width of the weights."""
 
@@ -41,7 +43,7 @@ def fit_affine_field(
     m = len(queries)
     field = AffineField(np.empty((m, 2)), np.empty((m, 2, 2)), np.empty(m), np.empty(m))
     _fit(
-        queries, distance, index, x1, x2, affine, weight, ridge,
+        queries, distance, index, x1, x2, affine, weight, ridge, sorting_network(distance.shape[1]),
         field.prediction, field.affine, field.sigma_px, field.support,
     )  # fmt: skip
     return field
@@ -57,95 +59,188 @@ def _fit(
     affine: Float64s,
     weight: Float64s,
     ridge: float,
+    network: Int64s,
     prediction: Float64s,
     out: Float64s,
     sigma: Float64s,
     support: Float64s,
 ) -> None:
+    """A batch of queries at a time: arrays hold a row for each neighbour and a column for each query, and every loop over columns
+    is one that the compiler does for several at once."""
     k = distance.shape[1]
-    w0, w, e, u, v, s, t = np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k), np.empty(k)
-    order = np.arange(k)
-    for q in range(len(queries)):
-        width = distance[q, min(k - 1, _WIDTH_RANK)] + 1.0
-        scale = width + 5.0
-        total = 1e-9
-        ms, mt = 0.0, 0.0
-        m00, m01, m10, m11 = 0.0, 0.0, 0.0, 0.0
-        for a in range(k):
-            j = index[q, a]
-            d = distance[q, a]
-            w0[a] = weight[j] / (1 + (d / width) ** 2) if d > 1e-6 else 0.0
-            u[a], v[a] = (x1[j, 0] - queries[q, 0]) / scale, (x1[j, 1] - queries[q, 1]) / scale
-            s[a], t[a] = x2[j, 0], x2[j, 1]
-            total += w0[a]
-            ms += w0[a] * s[a]
-            mt += w0[a] * t[a]
-            m00 += w0[a] * affine[j, 0, 0]
-            m01 += w0[a] * affine[j, 0, 1]
-            m10 += w0[a] * affine[j, 1, 0]
-            m11 += w0[a] * affine[j, 1, 1]
-        ms, mt = ms / total, mt / total
-        pull = 0.02 * ridge * total
-        p00, p01, p10, p11 = m00 / total * scale, m01 / total * scale, m10 / total * scale, m11 / total * scale
+    w0, w, e = np.zeros((k, _BATCH)), np.zeros((k, _BATCH)), np.zeros((k, _BATCH))
+    u, v, s, t = np.zeros((k, _BATCH)), np.zeros((k, _BATCH)), np.zeros((k, _BATCH)), np.zeros((k, _BATCH))
+    values, weights = np.zeros((k, _BATCH)), np.zeros((k, _BATCH))
+    scale, pull, spread, agree = np.ones(_BATCH), np.ones(_BATCH), np.ones(_BATCH), np.zeros(_BATCH)
+    middle, drawn, found, sums = np.zeros((2, _BATCH)), np.zeros((4, _BATCH)), np.zeros((6, _BATCH)), np.zeros((12, _BATCH))
+    for first in range(0, len(queries), _BATCH):
+        count = min(_BATCH, len(queries) - first)
+        for c in range(count):
+            _gather(
+                queries[first + c], distance[first + c], index[first + c], x1, x2, affine, weight, ridge, c,
+                w0, u, v, s, t, scale, pull, middle, drawn,
+            )  # fmt: skip
         w[:] = w0
-        a00, a01, a10, a11, cs, ct, spread = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
         for _ in range(4):
-            suu, suv, svv, su, sv, sw = pull + 1e-6, 0.0, pull + 1e-6, 0.0, 0.0, 1e-6
-            bus, bvs, bs, but, bvt, bt = pull * p00, pull * p01, 0.0, pull * p10, pull * p11, 0.0
+            sums[:] = 0.0
             for a in range(k):
-                wu, wv = w[a] * u[a], w[a] * v[a]
-                suu += wu * u[a]
-                suv += wu * v[a]
-                svv += wv * v[a]
-                su += wu
-                sv += wv
-                sw += w[a]
-                ds, dt = s[a] - ms, t[a] - mt
-                bus += wu * ds
-                bvs += wv * ds
-                bs += w[a] * ds
-                but += wu * dt
-                bvt += wv * dt
-                bt += w[a] * dt
-            c00, c01, c02 = svv * sw - sv * sv, sv * su - suv * sw, suv * sv - svv * su
-            c11, c12, c22 = suu * sw - su * su, suv * su - suu * sv, suu * svv - suv * suv
-            det = suu * c00 + suv * c01 + su * c02
-            a00 = (c00 * bus + c01 * bvs + c02 * bs) / det
-            a01 = (c01 * bus + c11 * bvs + c12 * bs) / det
-            cs = (c02 * bus + c12 * bvs + c22 * bs) / det
-            a10 = (c00 * but + c01 * bvt + c02 * bt) / det
-            a11 = (c01 * but + c11 * bvt + c12 * bt) / det
-            ct = (c02 * but + c12 * bvt + c22 * bt) / det
+                _add_squares(w[a], u[a], v[a], sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
+                _add_products(w[a], u[a], v[a], s[a], sums[6], sums[7], sums[8])
+                _add_products(w[a], u[a], v[a], t[a], sums[9], sums[10], sums[11])
+            _solve(sums, pull, drawn, found)
             for a in range(k):
-                es, et = a00 * u[a] + a01 * v[a] + cs + ms - s[a], a10 * u[a] + a11 * v[a] + ct + mt - t[a]
-                e[a] = np.sqrt(es * es + et * et)
-            spread = max(_weighted_median(e, w0, order), 1.0)
+                _residuals(u[a], v[a], s[a], t[a], found, e[a])
+            values[:], weights[:] = e, w0
+            _sort(values, weights, network)
+            _median(values, weights, spread)
             for a in range(k):
-                w[a] = w0[a] / (1 + (e[a] / (2 * spread)) ** 2) ** 2
-        agree = 0.0
+                _reweigh(w0[a], e[a], spread, w[a])
+        agree[:] = 0.0
         for a in range(k):
-            if e[a] < 3 * max(spread, 2.0):
-                agree += w0[a]
-        prediction[q, 0], prediction[q, 1] = ms + cs, mt + ct
-        out[q, 0, 0], out[q, 0, 1], out[q, 1, 0], out[q, 1, 1] = a00 / scale, a01 / scale, a10 / scale, a11 / scale
-        sigma[q], support[q] = spread, agree
+            _add_agreeing(w0[a], e[a], spread, agree)
+        for c in range(count):
+            q = first + c
+            prediction[q, 0], prediction[q, 1] = middle[0, c] + found[2, c], middle[1, c] + found[5, c]
+            out[q, 0, 0], out[q, 0, 1] = found[0, c] / scale[c], found[1, c] / scale[c]
+            out[q, 1, 0], out[q, 1, 1] = found[3, c] / scale[c], found[4, c] / scale[c]
+            sigma[q], support[q] = spread[c], agree[c]
 
 
 @kernel
-def _weighted_median(values: Float64s, weights: Float64s, order: Int64s) -> float:
-    """The smallest value with half the weight at or below it; `order` is room to sort in."""
-    k = len(values)
-    total = 0.0
+def _gather(
+    query: Float64s,
+    distance: Float64s,
+    index: Int32s,
+    x1: Float64s,
+    x2: Float64s,
+    affine: Float64s,
+    weight: Float64s,
+    ridge: float,
+    c: int,
+    w0: Float64s,
+    u: Float64s,
+    v: Float64s,
+    s: Float64s,
+    t: Float64s,
+    scale: Float64s,
+    pull: Float64s,
+    middle: Float64s,
+    drawn: Float64s,
+) -> None:
+    """Write the neighbours of one query into column c: weights by distance, u, v around the query in units of `scale`, s, t
+    around their mean in image 2, `middle`; drawn: the mean of the frame affines, toward which `pull` draws."""
+    k = len(distance)
+    width = distance[min(k - 1, _WIDTH_RANK)] + 1.0
+    scale[c] = width + 5.0
+    total, ms, mt = 1e-9, 0.0, 0.0
+    m00, m01, m10, m11 = 0.0, 0.0, 0.0, 0.0
     for a in range(k):
-        total += weights[a]
-        mine, at = order[a], a
-        while at > 0 and values[order[at - 1]] > values[mine]:
-            order[at] = order[at - 1]
-            at -= 1
-        order[at] = mine
-    below = 0.0
+        j = index[a]
+        n = weight[j] / (1 + (distance[a] / width) ** 2) if distance[a] > 1e-6 else 0.0
+        w0[a, c] = n
+        u[a, c], v[a, c] = (x1[j, 0] - query[0]) / scale[c], (x1[j, 1] - query[1]) / scale[c]
+        total += n
+        ms += n * x2[j, 0]
+        mt += n * x2[j, 1]
+        m00 += n * affine[j, 0, 0]
+        m01 += n * affine[j, 0, 1]
+        m10 += n * affine[j, 1, 0]
+        m11 += n * affine[j, 1, 1]
+    ms, mt = ms / total, mt / total
     for a in range(k):
-        below += weights[order[a]]
-        if below >= 0.5 * total:
-            return float(values[order[a]])
-    return float(values[order[k - 1]])
+        s[a, c], t[a, c] = x2[index[a], 0] - ms, x2[index[a], 1] - mt
+    middle[0, c], middle[1, c] = ms, mt
+    pull[c] = 0.02 * ridge * total
+    drawn[0, c], drawn[1, c] = m00 / total * scale[c], m01 / total * scale[c]
+    drawn[2, c], drawn[3, c] = m10 / total * scale[c], m11 / total * scale[c]
+
+
+@kernel
+def _add_squares(
+    w: Float64s, u: Float64s, v: Float64s,
+    uu: Float64s, uv: Float64s, vv: Float64s, u1: Float64s, v1: Float64s, one: Float64s,
+) -> None:  # fmt: skip
+    for c in range(len(w)):
+        wu, wv = w[c] * u[c], w[c] * v[c]
+        uu[c] += wu * u[c]
+        uv[c] += wu * v[c]
+        vv[c] += wv * v[c]
+        u1[c] += wu
+        v1[c] += wv
+        one[c] += w[c]
+
+
+@kernel
+def _add_products(w: Float64s, u: Float64s, v: Float64s, s: Float64s, us: Float64s, vs: Float64s, one_s: Float64s) -> None:
+    for c in range(len(w)):
+        ws = w[c] * s[c]
+        us[c] += u[c] * ws
+        vs[c] += v[c] * ws
+        one_s[c] += ws
+
+
+@kernel
+def _solve(sums: Float64s, pull: Float64s, drawn: Float64s, found: Float64s) -> None:
+    """The normal equations by cofactors; found: two rows (a, b, offset), s = a u + b v + offset, and the same for t."""
+    for c in range(len(pull)):
+        suu, suv, svv = sums[0, c] + pull[c] + 1e-6, sums[1, c], sums[2, c] + pull[c] + 1e-6
+        su, sv, sw = sums[3, c], sums[4, c], sums[5, c] + 1e-6
+        c00, c01, c02 = svv * sw - sv * sv, sv * su - suv * sw, suv * sv - svv * su
+        c11, c12, c22 = suu * sw - su * su, suv * su - suu * sv, suu * svv - suv * suv
+        det = suu * c00 + suv * c01 + su * c02
+        for row in range(2):
+            bu, bv = sums[6 + 3 * row, c] + pull[c] * drawn[2 * row, c], sums[7 + 3 * row, c] + pull[c] * drawn[2 * row + 1, c]
+            b = sums[8 + 3 * row, c]
+            found[3 * row, c] = (c00 * bu + c01 * bv + c02 * b) / det
+            found[3 * row + 1, c] = (c01 * bu + c11 * bv + c12 * b) / det
+            found[3 * row + 2, c] = (c02 * bu + c12 * bv + c22 * b) / det
+
+
+@kernel
+def _residuals(u: Float64s, v: Float64s, s: Float64s, t: Float64s, found: Float64s, e: Float64s) -> None:
+    for c in range(len(u)):
+        es = found[0, c] * u[c] + found[1, c] * v[c] + found[2, c] - s[c]
+        et = found[3, c] * u[c] + found[4, c] * v[c] + found[5, c] - t[c]
+        e[c] = np.sqrt(es * es + et * et)
+
+
+@kernel
+def _sort(values: Float64s, weights: Float64s, network: Int64s) -> None:
+    """Sort each column; the weights go with the values."""
+    for n in range(len(network)):
+        i, j = np.uint64(network[n, 0]), np.uint64(network[n, 1])
+        for c in range(values.shape[1]):
+            a, b, p, q = values[i, c], values[j, c], weights[i, c], weights[j, c]
+            swap = a > b
+            values[i, c], values[j, c] = b if swap else a, a if swap else b
+            weights[i, c], weights[j, c] = q if swap else p, p if swap else q
+
+
+@kernel
+def _median(values: Float64s, weights: Float64s, spread: Float64s) -> None:
+    """Of each sorted column the smallest value with half the weight at or below it, at least 1."""
+    k, n = values.shape
+    half, below = np.zeros(n), np.zeros(n)
+    for a in range(k):
+        for c in range(n):
+            half[c] += 0.5 * weights[a, c]
+    spread[:] = values[k - 1]
+    for a in range(k):
+        for c in range(n):
+            before = below[c] < half[c]
+            below[c] += weights[a, c]
+            spread[c] = values[a, c] if before and below[c] >= half[c] else spread[c]
+    for c in range(n):
+        spread[c] = max(spread[c], 1.0)
+
+
+@kernel
+def _reweigh(w0: Float64s, e: Float64s, spread: Float64s, w: Float64s) -> None:
+    for c in range(len(w0)):
+        w[c] = w0[c] / (1 + (e[c] / (2 * spread[c])) ** 2) ** 2
+
+
+@kernel
+def _add_agreeing(w0: Float64s, e: Float64s, spread: Float64s, agree: Float64s) -> None:
+    for c in range(len(w0)):
+        agree[c] += w0[c] if e[c] < 3 * max(spread[c], 2.0) else 0.0

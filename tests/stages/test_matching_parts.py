@@ -136,6 +136,18 @@ def test_the_field_finds_a_smooth_map_in_spite_of_outliers():
     assert np.median(np.abs(field.affine.mean(axis=0) - expected)) < 0.05
 
 
+def test_the_field_at_a_place_does_not_depend_on_the_other_places_asked_for():
+    rng = np.random.default_rng(5)
+    x1, x2 = rng.uniform(0, [800, 600], (90, 2)), rng.uniform(0, [800, 600], (90, 2))
+    queries = rng.uniform(0, [800, 600], (300, 2))
+    frames, weight = rng.normal(size=(90, 2, 2)), rng.random(90)
+    together = fit_affine_field(x1, x2, frames, weight, queries)
+    for n in (0, 63, 127, 128, 299):
+        alone = fit_affine_field(x1, x2, frames, weight, queries[n : n + 1])
+        assert (alone.prediction == together.prediction[n]).all() and (alone.affine == together.affine[n]).all()
+        assert alone.sigma_px == together.sigma_px[n] and alone.support == together.support[n]
+
+
 def test_the_field_does_not_listen_to_the_match_on_the_query_itself():
     rng = np.random.default_rng(3)
     x1 = rng.uniform(0, 100, (50, 2))
