@@ -7,12 +7,10 @@ _BLOCK, so that it sees that none overlaps another.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ..kernels import kernel
+from ..sorting import sorting_network
 from ..types import Float32s
-
-Int64s = npt.NDArray[np.int64]
 
 _LIKENESS = 8.0
 """Grey levels at which a neighbour counts half."""
@@ -114,19 +112,9 @@ def _corrected(bordered: Float32s) -> Float32s:
     return out
 
 
-def _sorting_network(count: int) -> Int64s:
-    """(m, 2) places to compare, and to exchange where the first is larger, that sort `count` values (Batcher's merge exchange,
-    Knuth 5.2.2 M).  No branch depends on the values, so that whole rows of pixels are sorted at once."""
-    pairs = []
-    for p in (2**i for i in range((count - 1).bit_length())):
-        for k in (p >> i for i in range(p.bit_length())):
-            for j in range(k % p, count - k, 2 * k):
-                pairs += [(i, i + k) for i in range(j, min(j + k, count - k)) if i // (2 * p) == (i + k) // (2 * p)]
-    return np.array(pairs, dtype=np.int64)
-
-
 _VOTES = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
-_NETWORK = _sorting_network(_VOTES)
+_NETWORK = sorting_network(_VOTES)
+"""No branch depends on the values, so that whole rows of pixels are sorted at once."""
 
 
 @kernel
