@@ -12,7 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .epipolar import backproject, fundamental_from_cameras, project, symmetric_epipolar_distance, triangulate_depth
+from .epipolar import (
+    backproject,
+    fundamental_from_cameras,
+    project,
+    relative_pose,
+    rotation_between_deg,
+    symmetric_epipolar_distance,
+    triangulate_depth,
+)
 from .types import Camera, Float64s, Geometry, Pair, PoseCheck
 
 MIN_SHARED = 20
@@ -24,6 +32,8 @@ CLEARER = 2.0
 """One camera is named if without it the others agree so many times better than without any other..."""
 AGREEMENT = 0.3
 """...where errors below this share of what is tolerated are as good as none."""
+TURNED_DEG = 0.5
+"""The relative rotation of a pair's poses and that of its matches differ by more than this if one of the cameras was turned."""
 BELIEVED = 0.5
 """Pairs that are less probable than this are no witnesses."""
 MIN_ANGLE_COSINE = np.cos(np.radians(3.0))
@@ -32,10 +42,12 @@ MIN_ANGLE_COSINE = np.cos(np.radians(3.0))
 
 @dataclass(frozen=True)
 class Evidence:
-    """What two or three cameras (ids) say of each other: median error in pixels."""
+    """What two or three cameras (ids) say of each other: median error in pixels; of a pair also the angle between its relative
+    rotation and that of its matches, in degrees (nan: unknown)."""
 
     cameras: tuple[str, ...]
     error_px: float
+    turned_deg: float = float("nan")
 
     @property
     def excess(self) -> float:
@@ -46,7 +58,8 @@ class Evidence:
 def evidence_on(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> list[Evidence]:
     """All that the believed pairs of these cameras say about their poses."""
     pairs = {pair: g for pair, g in geometries.items() if set(pair) <= set(cameras) and g.good_probability >= BELIEVED}
-    found = [Evidence(pair, epipolar_error_px(cameras, pair, g)) for pair, g in pairs.items() if len(g.x1) >= MIN_SHARED]
+    witnesses = {pair: g for pair, g in pairs.items() if len(g.x1) >= MIN_SHARED}
+    found = [Evidence(p, epipolar_error_px(cameras, p, g), turned_deg(cameras, p, g)) for p, g in witnesses.items()]
     points = {pair: _points(cameras, pair, geometry) for pair, geometry in pairs.items()}
     best: dict[tuple[str, ...], tuple[int, float]] = {}
     for a, b in pairs:
@@ -79,6 +92,13 @@ def epipolar_error_px(cameras: Mapping[str, Camera], pair: Pair, geometry: Geome
     return float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
 
 
+def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> float:
+    """Angle between a pair's relative rotation and that of its matches; nan where these have none."""
+    if geometry.cam2_R_cam1 is None:
+        return float("nan")
+    return rotation_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
+
+
 def contradicted(evidence: list[Evidence]) -> tuple[list[str], list[str]]:
     """Cameras without which the others agree; and, where it could be several, those among which a wrong one is.
 
@@ -98,8 +118,19 @@ def contradicted(evidence: list[Evidence]) -> tuple[list[str], list[str]]:
         fewest, least = min(rank.values())
         first = [name for name, (bad, excess) in rank.items() if bad == fewest and excess <= CLEARER * max(least, AGREEMENT)]
         if len(first) > 1:
+            first = _turned(first, left) or first
+        if len(first) > 1:
             return wrong, first
         wrong += first
+
+
+def _turned(cameras: list[str], evidence: list[Evidence]) -> list[str]:
+    """Those of the cameras that must have been turned: all their pairs say so, and those of the others don't all.
+
+    At the end of a chain: the camera before it is where it is said to be for all that the one before that can tell.
+    """
+    pairs = [e for e in evidence if len(e.cameras) == 2]
+    return [c for c in cameras if all(e.turned_deg > TURNED_DEG and e.excess > 1 for e in pairs if c in e.cameras)]
 
 
 def _share_against(camera: str, evidence: list[Evidence], cameras: int) -> float:

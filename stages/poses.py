@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .epipolar import camera_of, relative_pose, rotation_between_deg
-from .known_poses import PAIR_PX, check_cameras, contradicted, epipolar_error_px, evidence_on
+from .epipolar import camera_of, rotation_between_deg
+from .known_poses import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
 from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
 
 
@@ -57,7 +57,7 @@ def solve_poses(
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(exact)}
     wrong, unclear = _check(exact, seen)
     checks = check_cameras({name: camera for name, camera in exact.items() if name not in wrong}, seen)
-    notes = (f"the known poses of {_listed(unclear)} contradict each other: which is wrong cannot be told",) if unclear else ()
+    notes = (_doubt(unclear, exact, seen),) if unclear else ()
     if len(exact) == len(views) and not wrong:
         found = _as_stated(views, placements, stated, survey)
         if isinstance(found, Rejected):
@@ -97,9 +97,7 @@ def _verdicts(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]
     for pair, geometry in geometries.items():
         error = epipolar_error_px(cameras, pair, geometry)
         reason = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else ""
-        turned = float("nan")
-        if geometry.cam2_R_cam1 is not None:
-            turned = rotation_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
+        turned = turned_deg(cameras, pair, geometry)
         found["--".join(pair)] = PairVerdict(True, reason, geometry.epipolar_px, error, turned, bool(reason))
     return found
 
@@ -120,6 +118,17 @@ def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
         return f"{what}; by how much cannot be told: it is left out. Has it been moved?"
     length = f"{check.off_m:.3f} {'m' if metric else 'units'}"
     return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
+
+
+def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> str:
+    """What is known of poses of which some are wrong, and what would tell which."""
+    pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
+    most = max((turned_deg(cameras, pair, geometry) for pair, geometry in pairs.items()), default=float("nan"))
+    by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
+    what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong cannot be told."
+    if len(names) == len(cameras) > 2:
+        return f"{what} Is this the calibration of these captures?"
+    return f"{what} Leave out the pose of the camera that was moved, and it is solved; or add a camera that sees what both see."
 
 
 def _listed(names: list[str]) -> str:

@@ -83,7 +83,25 @@ def test_of_two_cameras_it_cannot_be_told_which_is_wrong() -> None:
     known = {name: p for name, p in placements(site, c1=moved(site, "c1", (5, 0, 0), (0, 0, 0))).items() if name in site.views}
     poses = solve(site, known)
     assert not poses.suspects
-    assert poses.notes == ("the known poses of c0 and c1 contradict each other: which is wrong cannot be told",)
+    (note,) = poses.notes
+    assert note.startswith("the known poses of c0 and c1 contradict each other by 5.0 degrees: which is wrong cannot be told")
+    assert "Leave out the pose of the camera that was moved" in note
+
+
+def test_a_camera_turned_at_the_end_of_a_chain_is_named() -> None:
+    site = make_pair_site(3, noise_px=0.2)
+    chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
+    poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 3, 0), (0, 0, 0))))
+    assert list(poses.suspects) == ["c2"]
+    assert poses.checks["c2"].off_deg == pytest.approx(3.0, abs=0.1)
+
+
+def test_who_was_shifted_in_a_chain_cannot_be_told_from_who_was_not() -> None:
+    site = make_pair_site(3, noise_px=0.2)
+    chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
+    poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 0, 0), (0.5, 0.5, 0.5))))
+    assert not poses.suspects
+    assert "contradict each other: which is wrong cannot be told" in poses.notes[0]
 
 
 def test_a_calibration_that_fits_nowhere_accuses_no_single_camera() -> None:
