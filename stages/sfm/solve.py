@@ -18,6 +18,8 @@ from .world import World, to_world
 WORSE = 1.25
 """A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
 WORSE_PX = 0.1
+BENT_PX = 1.0
+"""A solved lens that moves the corners of its frame by more than this is worth taking out."""
 
 
 def solve_from_pairs(
@@ -72,6 +74,9 @@ def _collect(
     }
     unsolved = {name: _why_unsolved(problem, name, dropped) for name in problem.names if name not in cameras}
     notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
+    if bent := {name: px for name in order if (px := _bent_px(cameras[name])) > BENT_PX}:
+        what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
+        notes.append(f"{what}: that is taken out of the frames once these solved cameras are the calibration")
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     main = worlds[0]
     return Poses(
@@ -115,6 +120,12 @@ def _verdict(problem: Problem, edge: Edge, cameras: Mapping[str, Camera], why: s
     flagged = adjusted > max(WORSE * own, own + WORSE_PX)
     note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
     return PairVerdict(why is None, why or note, own, adjusted, off, flagged)
+
+
+def _bent_px(camera: Camera) -> float:
+    """How far the solved distortion moves the corners of the frame."""
+    corners = np.array([[x, y] for x in (0.0, camera.width - 1.0) for y in (0.0, camera.height - 1.0)])
+    return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
 def _why_unsolved(problem: Problem, name: str, dropped: Mapping[Edge, str]) -> str:

@@ -93,6 +93,23 @@ def test_lenses_that_differ_are_told_apart() -> None:
         assert camera.K[0, 0] == pytest.approx(cameras[name].K[0, 0], rel=0.01)
 
 
+def test_distortion_of_unknown_lenses_is_solved_and_said() -> None:
+    site = make_pair_site(6, know="hfov", seed=3, degrees=12)
+    k1, rng = -0.03, np.random.default_rng(0)
+    pixels = {}
+    for name, camera in site.cameras.items():
+        x = (project(camera, site.X)[0] - camera.K[:2, 2]) / camera.K[0, 0]
+        x *= 1 + k1 * (x**2).sum(axis=1, keepdims=True)
+        pixels[name] = camera.K[0, 0] * x + camera.K[:2, 2] + 0.1 * rng.normal(size=x.shape)
+    geometries = {pair: pair_geometry(site.cameras, site.views, pixels, pair, 0.1) for pair in site.geometries}
+    poses = solve(replace(site, geometries=geometries))
+    for camera in poses.cameras.values():
+        assert camera.radial[0] == pytest.approx(k1, rel=0.2)
+        assert camera.K[0, 0] == pytest.approx(800, rel=0.005)
+    (note,) = (note for note in poses.notes if "bend straight lines" in note)
+    assert "c0, c1, c2, c3, c4, c5" in note and "once these solved cameras are the calibration" in note
+
+
 def test_two_known_poses_stay_and_give_frame_and_scale() -> None:
     site = make_pair_site(6, noise_px=0.2)
     known = {name: true_placement(site, name) for name in ("c1", "c4")}
