@@ -83,20 +83,23 @@ def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: i
     m1, m2, m4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
     ones = np.uint64(0x0101010101010101)
     volume = np.full((height, width, count), unknown, dtype=np.uint8)
+    partners, usable = np.empty(width, dtype=np.uint64), np.empty(width, dtype=np.bool_)
     for y in range(height):
+        partners[:] = census2[y, ::-1]  # backwards: they come in the order of growing disparity
+        usable[:] = valid2[y, ::-1]
         for x in range(width):
-            first = max(0, x - low - width + 1)
-            last = min(count, x - low + 1)
+            first, last = max(0, x - low - width + 1), min(count, x - low + 1)
+            if first >= last:
+                continue
             own = census1[y, x]
-            for k in range(first, last):
-                v = own ^ census2[y, x - low - k]
+            start = width - 1 - (x - low - first)
+            others, known, costs = partners[start:], usable[start:], volume[y, x, first:last]
+            for k in range(last - first):
+                v = own ^ others[k]
                 v = v - ((v >> np.uint64(1)) & m1)
                 v = (v & m2) + ((v >> np.uint64(2)) & m2)
                 v = (v + (v >> np.uint64(4))) & m4
-                volume[y, x, k] = np.uint8((v * ones) >> np.uint64(56))
-            for k in range(first, last):
-                if not valid2[y, x - low - k]:
-                    volume[y, x, k] = unknown
+                costs[k] = np.uint8((v * ones) >> np.uint64(56)) if known[k] else unknown
     return volume
 
 
@@ -160,13 +163,20 @@ def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Floa
     right = np.full((height, width), np.nan, dtype=np.float32)
     distinct1 = np.zeros((height, width), dtype=np.float32)
     distinct2 = np.zeros((height, width), dtype=np.float32)
-    value2 = np.empty(width, dtype=np.uint16)
+    none = np.uint16(65535)
+    least2 = np.empty(width, dtype=np.uint16)  # of each pixel of the right view, backwards as in `_costs`, and where
+    best2 = np.empty(width, dtype=np.int32)
     for y in range(height):
-        value2[:] = np.uint16(65535)
+        least2[:] = none
+        best2[:] = -1
         for x in range(width):
             sums = summed[y, x]
-            best = np.argmin(sums)
-            least = sums[best]
+            least = none
+            for k in range(count):
+                least = min(least, sums[k])
+            best = 0
+            while sums[best] != least:
+                best += 1
             offset = 0.0
             if 0 < best < count - 1:
                 before, after = np.float32(sums[best - 1]) - least, np.float32(sums[best + 1]) - least
@@ -174,16 +184,25 @@ def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Floa
                 if steep > 0:
                     offset = 0.5 * (before - after) / steep
             left[y, x] = low + best + offset
-            rival = np.uint16(65535)
-            for k in range(count):
-                if k < best - 1 or k > best + 1:
-                    rival = min(rival, sums[k])
+            rival = none
+            for k in range(best - 1):
+                rival = min(rival, sums[k])
+            for k in range(best + 2, count):
+                rival = min(rival, sums[k])
             lead = (np.float32(rival) - np.float32(least)) / (np.float32(least) + np.float32(1.0))
             distinct1[y, x] = min(np.float32(1.0), lead)
-            for k in range(max(0, x - low - width + 1), min(count, x - low + 1)):
-                partner = x - low - k
-                if sums[k] < value2[partner]:
-                    value2[partner] = sums[k]
-                    right[y, partner] = low + k
-                    distinct2[y, partner] = 1.0
+            first, last = max(0, x - low - width + 1), min(count, x - low + 1)
+            if first >= last:
+                continue
+            start = width - 1 - (x - low - first)
+            seen, least_seen, best_seen = sums[first:last], least2[start:], best2[start:]
+            for k in range(last - first):
+                cheaper = seen[k] < least_seen[k]
+                least_seen[k] = seen[k] if cheaper else least_seen[k]
+                best_seen[k] = x if cheaper else best_seen[k]
+        for there in range(width):
+            if best2[there] >= 0:
+                partner = width - 1 - there
+                right[y, partner] = best2[there] - partner
+                distinct2[y, partner] = 1.0
     return left, right, distinct1, distinct2
