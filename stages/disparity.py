@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from .rectification.mapping import Side, warp, warp_mask
+from .rectification.mapping import Side, warp_with_mask
 from .stereo.checks import agreeing, disagreement, lands_on, within_reach, without_specks
 from .stereo.graphcut import match_graphcut
 from .stereo.noise import quietened
@@ -94,8 +94,8 @@ def _rectified(left: Frame, right: Frame, rectification: Rectification) -> Recti
     width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
     images, masks = [], []
     for frame, (side, _) in zip((left, right), _SIDES, strict=True):
-        grey = warp(rectification, side, quietened(_grey(frame.image), frame.mask))
-        mask = warp_mask(rectification, side, frame.mask & ~_saturated(frame.image))
+        grey, mask = quietened(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
+        grey, mask = warp_with_mask(rectification, side, grey, mask)
         padding = (0, 0), (0, width - grey.shape[1])
         images.append(np.pad(grey, padding, mode="edge"))
         masks.append(np.pad(mask, padding))
@@ -109,7 +109,9 @@ def _grey(image: Uint8s) -> Float32s:
 
 
 def _saturated(image: Uint8s) -> Bools:
-    return np.asarray((image >= 254).all(axis=2) | (image <= 1).all(axis=2))
+    red, green, blue = (image[..., k] for k in range(3))
+    darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+    return np.asarray((darkest >= 254) | (brightest <= 1))
 
 
 def _kept(

@@ -46,15 +46,28 @@ def from_rectified(rectification: Rectification, side: Side, x: Float64s) -> Flo
 
 def warp(rectification: Rectification, side: Side, image: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
     """Resample an image (h, w) or (h, w, 3) of the frame, uint8 or float32, by linear interpolation; 0 outside the frame."""
-    map_x, map_y = _source_of_pixels(rectification, side)
-    return np.asarray(cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=image.dtype)
+    return _resampled(image, _source_of_pixels(rectification, side))
 
 
 def warp_mask(rectification: Rectification, side: Side, mask: Bools) -> Bools:
     """(h, w) bool of the rectified image: True where all the pixels that `warp` reads lie inside the frame and its mask."""
-    map_x, map_y = _source_of_pixels(rectification, side)
-    warped = cv2.remap(mask.astype(np.float32), map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    return np.asarray(warped > 0.9999)
+    return _resampled_mask(mask, _source_of_pixels(rectification, side))
+
+
+def warp_with_mask(
+    rectification: Rectification, side: Side, image: npt.NDArray[Pixels], mask: Bools
+) -> tuple[npt.NDArray[Pixels], Bools]:
+    """`warp` and `warp_mask` at once."""
+    source = _source_of_pixels(rectification, side)
+    return _resampled(image, source), _resampled_mask(mask, source)
+
+
+def _resampled(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
+    return np.asarray(cv2.remap(image, *source, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=image.dtype)
+
+
+def _resampled_mask(mask: Bools, source: tuple[Float32s, Float32s]) -> Bools:
+    return np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
 
 
 def resampling(move: Callable[[Float64s], Float64s], x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
