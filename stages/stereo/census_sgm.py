@@ -182,7 +182,7 @@ def _best(summed: Uint16s, low: int) -> tuple[Float32s, Float32s, Float32s, Floa
                 before, after = np.float32(sums[best - 1]) - least, np.float32(sums[best + 1]) - least
                 steep = max(before, after)
                 if steep > 0:
-                    offset = 0.5 * (before - after) / steep
+                    offset = float(0.5 * (before - after) / steep)
             left[y, x] = low + best + offset
             rival = none
             for k in range(best - 1):

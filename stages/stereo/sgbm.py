@@ -22,10 +22,15 @@ def match_sgbm(pair: RectifiedPair) -> DenseMatches:
 
 def _left_disparity(pair: RectifiedPair) -> Float32s:
     """The right image is moved so that disparities start at 0, and both get columns on the left: StereoSGBM gives no value to
-    columns that don't have the whole range inside the right image."""
+    columns that don't have the whole range inside the right image.  Columns where nothing may be matched are left out."""
     count = 16 * -(-(pair.disparity_max - pair.disparity_min + 1) // 16)
-    left = cv2.copyMakeBorder(_eight_bit(pair.left), 0, 0, count, 0, cv2.BORDER_REPLICATE)
-    right = _shifted(_eight_bit(pair.right), count + pair.disparity_min, left.shape[1])
+    disparity = np.full(pair.left.shape, np.nan, dtype=np.float32)
+    used = np.flatnonzero(pair.valid_left.any(axis=0))
+    if len(used) == 0:
+        return disparity
+    columns = slice(max(used[0] - _BLOCK, 0), used[-1] + 1 + _BLOCK)
+    left = np.asarray(cv2.copyMakeBorder(_eight_bit(pair.left[:, columns]), 0, 0, count, 0, cv2.BORDER_REPLICATE), dtype=np.uint8)
+    right = _shifted(_eight_bit(pair.right), count + pair.disparity_min - columns.start, left.shape[1])
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,
@@ -39,7 +44,8 @@ def _left_disparity(pair: RectifiedPair) -> Float32s:
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     found = matcher.compute(left, right)[:, count:]
-    return np.where(found < 0, np.float32(np.nan), found.astype(np.float32) / 16 + pair.disparity_min).astype(np.float32)
+    disparity[:, columns] = np.where(found < 0, np.float32(np.nan), found.astype(np.float32) / 16 + pair.disparity_min)
+    return disparity
 
 
 def _eight_bit(image: Float32s) -> Uint8s:
