@@ -35,7 +35,7 @@ class Done:
 
 @dataclass
 class _Lane:
-    """Results of the lane so far, so that a task does not read back what the one before it has just written."""
+    """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
 
     cache: Cache
     receipts: dict[Task, Receipt] = field(default_factory=dict)
@@ -164,12 +164,12 @@ class _OnDemand(Mapping[Any, Any]):
         return len(self._items)
 
 
-def _load(value: Input, lane: _Lane) -> Any:
+def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     if isinstance(value, Absent):
         return None
     if isinstance(value, Joined):
         items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
-        return _OnDemand(items, lambda item: _load(item, lane))
+        return _OnDemand(items, lambda item: _load(item, lane, keep=False))
     if isinstance(value, Value):
         return _from_plain(value)
     if isinstance(value, Files):
@@ -179,6 +179,8 @@ def _load(value: Input, lane: _Lane) -> Any:
     if result is None:
         assert value.path is not None
         result = artifact.decode(lane.cache.read(str(value.task), value.path, value.file_digest))
+        if keep:
+            lane.results[value.task] = result
     return _part(result, value.part)
 
 

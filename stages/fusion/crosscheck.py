@@ -109,16 +109,18 @@ def _compare(
 ) -> None:
     h, w = depth.shape
     other_h, other_w = other_depth.shape
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
+    b0, b1, b2 = b
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
             if np.isnan(own):
                 continue
-            z = own * (M[2, 0] * x + M[2, 1] * y + M[2, 2]) + b[2]
+            z = own * (m20 * x + m21 * y + m22) + b2
             if not z > 0:
                 continue
-            u = (own * (M[0, 0] * x + M[0, 1] * y + M[0, 2]) + b[0]) / z
-            v = (own * (M[1, 0] * x + M[1, 1] * y + M[1, 2]) + b[1]) / z
+            u = (own * (m00 * x + m01 * y + m02) + b0) / z
+            v = (own * (m10 * x + m11 * y + m12) + b1) / z
             if not (u > -0.5 and v > -0.5 and u < other_w - 0.5 and v < other_h - 0.5):
                 continue
             i, j = int(u + 0.5), int(v + 0.5)
