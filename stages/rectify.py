@@ -290,7 +290,7 @@ def _row_uncertainty_px(
     if pair.camera1 is not None:
         return 0.0
     r = to_rectified(rectification, 1, shown)
-    r[:, 0] -= (y1[:, 0] - y2[:, 0])[cKDTree(y1).query(r)[1]]
+    r[:, 0] -= (y1[:, 0] - y2[:, 0])[cKDTree(y1, compact_nodes=False, balanced_tree=False).query(r)[1]]
     partner = from_rectified(rectification, 2, r)
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():

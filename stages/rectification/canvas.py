@@ -27,8 +27,8 @@ def place(
 
     x1, x2: (n, 2) matches, on the near side of the lines that H1 and H2 send to infinity.
     """
-    lengths = np.concatenate([_lengths(H1, x1), _lengths(H2, x2)])
-    S = np.diag([*(1 / np.median(lengths, axis=0)), 1.0])
+    lengths = np.concatenate([_lengths(H1, x1), _lengths(H2, x2)], axis=1)
+    S = np.diag([1 / middle(lengths[0]), 1 / middle(lengths[1]), 1.0])
     H1, H2 = S @ H1, S @ H2
     margin = MARGIN_OF_WIDTH * max(size1[0], size2[0])
     low1, high1 = crop(apply_homography(H1, x1), _reach(H1, size1), margin)
@@ -41,20 +41,33 @@ def place(
 
 
 def _lengths(H: Float64s, x: Float64s) -> Float64s:
-    """(n, 2): how many rectified pixels a pixel at each point is long, across and along rows: the Jacobian's rows."""
-    y = x @ H[:, :2].T + H[:, 2]
-    z = y[:, 2]
-    across = (H[0, :2] * z[:, None] - y[:, :1] * H[2, :2]) / (z * z)[:, None]
-    along = (H[1, :2] * z[:, None] - y[:, 1:2] * H[2, :2]) / (z * z)[:, None]
-    return np.column_stack([np.hypot(across[:, 0], across[:, 1]), np.hypot(along[:, 0], along[:, 1])])
+    """(2, n): how many rectified pixels a pixel at each point is long, across and along rows: the Jacobian's rows."""
+    X, Y, z = H[:, :2] @ x.T + H[:, 2:]
+    inverse = 1 / z
+    return np.stack(
+        [np.hypot(row[0] - u * H[2, 0], row[1] - u * H[2, 1]) * inverse for row, u in ((H[0], X * inverse), (H[1], Y * inverse))]
+    )
 
 
 def crop(points: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:
     """Whole-pixel corners (2,), (2,) of the box of `points` (n, 2) with margins, no larger than the box of `reach` (m, 2)."""
-    extent = np.ptp(points, axis=0)
-    low = np.maximum(points.min(axis=0) - MARGIN_SHARE * extent - margin, reach.min(axis=0))
-    high = np.minimum(points.max(axis=0) + MARGIN_SHARE * extent + margin, reach.max(axis=0))
-    return np.floor(low), np.ceil(high)
+    (lowest, highest), (nearest, farthest) = _box(points), _box(reach)
+    around = MARGIN_SHARE * (highest - lowest) + margin
+    return np.floor(np.maximum(lowest - around, nearest)), np.ceil(np.minimum(highest + around, farthest))
+
+
+def _box(points: Float64s) -> tuple[Float64s, Float64s]:
+    columns = np.ascontiguousarray(points.T)  # several times faster than minima along the long axis
+    return columns.min(axis=1), columns.max(axis=1)
+
+
+def middle(values: Float64s) -> float:
+    """The median of values (n,), in a fraction of the time of numpy's."""
+    k = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, k)[k])
+    ordered = np.partition(values, (k - 1, k))
+    return 0.5 * float(ordered[k - 1] + ordered[k])
 
 
 @lru_cache(maxsize=8)

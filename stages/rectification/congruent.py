@@ -12,12 +12,15 @@ from scipy.spatial import Delaunay
 
 from ..epipolar import apply_homography, homogeneous
 from ..types import Float32s, Float64s, Int32s
+from .canvas import middle
 from .projective import rows_fixed_by, send_epipole_to_infinity
 
 COLUMNS = 24
 """Columns of square cells that hold one control point each."""
 
 _ITERATIONS = 10
+_SETTLED = 1e-6
+"""Share of the largest coefficient by which none changes any more."""
 
 
 def congruent(F: Float64s, x1: Float64s, x2: Float64s, probability: Float32s, size: tuple[int, int]) -> tuple[Float64s, Float64s]:
@@ -56,10 +59,12 @@ def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -
     weights: Float64s = np.ones(len(d))
     coefficients: Float64s = np.zeros(design.shape[1])
     for _ in range(_ITERATIONS if robust else 1):
-        weighted = D.T * weights
+        before, weighted = coefficients, D.T * weights
         coefficients = np.asarray(np.linalg.lstsq(weighted @ D, weighted @ d, rcond=None)[0], dtype=np.float64)
+        if np.abs(coefficients - before).max() <= _SETTLED * np.abs(coefficients).max():
+            break
         r = D @ coefficients - d
-        s = 1.4826 * np.median(np.abs(r)) + 1e-6
+        s = 1.4826 * middle(np.abs(r)) + 1e-6
         weights = np.asarray(1 / (1 + (r / (2 * s)) ** 2), dtype=np.float64)
     return coefficients
 
