@@ -305,7 +305,7 @@ def _expect(
     forward = field.affine @ problem.frames1
     _score(
         i, j, q, problem.x2, forward, _log_scale(forward), problem.unframes2, _log_scale(problem.unframes2),
-        field.prediction, sigma, trust, coefficients, log_odds,
+        field.prediction, sigma, np.log(sigma / MIN_SIGMA_PX), trust, coefficients, log_odds,
     )  # fmt: skip
     if F is not None:
         _score_epipolar(i, j, problem.x1, problem.x2, np.ascontiguousarray(F), coefficients, log_odds)
@@ -351,28 +351,8 @@ def _relative_distances(
 @kernel
 def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: int, j: int) -> float:
     """Descriptor distance over the mean noise level of the two keypoints."""
-    dot = _dot(d1[i], d2[j])
-    return float(np.sqrt(max(2 - 2 * float(dot), 0.0)) / (0.5 * (noise1[i] + noise2[j]) + 1e-9))
-
-
-@kernel
-def _dot(a: Float32s, b: Float32s) -> float:
-    """In eight sums that don't wait for each other."""
-    s0, s1, s2, s3 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-    s4, s5, s6, s7 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-    whole = len(a) // 8 * 8
-    for k in range(0, whole, 8):
-        s0 += a[k] * b[k]
-        s1 += a[k + 1] * b[k + 1]
-        s2 += a[k + 2] * b[k + 2]
-        s3 += a[k + 3] * b[k + 3]
-        s4 += a[k + 4] * b[k + 4]
-        s5 += a[k + 5] * b[k + 5]
-        s6 += a[k + 6] * b[k + 6]
-        s7 += a[k + 7] * b[k + 7]
-    for k in range(whole, len(a)):
-        s0 += a[k] * b[k]
-    return float(((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7)))
+    dot = float(np.dot(d1[i], d2[j]))
+    return float(np.sqrt(max(2 - 2 * dot, 0.0)) / (0.5 * (noise1[i] + noise2[j]) + 1e-9))
 
 
 @kernel
@@ -413,25 +393,27 @@ def _score(
     log_scale2: Float64s,
     prediction: Float64s,
     sigma: Float64s,
+    log_sigma: Float64s,
     trust: Float64s,
     coefficients: Float64s,
     log_odds: Float64s,
 ) -> None:
     """Log odds of the candidates i--j by `Evidence`, without the epipolar term; coefficients in the order of its fields.
 
-    forward: keypoint frames of image 1 as the field maps them into image 2; log_scale: of these and of the inverse frames of 2.
+    forward: keypoint frames of image 1 as the field maps them into image 2; log_scale: of these and of the inverse frames of 2;
+    log_sigma: of sigma over the least.
     """
     alone, alone_slope, base, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:8]
     for c in range(len(i)):
         a, b = i[c], j[c]
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
-        penalty = by_distance * np.log1p(r2 / sigma[a] ** 2) + by_sigma * np.log(sigma[a] / MIN_SIGMA_PX)
+        penalty = by_distance * np.log(1 + r2 / sigma[a] ** 2) + by_sigma * log_sigma[a]
         W, N = forward[a], unframes2[b]
         q00, q01 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0], N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]
         q10, q11 = N[1, 0] * W[0, 0] + N[1, 1] * W[1, 0], N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
         zoom = log_scale1[a] + log_scale2[b]
         turn = np.arctan2(q10 - q01, q00 + q11)
-        penalty += by_scale * np.log1p((zoom / 0.25) ** 2) + by_angle * np.log1p((turn / 0.25) ** 2)
+        penalty += by_scale * np.log(1 + (zoom / 0.25) ** 2) + by_angle * np.log(1 + (turn / 0.25) ** 2)
         t = trust[a]
         log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
 
@@ -454,7 +436,7 @@ def _score_epipolar(
         a1, b1 = F[0, 0] * u + F[1, 0] * v + F[2, 0], F[0, 1] * u + F[1, 1] * v + F[2, 1]
         algebraic = abs(u * a2 + v * b2 + c2)
         distance = 0.5 * algebraic * (1 / np.sqrt(a2 * a2 + b2 * b2) + 1 / np.sqrt(a1 * a1 + b1 * b1))
-        log_odds[c] += base - weight * np.log1p(distance * distance)
+        log_odds[c] += base - weight * np.log(1 + distance * distance)
 
 
 @kernel
