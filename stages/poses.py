@@ -16,6 +16,9 @@ from .epipolar import camera_of, rotation_between_deg
 from .known_poses import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
 from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
 
+MOST_NAMES = 6
+"""A sentence lists so many cameras at most."""
+
 
 def solve_poses(
     views: Mapping[str, View],
@@ -132,6 +135,8 @@ def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[
 
 
 def _listed(names: list[str]) -> str:
+    if len(names) > MOST_NAMES:
+        names = [*names[: MOST_NAMES - 1], f"{len(names) - MOST_NAMES + 1} more"]
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
