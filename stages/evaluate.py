@@ -151,6 +151,17 @@ def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *,
     return PoseErrors(names, rotation, np.linalg.norm(centres - true_centres, axis=1), moved)
 
 
+def turn_errors_deg(estimated: Mapping[str, Camera], truth: Mapping[str, Camera]) -> Float64s:
+    """(n,) angles between orientations after the one turn of all cameras that fits best.
+
+    `pose_errors` takes that turn from the centres: where these lie almost in a row, their errors turn all cameras.
+    """
+    names = [name for name in truth if name in estimated]
+    U, _, Vt = np.linalg.svd(np.sum([estimated[n].R.T @ truth[n].R for n in names], axis=0))
+    turn = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return np.array([angle_deg(estimated[n].R @ turn, truth[n].R) for n in names])
+
+
 def angle_deg(R1: Float64s, R2: Float64s) -> float:
     """Angle (degrees) of the rotation between two orientations, accurate for small ones."""
     return float(np.degrees(2 * np.arcsin(min(np.linalg.norm(R1 - R2) / np.sqrt(8), 1.0))))

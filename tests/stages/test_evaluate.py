@@ -18,6 +18,7 @@ from wbflow_stages.evaluate import (
     epipolar_errors,
     pose_errors,
     true_correspondences,
+    turn_errors_deg,
     voxel_means,
 )
 from wbflow_stages.synthetic.cameras import look_at
@@ -119,6 +120,16 @@ def test_pose_errors_are_those_that_were_made():
     assert errors.rotation_deg == pytest.approx(0.7)
     assert errors.position == pytest.approx(0.02)
     assert errors.cameras == ("c0", "c1", "c2", "c3")
+
+
+def test_errors_of_the_centres_do_not_count_as_turns():
+    truth = {f"c{k}": looking((k - 1.5, -2 + 1e-3 * k**2, 1)) for k in range(4)}  # almost in a row
+    shifted = {n: Camera(c.K, c.R, c.C + np.array([0, 0, 2e-3 * (n == "c1")]), c.width, c.height) for n, c in truth.items()}
+    assert pose_errors(shifted, truth, aligned=True).rotation_deg.min() > 1
+    assert turn_errors_deg(shifted, truth).max() < 1e-6
+    turn = Rotation.from_rotvec([0, np.radians(0.8), 0]).as_matrix()
+    one = truth | {"c2": Camera(truth["c2"].K, turn @ truth["c2"].R, truth["c2"].C, truth["c2"].width, truth["c2"].height)}
+    assert turn_errors_deg(one, truth).sum() == pytest.approx(0.6 + 3 * 0.2, rel=0.01)
 
 
 def test_poses_in_another_frame_and_scale_are_perfect_once_aligned():
