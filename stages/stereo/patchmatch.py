@@ -22,7 +22,7 @@ _SWEEPS = 2
 _DEAREST = 0.6
 """Planes that cost more are no matches."""
 
-_DOUBTFUL = 2.3
+_DOUBTFUL = 2.35
 """How much the surroundings of a pixel may disagree with its plane, see `doubt`."""
 
 _DIRECT_PX = 1.0e6
