@@ -22,8 +22,8 @@ from .fusion.glance import glance, natural_voxel, nearest_views
 from .fusion.voxels import Samples, VoxelGrid
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Rejected
 
-_IN_MEMORY = 8
-"""Depth maps kept at hand: the next view is mostly compared with the same ones."""
+_IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
+"""Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
 
 
 def fuse(
@@ -64,7 +64,9 @@ def fuse(
     known = {*depths, *better}
     cameras = {name: camera for name, camera in cameras.items() if camera.component == component and name in known}
 
-    @lru_cache(maxsize=_IN_MEMORY)
+    largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
+
+    @lru_cache(maxsize=max(_IN_MEMORY, _IN_MEMORY_PX // largest))
     def depth_of(name: str) -> DepthMap:
         return better[name] if name in better else depths[name]
 
