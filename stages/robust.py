@@ -20,6 +20,7 @@ from .types import Bools, Float64s, View
 
 CONFIDENCE = 0.9999
 MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
+"""Of random samples; between the two, as many as the share of inliers asks for."""
 INLIER_FACTOR = 1.5
 """An inlier of the refined model lies within this times the threshold, in Sampson distance."""
 
