@@ -50,7 +50,7 @@ def match_dense(
         How the frames are resampled.
     matcher
         "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
-        OpenCV's semi-global matching, three times faster.  "graphcut": expansion moves at no more than 384 x 256 pixels, for
+        OpenCV's semi-global matching, in half the time.  "graphcut": expansion moves at no more than 384 x 256 pixels, for
         comparison (slow; needs the extra `graphcut`).
     tolerance_px
         The two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.

@@ -13,6 +13,7 @@ from wbflow_stages.stereo.census_sgm import match_census_sgm
 from wbflow_stages.stereo.noise import noise_level, quietened
 from wbflow_stages.stereo.pair import DenseMatcher, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
+from wbflow_stages.stereo.plane_votes import doubt, smoothed
 from wbflow_stages.stereo.quick_look import prepared
 from wbflow_stages.stereo.sgbm import match_sgbm
 
@@ -105,6 +106,39 @@ def test_patchmatch_believes_what_its_surroundings_back() -> None:
     assert np.mean(wrong[inside & believed]) < 0.005
     assert np.mean(wrong[inside & ~believed]) > 0.08
     assert np.mean(believed[inside]) > 0.9
+
+
+def test_a_hidden_strip_of_columns_has_no_disparity_and_changes_nothing_far_from_it() -> None:
+    left, right = stereo_pair(120, 224)
+    truth = true_disparity(120, 224)
+    pair = pair_of(left, right, 16, 44)
+    shown = np.ones(left.shape, dtype=bool)
+    shown[:, :90] = False
+    found = match_sgbm(dataclasses.replace(pair, valid_left=shown)).left
+    assert np.isnan(found[:, :80]).all()
+    inside = well_inside(truth) & (np.arange(224) > 100)
+    assert np.mean(np.abs(found - truth)[inside] < 1) > 0.85
+    nothing = dataclasses.replace(pair, valid_left=~shown & shown, valid_right=~shown & shown)
+    assert np.isnan(match_sgbm(nothing).left).all()
+
+
+def test_wrong_planes_are_outvoted_and_doubted() -> None:
+    """A slanted surface of one grey, with noise, and a wrong patch; a speck is doubted, and what the other view contradicts."""
+    y, x = np.mgrid[0:60, 0:300].astype(np.float32)
+    noise = np.random.default_rng(3).normal(0, 0.2, y.shape).astype(np.float32)
+    truth = 20 + 0.2 * x - 0.1 * y
+    planes = np.stack([truth + noise, np.full_like(x, 0.2), np.full_like(x, -0.1)])
+    planes[0, 20:24, 126:130] += 9
+    cost = np.zeros_like(x)
+    cost[:, 200:] = 0.7
+    found = smoothed(np.full_like(x, 90), planes, cost, 0.6)
+    assert np.isnan(found[:, 200:]).all()
+    assert np.abs(found - truth)[:, :200].max() < 0.25
+    torn = truth + np.where((abs(y - 22) < 2) & (abs(x - 128) < 2), np.float32(9), np.float32(0))
+    difference = np.where(x < 250, np.float32(0.5), np.float32(5))
+    doubts = doubt(torn, planes, difference)
+    assert doubts[22, 128] > 3 and np.isinf(doubts[:, 250:]).all()
+    assert doubts[5:55, 5:110].max() < 0.2 and doubts[0, 0] < 0.2
 
 
 def test_halving_keeps_disparity_half_as_large() -> None:
