@@ -120,7 +120,8 @@ def _costs(
             middle, step = s[_MIDDLE + x] - trial[_B + x] * np.float32(dy), s[_STEP + x]
             for k in range(_ACROSS):
                 at = middle + np.float32(k * _STRIDE - _RADIUS) * step
-                s[_VALUES + k * _BLOCK + x] = min(max(at, np.float32(0.0)), limit)
+                at = at if at > np.float32(0.0) else np.float32(0.0)  # nan, too: nothing outside the row is ever read
+                s[_VALUES + k * _BLOCK + x] = at if at < limit else limit
         for x in range(_ACROSS * _BLOCK):
             at = s[_VALUES + x]
             i = np.int32(at)
