@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 
 from .fusion.depth import NoiseModel, transfer
-from .fusion.planes import judge_planes, sweep_planes
-from .types import Camera, DepthMap, Float32s, Frame, Int32s, Rejected
+from .fusion.planes import PlaneSweep, Scalar
+from .stereo.plane_votes import smoothed
+from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Rejected
 
 
 def refine(
@@ -29,7 +30,7 @@ def refine(
     cameras: Mapping[str, Camera],
     *,
     radius: int = 3,
-    sweeps: int = 2,
+    sweeps: int = 3,
     max_sources: int = 6,
     min_angle_deg: float = 4.0,
     max_angle_deg: float = 65.0,
@@ -72,36 +73,28 @@ def refine(
     spacing = max(1, round(max(image.shape) / 768))
     taps = spacing * _taps(radius)
     far = max(2, round(5 * max(image.shape) / 768))
-    q = 1.0 / depth.depth.astype(np.float64)
-    A, B = depth.slope_x.astype(np.float64), depth.slope_y.astype(np.float64)
-    known = np.isfinite(q)
-    nearest, farthest = np.percentile(q[known], [99.8, 0.2])
-    cost, best = np.empty(q.shape, np.float32), np.zeros(q.shape, np.uint8)
-    sweep_planes(
-        *(image, frame.mask, sources, M, b, taps, SOFTNESS, sweeps, far, 0.9 * farthest, 1.1 * nearest, 1),
-        *(q, A, B, cost, best),
-    )
-    support, parallax = np.zeros(q.shape, np.uint32), np.zeros(q.shape, np.float32)
-    first, second = np.empty_like(cost), np.empty_like(cost)
-    judge_planes(image, sources, M, b, taps, SOFTNESS, max_cost, q, A, B, support, parallax, first, second)
-    kept = frame.mask & (first < max_cost)
-    z = np.where(kept, 1.0 / q, np.nan)
+    planes = np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
+    known = np.isfinite(planes[0])
+    nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
+    sweep = PlaneSweep(image, frame.mask, sources, M, b, taps)
+    cost = sweep.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
+    scale = _pixels_per_inverse_depth(M, b, planes[0])
+    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing) / scale
+    said = sweep.judge(planes, max_cost)
+    kept = frame.mask & (said.first < max_cost)
+    z = np.where(kept, 1.0 / planes[0].astype(np.float64), np.nan)
     noise = NoiseModel(noise_px=noise_px)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / parallax + noise.floor**2)
+        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / said.parallax + noise.floor**2)
     return DepthMap(
         z.astype(np.float32),
         sigma.astype(np.float32),
-        A.astype(np.float32),
-        B.astype(np.float32),
-        support,
+        planes[1],
+        planes[2],
+        said.support,
         tuple(around),
-        kept & (known | (second < 0.3)),
+        kept & (known | (said.second < 0.3)),
     )
-
-
-SOFTNESS = 12.0
-"""Grey levels at which a patch's pixel counts half."""
 
 
 def grey(frame: Frame) -> Float32s:
@@ -126,6 +119,15 @@ def _sources(
     return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
 
 
+def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> Scalar:
+    """How far a pixel moves per unit of inverse depth, in the median over sources and a few pixels."""
+    y, x = np.nonzero(np.isfinite(q[::16, ::16]))
+    p = np.stack([16.0 * x, 16.0 * y, np.ones(len(x))])
+    seen = M @ p + b[:, :, None] * q[::16, ::16][y, x]
+    moved = (b[:, :2, None] - seen[:, :2] / seen[:, 2:] * b[:, 2:, None]) / seen[:, 2:]
+    return Scalar(np.median(np.linalg.norm(moved, axis=1)))
+
+
 def _stack(images: list[Float32s]) -> Float32s:
     """(s, h, w); smaller images are filled up with their edge's values, which correlate with nothing."""
     h, w = max(image.shape[0] for image in images), max(image.shape[1] for image in images)
@@ -133,6 +135,7 @@ def _stack(images: list[Float32s]) -> Float32s:
 
 
 def _taps(radius: int) -> Int32s:
-    """(n, 2) offsets (x, y) of every second pixel of a square patch, like the black fields of a chessboard."""
+    """(n, 2) offsets (x, y) of every second pixel of a square patch, like the black fields of a chessboard; the centre first."""
     span = range(-radius, radius + 1)
-    return np.array([(i, j) for j in span for i in span if (i + j) % 2 == 0], np.int32)
+    offsets = sorted(((i, j) for j in span for i in span if (i + j) % 2 == 0), key=lambda at: at != (0, 0))
+    return np.array(offsets, np.int32)

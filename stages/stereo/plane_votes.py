@@ -31,12 +31,14 @@ _BORDER = _VOTERS
 _BLOCK = 128
 
 
-def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float) -> Float32s:
+def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1) -> Float32s:
     """(h, w) disparity of planes (3, h, w) whose `cost` is below `dearest`, nan elsewhere: first corrected by its neighbours,
-    then the median of what neighbours farther away say."""
-    bordered = _bordered(np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan)), planes[1], planes[2], image)
-    bordered[0, _BORDER:-_BORDER, _BORDER:-_BORDER] = _corrected(bordered)
-    return _voted(bordered)
+    then the median of what neighbours farther away say.  spacing: of the pixels that were compared: voters stand as far apart."""
+    border = _BORDER * spacing
+    known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))
+    bordered = _bordered(border, known, planes[1], planes[2], image)
+    bordered[0, border:-border, border:-border] = _corrected(bordered, border)
+    return _voted(bordered, spacing)
 
 
 def doubt(disparity: Float32s, planes: Float32s, difference: Float32s) -> Float32s:
@@ -45,15 +47,15 @@ def doubt(disparity: Float32s, planes: Float32s, difference: Float32s) -> Float3
     Neighbours that the other view does not confirm (`difference` in pixels) count as if far away: where one is wrong, those
     beside it are suspect.  Infinite where the pixel itself is not confirmed."""
     confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), disparity, np.float32(np.nan))
-    return _doubt(_bordered(confirmed)[0], planes, _neighbours_inside(disparity.shape))
+    return _doubt(_bordered(_BORDER, confirmed)[0], planes, _neighbours_inside(disparity.shape))
 
 
-def _bordered(*layers: Float32s) -> Float32s:
+def _bordered(border: int, *layers: Float32s) -> Float32s:
     """Layers (h, w) on top of each other, with a border of nan."""
     height, width = layers[0].shape
-    whole = np.full((len(layers), height + 2 * _BORDER, width + 2 * _BORDER), np.nan, dtype=np.float32)
+    whole = np.full((len(layers), height + 2 * border, width + 2 * border), np.nan, dtype=np.float32)
     for layer, values in zip(whole, layers, strict=True):
-        layer[_BORDER:-_BORDER, _BORDER:-_BORDER] = values
+        layer[border:-border, border:-border] = values
     return whole
 
 
@@ -64,12 +66,12 @@ def _neighbours_inside(shape: tuple[int, ...]) -> Float32s:
 
 
 @kernel
-def _corrected(bordered: Float32s) -> Float32s:
+def _corrected(bordered: Float32s, border: int) -> Float32s:
     """(h, w) disparity: the planes' own, corrected by a least-squares plane through what neighbours say.
 
     They must nearly agree, and weigh by likeness.  `bordered` are disparity, its slopes and grey (4, h, w) with a border."""
     known, image = bordered[0], bordered[3]
-    height, width = known.shape[0] - 2 * _BORDER, known.shape[1] - 2 * _BORDER
+    height, width = known.shape[0] - 2 * border, known.shape[1] - 2 * border
     out = np.empty((height, width), dtype=np.float32)
     soft = np.float32(1.0 / _LIKENESS)
     s = np.empty(9 * _BLOCK, dtype=np.float32)
@@ -77,7 +79,7 @@ def _corrected(bordered: Float32s) -> Float32s:
     for y in range(height):
         for x0 in range(0, width, _BLOCK):
             n = min(_BLOCK, width - x0)
-            row, column = y + _BORDER, x0 + _BORDER
+            row, column = y + border, x0 + border
             d, a, b, grey = known[row, column:], bordered[1, row, column:], bordered[2, row, column:], image[row, column:]
             s[:] = none
             s[3 * _BLOCK : 5 * _BLOCK] = np.float32(2.0)  # slopes stay the plane's own where little speaks
@@ -118,12 +120,13 @@ _NETWORK = sorting_network(_VOTES)
 
 
 @kernel
-def _voted(bordered: Float32s) -> Float32s:
+def _voted(bordered: Float32s, spacing: int) -> Float32s:
     """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
 
     A wrong plane, or one of the other side of an edge, is outvoted; slanted surfaces keep their slant.  `bordered` as in
     `_corrected`."""
-    height, width = bordered.shape[1] - 2 * _BORDER, bordered.shape[2] - 2 * _BORDER
+    border = _BORDER * spacing
+    height, width = bordered.shape[1] - 2 * border, bordered.shape[2] - 2 * border
     out = np.empty((height, width), dtype=np.float32)
     votes = np.zeros((_VOTES, _BLOCK), dtype=np.float32)
     weights = np.zeros((_VOTES, _BLOCK), dtype=np.float32)
@@ -132,12 +135,13 @@ def _voted(bordered: Float32s) -> Float32s:
     for y in range(height):
         for x0 in range(0, width, _BLOCK):
             n = min(_BLOCK, width - x0)
-            row, column = y + _BORDER, x0 + _BORDER
+            row, column = y + border, x0 + border
             own, grey = bordered[0, row, column:], bordered[3, row, column:]
             half[:] = np.float32(0.0)
             k = 0
-            for dy in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
-                for dx in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+            for j in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                for i in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                    dx, dy = i * spacing, j * spacing
                     fx, fy = np.float32(dx), np.float32(dy)
                     d, likeness = bordered[0, row + dy, column + dx :], bordered[3, row + dy, column + dx :]
                     a, b = bordered[1, row + dy, column + dx :], bordered[2, row + dy, column + dx :]
@@ -152,8 +156,8 @@ def _voted(bordered: Float32s) -> Float32s:
                         half[x] += weight[x]
                     k += 1
             for q in range(_NETWORK.shape[0]):
-                i, j = _NETWORK[q]
-                vote1, vote2, weight1, weight2 = votes[i], votes[j], weights[i], weights[j]
+                low, high = _NETWORK[q]
+                vote1, vote2, weight1, weight2 = votes[low], votes[high], weights[low], weights[high]
                 for x in range(_BLOCK):
                     v1, v2, w1, w2 = vote1[x], vote2[x], weight1[x], weight2[x]
                     swap = v1 > v2

@@ -137,7 +137,8 @@ class Loading(Mapping):
         return len(self.kept)
 
 
-def test_the_depth_of_a_large_site_is_never_in_memory_at_once():
+def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("wbflow_stages.fuse._IN_MEMORY_PX", 0)  # as if the views had twelve million pixels
     yard = make_yard(tuple(range(-57, 58, 6)), width=120, max_angle=18)
     lazy = Loading(yard.depths())
     assert isinstance(fuse(yard.frames, yard.cameras, lazy, check_views=4), Cloud)
