@@ -35,7 +35,7 @@ def fuse(
     component: int = 0,
     strict: int = 1,
     voxel_m: float | None = None,
-    neighbours: int = 6,
+    neighbours: int = 5,
     check_views: int = 16,
 ) -> Cloud | Rejected:
     """Fuse the depths of all views into one cloud.

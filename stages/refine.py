@@ -2,6 +2,7 @@
 
 Starting from the depth that pairs gave, planes are improved by what several photographs together show (`fusion.planes`): matches
 that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a surface best.
+In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.
 
 References
 ----------
