@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from ..epipolar import apply_homography, homogeneous
-from ..types import Float32s, Float64s, Int32s
+from ..kernels import kernel
+from ..types import Float32s, Float64s, Int32s, Int64s
 from .canvas import middle
 from .projective import rows_fixed_by, send_epipole_to_infinity
 
@@ -35,12 +36,20 @@ def seed(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int]) -> tupl
 
 
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
-    """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`."""
+    """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
     cell = np.floor(x1 * (COLUMNS / size[0])).astype(np.int64)
     key = cell[:, 1] * (4 * COLUMNS) + cell[:, 0]
-    order = np.lexsort((np.arange(len(x1)), -probability, key))
-    first = np.r_[True, np.diff(key[order]) != 0]
-    return np.sort(order[first]).astype(np.int32)
+    key -= key.min()
+    best = np.full(key.max() + 1, -1, dtype=np.int32)
+    _best_of_each(key, probability, best)
+    return np.sort(best[best >= 0])
+
+
+@kernel
+def _best_of_each(key: Int64s, probability: Float32s, best: Int32s) -> None:
+    for k in range(len(key)):
+        if best[key[k]] < 0 or probability[k] > probability[best[key[k]]]:
+            best[key[k]] = k
 
 
 def net_edges(x: Float64s) -> Int32s:
@@ -50,23 +59,36 @@ def net_edges(x: Float64s) -> Int32s:
 
 
 def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -> Float64s:
-    """Coefficients (k,) that best carry the differences of `design` (n, k) over `edges` into those of `target` (n,).
+    """Coefficients (2,) that best carry the differences of `design` (n, 2) over `edges` into those of `target` (n,).
 
     Robust: weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
     """
-    D = design[edges[:, 0]] - design[edges[:, 1]]  # few well-scaled columns: normal equations lose nothing
+    D = design[edges[:, 0]] - design[edges[:, 1]]
     d = target[edges[:, 0]] - target[edges[:, 1]]
-    weights: Float64s = np.ones(len(d))
-    coefficients: Float64s = np.zeros(design.shape[1])
-    for _ in range(_ITERATIONS if robust else 1):
-        before, weighted = coefficients, D.T * weights
-        coefficients = np.asarray(np.linalg.lstsq(weighted @ D, weighted @ d, rcond=None)[0], dtype=np.float64)
-        if np.abs(coefficients - before).max() <= _SETTLED * np.abs(coefficients).max():
+    return _reweighted(D, d, _ITERATIONS if robust else 1)
+
+
+@kernel
+def _reweighted(D: Float64s, d: Float64s, iterations: int) -> Float64s:
+    """Coefficients (2,) of D (m, 2) that give d (m,), by least squares with weights from the residuals before."""
+    fit = np.zeros(2)
+    weights, residuals = np.ones(len(d)), np.empty(len(d))
+    for _ in range(iterations):
+        aa, ab, bb, ad, bd = 0.0, 0.0, 0.0, 0.0, 0.0  # two well-scaled columns: normal equations lose nothing
+        for k in range(len(d)):
+            a, b = weights[k] * D[k, 0], weights[k] * D[k, 1]
+            aa, ab, bb = aa + a * D[k, 0], ab + a * D[k, 1], bb + b * D[k, 1]
+            ad, bd = ad + a * d[k], bd + b * d[k]
+        before = fit
+        fit = np.array([bb * ad - ab * bd, aa * bd - ab * ad]) / (aa * bb - ab * ab)
+        if np.abs(fit - before).max() <= _SETTLED * np.abs(fit).max():
             break
-        r = D @ coefficients - d
-        s = 1.4826 * middle(np.abs(r)) + 1e-6
-        weights = np.asarray(1 / (1 + (r / (2 * s)) ** 2), dtype=np.float64)
-    return coefficients
+        for k in range(len(d)):
+            residuals[k] = abs(D[k, 0] * fit[0] + D[k, 1] * fit[1] - d[k])
+        s = 1.4826 * np.median(residuals) + 1e-6
+        for k in range(len(d)):
+            weights[k] = 1 / (1 + (residuals[k] / (2 * s)) ** 2)
+    return fit
 
 
 def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust: bool) -> tuple[Float64s, Float64s]:
@@ -80,7 +102,7 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     # row1 = B ab + c row3: row3 maps every point to 1, so edges say nothing about c, and B spans the rest
     B = np.linalg.svd(row3_n[None])[2][1:].T
     ab = fit_edges(points @ B, target[:, 0], net_edges(target), robust)
-    c = np.median(target[:, 0] - points @ B @ ab)
+    c = middle(target[:, 0] - points @ (B @ ab))
     return np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2
 
 
