@@ -8,7 +8,7 @@ seed's own future work), and weights that let edges across depth jumps go.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, QhullError
 
 from ..epipolar import apply_homography, homogeneous
 from ..kernels import kernel
@@ -53,8 +53,14 @@ def _best_of_each(key: Int64s, probability: Float32s, best: Int32s) -> None:
 
 
 def net_edges(x: Float64s) -> Int32s:
-    """(m, 2) rows of points joined by the Delaunay net of x (n, 2): two edges of each triangle, as in the seed's (4-6)."""
-    triangles = Delaunay(x).simplices
+    """(m, 2) rows of points joined by the Delaunay net of x (n, 2): two edges of each triangle, as in the seed's (4-6).
+
+    Raises ValueError when the points span no triangle.
+    """
+    try:
+        triangles = Delaunay(x).simplices
+    except QhullError:
+        raise ValueError("the matches lie too close together to span a net") from None
     return np.vstack([triangles[:, [0, 1]], triangles[:, [2, 1]]]).astype(np.int32)
 
 

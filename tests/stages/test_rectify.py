@@ -186,6 +186,18 @@ def test_clustered_matches_do_not_tell_the_rows_of_the_rest() -> None:
     assert refused.figures["row_error_px"] > 0.5
 
 
+@pytest.mark.parametrize("method", ["congruent", "calibrated"])
+def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_the_rows(method: Method) -> None:
+    """All in one cell of the grid of control points."""
+    geometry, left, right = two_views(SIDEWAYS, n=60000)
+    near = (np.abs(geometry.x1 - np.array([333.0, 280.0])) < 12).all(axis=1)
+    assert near.sum() > 20
+    close = dataclasses.replace(geometry, x1=geometry.x1[near], x2=geometry.x2[near], probability=geometry.probability[near])
+    result = rectified(close, left, right, method)
+    assert result.method == "hartley" and "net" in result.reason
+    assert row_errors(result, geometry.x1, geometry.x2).max() < 1e-3
+
+
 def test_an_f_that_is_more_likely_wrong_than_right_is_refused_unless_cameras_replace_it() -> None:
     geometry, left, right = two_views(SIDEWAYS)
     doubtful = dataclasses.replace(geometry, score=-0.5, agreement=0.1)
