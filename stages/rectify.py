@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .epipolar import (
     fundamental_from_cameras,
@@ -17,11 +16,13 @@ from .epipolar import (
     symmetric_epipolar_distance,
     triangulate_depth,
 )
+from .matching.nearest_points import nearest_points
 from .rectification.calibrated import calibrated
 from .rectification.canvas import Size, frame_grid, place
 from .rectification.congruent import congruent, seed
 from .rectification.hartley import hartley
 from .rectification.mapping import Side, from_rectified, rectified_size, resampling, to_rectified
+from .rectification.percentiles import middle, percentiles
 from .rectification.polar import polar
 from .rectification.quality import line_uncertainty, order_agreement, parallax_px
 from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification, Rejected
@@ -177,26 +178,30 @@ def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> t
         H1, H2 = _homographies(pair, method)
     except ValueError as error:
         return str(error)
-    for H, x in ((H1, pair.x1), (H2, pair.x2)):
-        third = homogeneous(x) @ H[2]
-        if np.mean(third > 0) < 0.98 or not np.isfinite(H).all():
-            return "an epipole lies among the matches"
-    near = ((homogeneous(pair.x1) @ H1[2]) > 0) & ((homogeneous(pair.x2) @ H2[2]) > 0)
+    near1, near2 = _third(H1, pair.x1) > 0, _third(H2, pair.x2) > 0
+    if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
+        return "an epipole lies among the matches"
+    near = near1 & near2
     H1, H2, size1, size2 = place(H1, H2, pair.x1[near], pair.x2[near], pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     footprints = [_footprint(result, pair, side) for side in _SIDES]
     for footprint, H in zip(footprints, (H1, H2), strict=True):
-        if len(footprint.points) == 0 or (homogeneous(footprint.points) @ H[2]).min() <= 0:
+        if len(footprint.points) == 0 or _third(H, footprint.points).min() <= 0:
             return "the line sent to infinity crosses the image"
         if torn_too:
             continue
-        low, high = np.sqrt(np.percentile(np.abs(footprint.area), [5, 95]))
+        low, high = np.sqrt(percentiles(np.abs(footprint.area), 5, 95))
         if high > 4 * low:
             return f"{method} stretches the image {high / low:.1f} times: an epipole is near, or the matches scatter"
-        anisotropy = float(np.percentile(footprint.longer / footprint.shorter, 95))
+        (anisotropy,) = percentiles(footprint.longer / footprint.shorter, 95)
         if anisotropy > 3:
             return f"{method} makes pixels {anisotropy:.1f} times longer than wide: an epipole is near, or the matches scatter"
     return result, footprints
+
+
+def _third(H: Float64s, x: Float64s) -> Float64s:
+    """(n,): third homogeneous coordinate of the images of points x (n, 2); 0 on the line sent to infinity."""
+    return np.asarray(x @ H[2, :2] + H[2, 2], dtype=np.float64)
 
 
 def _homographies(pair: _Pair, method: str) -> tuple[Float64s, Float64s]:
@@ -216,7 +221,10 @@ def _by_rows(pair: _Pair, reason: str) -> tuple[Rectification, list[_Footprint]]
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
         return Rejected("the epipolar lines that both images see are too few", {"rows": size1[1], "columns": size1[0]})
     found = Rectification("polar", reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
-    return found, [_footprint(found, pair, side) for side in _SIDES]
+    footprints = [_footprint(found, pair, side) for side in _SIDES]
+    if min(footprint.share for footprint in footprints) == 0:
+        return Rejected("the epipolar lines that both images see are too few", {"rows": size1[1], "columns": size1[0]})
+    return found, footprints
 
 
 def _finished(
@@ -233,13 +241,13 @@ def _finished(
     agreement = order_agreement(y1, y2)
     if agreement < 0.7:
         return Rejected("the order of the matches along the rows differs: F is wrong", {"rank_correlation": agreement})
-    areas = [float(np.median(footprint.area)) for footprint in footprints]
+    areas = [middle(footprint.area) for footprint in footprints]
     if min(areas) <= 0:
         return Rejected("one image would be mirrored", {"area1": areas[0], "area2": areas[1]})
     disparity = y1[:, 0] - y2[:, 0]
-    low, high = np.percentile(disparity, [0.5, 99.5])
+    low, high = percentiles(disparity, 0.5, 99.5)
     margin = range_margin * (high - low) + 0.01 * pair.size1[0]
-    scale = float(np.sqrt(np.median(np.concatenate([footprint.area for footprint in footprints]))))
+    scale = float(np.sqrt(middle(np.concatenate([footprint.area for footprint in footprints]))))
     uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
     if uncertainty > max_row_error_px:
         return Rejected("the matches are too few or too clustered to tell the epipolar lines", {"row_error_px": uncertainty})
@@ -253,12 +261,12 @@ def _finished(
         disparity_min_px=float(np.floor(low - margin)),
         disparity_max_px=float(np.ceil(high + margin)),
         vertical_px=float(vertical.mean()),
-        vertical_p95_px=float(np.percentile(vertical, 95)),
+        vertical_p95_px=percentiles(vertical, 95)[0],
         angle_deg=_angle_deg(geometry, pair),
         polar1=found.polar1,
         polar2=found.polar2,
         scale=scale,
-        anisotropy=float(np.percentile(np.concatenate([f.longer / f.shorter for f in footprints]), 95)),
+        anisotropy=percentiles(np.concatenate([f.longer / f.shorter for f in footprints]), 95)[0],
         kept1=footprints[0].share,
         kept2=footprints[1].share,
         depth_resolution=_depth_resolution(pair, scale),
@@ -276,7 +284,7 @@ def _footprint(rectification: Rectification, pair: _Pair, side: Side) -> _Footpr
         width, height = rectified_size(rectification, side)
         inside = (x[:, 0] >= -0.5) & (x[:, 0] <= width - 0.5) & (x[:, 1] >= -0.5) & (x[:, 1] <= height - 0.5)
         shown = np.asarray(grid[inside], dtype=np.float64)
-        shapes = resampling(lambda p: to_rectified(rectification, side, p), shown)
+        shapes = resampling(rectification, side, shown)
     return _Footprint(shown, len(shown) / len(grid), *shapes)
 
 
@@ -290,14 +298,14 @@ def _row_uncertainty_px(
     if pair.camera1 is not None:
         return 0.0
     r = to_rectified(rectification, 1, shown)
-    r[:, 0] -= (y1[:, 0] - y2[:, 0])[cKDTree(y1, compact_nodes=False, balanced_tree=False).query(r)[1]]
+    r[:, 0] -= (y1[:, 0] - y2[:, 0])[nearest_points(y1, r, 1)[1][:, 0]]
     partner = from_rectified(rectification, 2, r)
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():
         return 0.0
     essential = _intrinsics_behind(geometry)
     sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown[inside], partner[inside], essential)
-    return (_DEVIATIONS_OF_F if essential is None else _DEVIATIONS_OF_E) * float(np.percentile(sigma, 95))
+    return (_DEVIATIONS_OF_F if essential is None else _DEVIATIONS_OF_E) * percentiles(sigma, 95)[0]
 
 
 def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:

@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay, QhullError
 from ..epipolar import apply_homography, homogeneous
 from ..kernels import kernel
 from ..types import Float32s, Float64s, Int32s, Int64s
-from .canvas import middle
+from .percentiles import middle
 from .projective import rows_fixed_by, send_epipole_to_infinity
 
 COLUMNS = 24

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..epipolar import apply_homography
+from ..epipolar import apply_homography, homography_jacobian
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
 
 Side = Literal[1, 2]
@@ -70,15 +69,23 @@ def _resampled_mask(mask: Bools, source: tuple[Float32s, Float32s]) -> Bools:
     return np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
 
 
-def resampling(move: Callable[[Float64s], Float64s], x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
-    """What `move`, a map of points (n, 2), does to the pixels around x: determinant (n,) of its Jacobian, and the longer and the
-    shorter side (n,) of the resampled pixel (singular values)."""
-    h = 0.25
-    along_x = (move(x + np.array([h, 0.0])) - move(x - np.array([h, 0.0]))) / (2 * h)
-    along_y = (move(x + np.array([0.0, h])) - move(x - np.array([0.0, h]))) / (2 * h)
-    a, c, b, d = along_x[:, 0], along_x[:, 1], along_y[:, 0], along_y[:, 1]
+def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
+    """What happens to the pixels of a frame around points x (n, 2): the area that each takes in the rectified image, negative if
+    it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
+    polar, H = _maps(rectification, side)
+    a, b, c, d = homography_jacobian(H, x) if polar is None else _polar_jacobian(rectification, side, x)
     together, apart = np.hypot(a + d, c - b), np.hypot(a - d, c + b)
     return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
+
+
+def _polar_jacobian(rectification: Rectification, side: Side, x: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
+    """a, b, c, d (n,) of [[a, b], [c, d]], by differences: rows follow their angles from knot to knot."""
+    h = 0.25
+    left, right, above, below = (
+        to_rectified(rectification, side, x + np.array(step)) for step in ((-h, 0), (h, 0), (0, -h), (0, h))
+    )
+    (a, c), (b, d) = (right - left).T / (2 * h), (below - above).T / (2 * h)
+    return a, b, c, d
 
 
 def disparity_px(disparity: Disparity, side: Side) -> Float32s:

@@ -1,0 +1,24 @@
+"""Medians and percentiles of a few thousand values in a fifth of the time of numpy's own, which rectification asks for often."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..types import Float64s
+
+
+def middle(values: Float64s) -> float:
+    """The median of values (n,)."""
+    k = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, k)[k])
+    ordered = np.partition(values, (k - 1, k))
+    return 0.5 * float(ordered[k - 1] + ordered[k])
+
+
+def percentiles(values: Float64s, *shares: float) -> list[float]:
+    """The values (n,) below which `shares` percent of them lie, linear between two, as numpy's default has it."""
+    last = len(values) - 1
+    places = [share / 100 * last for share in shares]
+    ordered = np.partition(values, sorted({min(int(place) + k, last) for place in places for k in (0, 1)}))
+    return [float((1 - place % 1) * ordered[int(place)] + place % 1 * ordered[min(int(place) + 1, last)]) for place in places]
