@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from ..epipolar import epipoles, homogeneous, sampson_distance, skew
-from ..types import Float64s
+from ..epipolar import epipoles, homogeneous, skew
+from ..kernels import kernel
+from ..types import Float64s, Int64s
+from .percentiles import middle
 
-Int64s = npt.NDArray[np.int64]
+_TURNS = np.stack([skew(axis) for axis in np.eye(3)])
+"""(3, 3, 3): what a small turn about each axis adds to a vector."""
 
 
 def order_agreement(y1: Float64s, y2: Float64s, bands: int = 12) -> float:
-    """Rank correlation of x within bands of rows of rectified matches y1, y2 (n, 2): near 1 if right, any value if F is wrong."""
-    order = np.argsort(y1[:, 1], kind="stable")
-    parts = np.array_split(order, max(1, min(bands, len(order) // 8)))
-    agreement = [len(part) * _rank_correlation(y1[part, 0], y2[part, 0]) for part in parts if len(part) > 1]
-    return sum(agreement) / sum(len(part) for part in parts if len(part) > 1) if agreement else 1.0
-
-
-def _rank_correlation(a: Float64s, b: Float64s) -> float:
-    """Spearman's, for values (n,) without ties: 1 - 6 sum d^2 / (n^3 - n)."""
-    n = len(a)
-    ranks = np.empty((2, n))
-    for row, values in zip(ranks, (a, b), strict=True):
-        row[np.argsort(values, kind="stable")] = np.arange(n)
-    return 1 - 6 * float(np.sum((ranks[0] - ranks[1]) ** 2)) / (n**3 - n)
+    """Spearman's rank correlation of x within bands of rows of rectified matches y1, y2 (n, 2): near 1 if right, any value if F
+    is wrong.  All bands hold equally many; up to `bands` - 1 matches of the last rows are left over."""
+    count = max(1, min(bands, len(y1) // 8))
+    n = len(y1) // count
+    if n < 2:
+        return 1.0
+    band = np.argsort(y1[:, 1])[: count * n].reshape(count, n)
+    by_x1 = np.take_along_axis(band, np.argsort(y1[band, 0], axis=1), axis=1)
+    order = np.argsort(y2[by_x1, 0], axis=1)  # 0, 1, 2 ... where x2 grows with x1
+    return 1 - 6 * float(np.sum((order - np.arange(n)) ** 2)) / (count * (n**3 - n))
 
 
 def parallax_px(x1: Float64s, x2: Float64s) -> float:
@@ -54,10 +54,11 @@ def line_uncertainty(
     Fn = Ni.T @ F @ Ni
     Fn = Fn / np.linalg.norm(Fn)
     tangent = _tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
-    rows = _derivatives(Fn, homogeneous(x1) @ N.T, homogeneous(x2) @ N.T, half) @ tangent
-    elsewhere = _derivatives(Fn, homogeneous(at1) @ N.T, homogeneous(at2) @ N.T, half) @ tangent
-    residual = sampson_distance(F, x1, x2)
-    noise = max(1.4826 * float(np.median(np.abs(residual))), 0.1)
+    directions = np.column_stack([Fn.ravel(), tangent])  # along F itself the distance changes by its own amount
+    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, directions * half)
+    residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
+    elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, directions * half)[:, 1:]
+    noise = max(1.4826 * middle(np.abs(residual)), 0.1)
 
     values, vectors = np.linalg.eigh(rows.T @ rows)
     spread = vectors * (noise / np.sqrt(np.maximum(values, 1e-12 * values.max())))
@@ -69,27 +70,41 @@ def line_uncertainty(
 
 def _parts(x: Float64s, across: int = 4, down: int = 3) -> Int64s:
     """(n,) which of 4 x 3 parts of the image, that hold equally many points, each point (n, 2) belongs to."""
-    n = len(x)
-    column = np.empty(n, dtype=np.int64)
-    column[np.argsort(x[:, 0], kind="stable")] = np.arange(n) * across // n
-    part = np.empty(n, dtype=np.int64)
-    order = np.lexsort((x[:, 1], column))
-    first = np.searchsorted(column[order], np.arange(across + 1))
-    within = np.arange(n) - first[column[order]]
-    part[order] = column[order] * down + within * down // np.diff(first)[column[order]]
+    part = np.empty(len(x), dtype=np.int64)
+    for i, column in enumerate(_split(np.argsort(x[:, 0]), across)):
+        for j, rows in enumerate(_split(column[np.argsort(x[column, 1])], down)):
+            part[rows] = i * down + j
     return part
+
+
+def _split(order: Int64s, count: int) -> list[Int64s]:
+    n = len(order)
+    bounds = [-(-n * k // count) for k in range(count + 1)]
+    return [order[first:last] for first, last in pairwise(bounds)]
 
 
 def _moves_without_each_part(rows: Float64s, residual: Float64s, noise: float, part: Int64s) -> Float64s:
     """(parts, k): the Gauss-Newton step of the robust fit when each part is left out."""
     k = rows.shape[1]
-    weighted = rows / (1 + (residual / (2 * noise)) ** 2)[:, None]
-    normal, right = weighted.T @ rows, weighted.T @ residual
-    ridge = 1e-9 * np.trace(normal) * np.eye(k)
-    groups = [part == p for p in range(part.max() + 1)]
-    without = normal + ridge - np.stack([weighted[g].T @ rows[g] for g in groups])
-    change = right - np.stack([weighted[g].T @ residual[g] for g in groups])
+    normals, rights = np.zeros((part.max() + 1, k, k)), np.zeros((part.max() + 1, k))
+    _weighted_sums(rows, residual, noise, part, normals, rights)
+    normal = normals.sum(axis=0)
+    without = normal + 1e-9 * np.trace(normal) * np.eye(k) - normals
+    change = rights.sum(axis=0) - rights
     return np.asarray(-np.linalg.solve(without, change[..., None])[..., 0], dtype=np.float64)
+
+
+@kernel
+def _weighted_sums(rows: Float64s, residual: Float64s, noise: float, part: Int64s, normals: Float64s, rights: Float64s) -> None:
+    """Add each part's robustly weighted rows^T rows (parts, k, k) and rows^T residual (parts, k)."""
+    k = rows.shape[1]
+    for n in range(len(rows)):
+        weight = 1 / (1 + (residual[n] / (2 * noise)) ** 2)
+        for i in range(k):
+            weighted = weight * rows[n, i]
+            rights[part[n], i] += weighted * residual[n]
+            for j in range(k):
+                normals[part[n], i, j] += weighted * rows[n, j]
 
 
 def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float64s:
@@ -99,14 +114,26 @@ def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float
         return np.asarray(np.linalg.svd(np.stack([F.ravel(), np.outer(e2, e1).ravel()]))[2][2:].T, dtype=np.float64)
     K1, K2 = intrinsics
     E = K2.T @ F @ K1
-    moves = [M for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]  # turn either camera about an axis
-    changes = np.stack([(np.linalg.inv(K2).T @ M @ np.linalg.inv(K1)).ravel() for M in moves])
+    moves = np.concatenate([_TURNS @ E, E @ _TURNS])  # turn either camera about an axis
+    changes = (np.linalg.inv(K2).T @ moves @ np.linalg.inv(K1)).reshape(6, 9)
     changes = changes - np.outer(changes @ F.ravel(), F.ravel())
-    return np.asarray(np.linalg.svd(changes)[2][:5].T, dtype=np.float64)
+    return np.asarray(np.linalg.svd(changes, full_matrices=False)[2][:5].T, dtype=np.float64)
 
 
-def _derivatives(F: Float64s, m1: Float64s, m2: Float64s, px: float) -> Float64s:
-    """(n, 9): how the Sampson distance, in pixels, of normalised points (n, 3) changes with F."""
-    l1, l2 = m2 @ F, m1 @ F.T
-    gradient = np.sqrt(l1[:, 0] ** 2 + l1[:, 1] ** 2 + l2[:, 0] ** 2 + l2[:, 1] ** 2 + 1e-30)
-    return np.asarray((m2[:, :, None] * m1[:, None, :]).reshape(len(m1), 9) * (px / gradient)[:, None], dtype=np.float64)
+@kernel
+def _derivatives(F: Float64s, x1: Float64s, x2: Float64s, directions: Float64s) -> Float64s:
+    """(n, k): how the Sampson distance of points (n, 2) changes when F moves along each of `directions` (9, k)."""
+    changes = np.empty((len(x1), directions.shape[1]))
+    row = np.empty(9)
+    for n in range(len(x1)):
+        (u1, v1), (u2, v2) = x1[n], x2[n]
+        l1x, l1y = u2 * F[0, 0] + v2 * F[1, 0] + F[2, 0], u2 * F[0, 1] + v2 * F[1, 1] + F[2, 1]
+        l2x, l2y = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2], F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
+        inverse = 1 / np.sqrt(l1x * l1x + l1y * l1y + l2x * l2x + l2y * l2y + 1e-30)
+        row[:] = u2 * u1, u2 * v1, u2, v2 * u1, v2 * v1, v2, u1, v1, 1.0
+        for k in range(directions.shape[1]):
+            total = 0.0
+            for i in range(9):
+                total += row[i] * directions[i, k]
+            changes[n, k] = total * inverse
+    return changes
