@@ -181,7 +181,7 @@ def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> t
     near1, near2 = _third(H1, pair.x1) > 0, _third(H2, pair.x2) > 0
     if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
-    near = near1 & near2
+    near = np.flatnonzero(near1 & near2)
     H1, H2, size1, size2 = place(H1, H2, pair.x1[near], pair.x2[near], pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     footprints = [_footprint(result, pair, side) for side in _SIDES]

@@ -44,7 +44,7 @@ def place(
 def _lengths(H: Float64s, x: Float64s) -> Float64s:
     """(2, n): how many rectified pixels a pixel at each point is long, across and along rows."""
     a, b, c, d = homography_jacobian(H, x)
-    return np.stack([np.hypot(a, b), np.hypot(c, d)])
+    return np.sqrt(np.stack([a * a + b * b, c * c + d * d]))
 
 
 def crop(points: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:

@@ -69,14 +69,16 @@ def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -
 
     Robust: weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
     """
-    D = design[edges[:, 0]] - design[edges[:, 1]]
-    d = target[edges[:, 0]] - target[edges[:, 1]]
-    return _reweighted(D, d, _ITERATIONS if robust else 1)
+    return _reweighted(design, target, edges, _ITERATIONS if robust else 1)
 
 
 @kernel
-def _reweighted(D: Float64s, d: Float64s, iterations: int) -> Float64s:
-    """Coefficients (2,) of D (m, 2) that give d (m,), by least squares with weights from the residuals before."""
+def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: int) -> Float64s:
+    """Coefficients (2,) by least squares, `iterations` times, with weights from the residuals before."""
+    D, d = np.empty((len(edges), 2)), np.empty(len(edges))
+    for k in range(len(edges)):
+        i, j = edges[k]
+        D[k, 0], D[k, 1], d[k] = design[i, 0] - design[j, 0], design[i, 1] - design[j, 1], target[i] - target[j]
     fit = np.zeros(2)
     weights, residuals = np.ones(len(d)), np.empty(len(d))
     for _ in range(iterations):

@@ -74,7 +74,7 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
     polar, H = _maps(rectification, side)
     a, b, c, d = homography_jacobian(H, x) if polar is None else _polar_jacobian(rectification, side, x)
-    together, apart = np.hypot(a + d, c - b), np.hypot(a - d, c + b)
+    together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
     return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
 
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..epipolar import epipoles, homogeneous
+from ..epipolar import epipoles
 from ..types import Float64s
+from .percentiles import middle
 
 
 def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
@@ -35,5 +36,5 @@ def rows_fixed_by(F: Float64s, H2: Float64s, x1: Float64s) -> tuple[Float64s, Fl
     """Second and third row (3,) of H1, with the common sign that gives most points x1 a positive third coordinate."""
     M = np.linalg.inv(H2).T @ F  # ~ [i]x H1: its rows are 0, -row3, row2
     row2, row3 = M[2], -M[1]
-    sign = 1.0 if np.median(homogeneous(x1) @ row3) >= 0 else -1.0
+    sign = 1.0 if middle(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
     return sign * row2, sign * row3
