@@ -14,8 +14,8 @@ def homogeneous(x: Float64s) -> Float64s:
 
 def apply_homography(H: Float64s, x: Float64s) -> Float64s:
     """Map (n, 2) points by a (3, 3) homography."""
-    y = x @ H[:, :2].T + H[:, 2]
-    return np.asarray(y[:, :2] / y[:, 2:], dtype=np.float64)
+    X, Y, z = H[:, :2] @ x.T + H[:, 2:]  # coordinate by coordinate: numpy is slow along short rows
+    return np.column_stack([X / z, Y / z])
 
 
 def homography_jacobian(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
@@ -85,10 +85,10 @@ def sampson_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
 
 def symmetric_epipolar_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
     """Mean of the distances (pixels) of x2 to F x1 and of x1 to F^T x2."""
-    l2 = homogeneous(x1) @ F.T
-    l1 = homogeneous(x2) @ F
-    algebraic = np.abs(np.einsum("ni,ni->n", homogeneous(x2), l2))
-    return np.asarray(0.5 * algebraic * (1 / np.hypot(l2[:, 0], l2[:, 1]) + 1 / np.hypot(l1[:, 0], l1[:, 1])), dtype=np.float64)
+    a1, b1 = F[:2, :2].T @ x2.T + F[2:, :2].T
+    a2, b2, c2 = F[:, :2] @ x1.T + F[:, 2:]
+    algebraic = np.abs(a2 * x2[:, 0] + b2 * x2[:, 1] + c2)
+    return np.asarray(0.5 * algebraic * (1 / np.sqrt(a1 * a1 + b1 * b1) + 1 / np.sqrt(a2 * a2 + b2 * b2)), dtype=np.float64)
 
 
 def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
@@ -97,6 +97,12 @@ def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
     p = x @ camera.K.T
     with np.errstate(divide="ignore", invalid="ignore"):
         return p[:, :2] / p[:, 2:], x[:, 2]
+
+
+def rays(camera: Camera, x: Float64s) -> Float64s:
+    """Directions (3, n) in the world of the rays of pixels x (n, 2), as long as they reach at depth 1."""
+    A = camera.R.T @ np.linalg.inv(camera.K)
+    return np.asarray(A[:, :2] @ x.T + A[:, 2:], dtype=np.float64)
 
 
 def backproject(camera: Camera, x: Float64s, depth: Float64s) -> Float64s:
@@ -110,8 +116,7 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
 
     Closed-form least squares on the two linear equations of x2; nan where the point lies behind a camera.
     """
-    rays = homogeneous(x1) @ np.linalg.inv(camera1.K).T @ camera1.R
-    A = rays @ camera2.R.T @ camera2.K.T
+    A = (camera2.K @ camera2.R @ rays(camera1, x1)).T
     b = camera2.K @ camera2.R @ (camera1.C - camera2.C)
     u, v = x2[:, 0], x2[:, 1]
     a1, b1 = A[:, 0] - u * A[:, 2], b[0] - u * b[2]
@@ -121,6 +126,6 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
         w = z * A[:, 2] + b[2]
         du = (A[:, 0] * w - (z * A[:, 0] + b[0]) * A[:, 2]) / w**2
         dv = (A[:, 1] * w - (z * A[:, 1] + b[1]) * A[:, 2]) / w**2
-        gain = 1.0 / np.hypot(du, dv)
+        gain = 1.0 / np.sqrt(du * du + dv * dv)
     visible = (z > 0) & (w > 0)
     return np.where(visible, z, np.nan), np.where(visible, gain, np.nan)

@@ -12,7 +12,7 @@ import numpy as np
 
 from .epipolar import (
     fundamental_from_cameras,
-    homogeneous,
+    rays,
     symmetric_epipolar_distance,
     triangulate_depth,
 )
@@ -50,6 +50,8 @@ class _Pair(NamedTuple):
     size2: Size
     camera1: Camera | None
     camera2: Camera | None
+    angle_deg: float
+    """Median angle between the two rays of a match; nan when neither cameras nor geometry know it."""
 
 
 class _Footprint(NamedTuple):
@@ -115,7 +117,7 @@ def rectify(
         return Rejected("F is more likely wrong than right: too few distinctive matches agree with it", figures)
     if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
         raise ValueError("method 'calibrated' needs the cameras of both frames")
-    refusal = _unusable(geometry, pair, min_matches, min_angle_deg)
+    refusal = _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
     if refusal is not None:
         return refusal
     reason, found = "as asked", None
@@ -135,41 +137,38 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> _
     """F from the cameras where both are known, and the matches that agree with it."""
     sizes = (geometry.view1.width, geometry.view1.height), (geometry.view2.width, geometry.view2.height)
     if left is None or right is None:
-        return _Pair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None)
+        return _Pair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None, geometry.angle_deg)
     F = fundamental_from_cameras(left, right)
     keep = np.zeros(len(geometry.x1), dtype=bool)
     if len(keep):
         distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
         keep = distance <= max(1.5, 0.002 * max(sizes[0]))
-    return _Pair(F, geometry.x1[keep], geometry.x2[keep], geometry.probability[keep], *sizes, left, right)
+    x1, x2 = np.compress(keep, geometry.x1, axis=0), np.compress(keep, geometry.x2, axis=0)
+    return _Pair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
 
 
-def _unusable(geometry: Geometry, pair: _Pair, min_matches: int, min_angle_deg: float) -> Rejected | None:
-    """Reasons that hold whatever the method: too few matches, cameras that contradict them, no baseline."""
-    n, given = len(pair.x1), len(geometry.x1)
+def _unusable(given: int, pair: _Pair, min_matches: int, min_angle_deg: float) -> Rejected | None:
+    """Reasons that hold whatever the method: too few of the given matches left, cameras that contradict them, no baseline."""
+    n = len(pair.x1)
     if n < min_matches <= given or n < 0.5 * given:
         return Rejected("the cameras contradict the matches", {"matches": given, "agreeing": n})
     if n < min_matches:
         return Rejected("too few matches", {"matches": n, "needed": min_matches})
-    angle = _angle_deg(geometry, pair)
-    if angle < min_angle_deg:
-        return Rejected("almost no baseline", {"angle_deg": angle, "needed_deg": min_angle_deg})
-    if np.isnan(angle):
+    if pair.angle_deg < min_angle_deg:
+        return Rejected("almost no baseline", {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
+    if np.isnan(pair.angle_deg):
         parallax = parallax_px(pair.x1, pair.x2)
         if parallax < _LEAST_PARALLAX * pair.size1[0]:
             return Rejected("one homography explains the pair: almost no baseline, or a flat scene", {"parallax_px": parallax})
     return None
 
 
-def _angle_deg(geometry: Geometry, pair: _Pair) -> float:
-    """Median angle between the two rays of a match, degrees; nan when neither cameras nor geometry know it."""
-    if pair.camera1 is None or pair.camera2 is None:
-        return geometry.angle_deg
-    rays1, rays2 = (
-        homogeneous(x) @ np.linalg.inv(camera.K).T @ camera.R for x, camera in ((pair.x1, pair.camera1), (pair.x2, pair.camera2))
-    )
-    cosine = np.sum(rays1 * rays2, axis=1) / (np.linalg.norm(rays1, axis=1) * np.linalg.norm(rays2, axis=1))
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+def _angle_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> float:
+    if len(x1) == 0:
+        return float("nan")
+    rays1, rays2 = rays(camera1, x1), rays(camera2, x2)
+    cosine = np.sum(rays1 * rays2, axis=0) / np.sqrt(np.sum(rays1**2, axis=0) * np.sum(rays2**2, axis=0))
+    return float(np.degrees(middle(np.arccos(np.clip(cosine, -1, 1)))))
 
 
 def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> tuple[Rectification, list[_Footprint]] | str:
@@ -181,8 +180,8 @@ def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> t
     near1, near2 = _third(H1, pair.x1) > 0, _third(H2, pair.x2) > 0
     if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
-    near = np.flatnonzero(near1 & near2)
-    H1, H2, size1, size2 = place(H1, H2, pair.x1[near], pair.x2[near], pair.size1, pair.size2)
+    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (pair.x1, pair.x2))  # five times as fast as x[...]
+    H1, H2, size1, size2 = place(H1, H2, x1, x2, pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     footprints = [_footprint(result, pair, side) for side in _SIDES]
     for footprint, H in zip(footprints, (H1, H2), strict=True):
@@ -262,7 +261,7 @@ def _finished(
         disparity_max_px=float(np.ceil(high + margin)),
         vertical_px=float(vertical.mean()),
         vertical_p95_px=percentiles(vertical, 95)[0],
-        angle_deg=_angle_deg(geometry, pair),
+        angle_deg=pair.angle_deg,
         polar1=found.polar1,
         polar2=found.polar2,
         scale=scale,
@@ -283,7 +282,7 @@ def _footprint(rectification: Rectification, pair: _Pair, side: Side) -> _Footpr
         x = to_rectified(rectification, side, grid)
         width, height = rectified_size(rectification, side)
         inside = (x[:, 0] >= -0.5) & (x[:, 0] <= width - 0.5) & (x[:, 1] >= -0.5) & (x[:, 1] <= height - 0.5)
-        shown = np.asarray(grid[inside], dtype=np.float64)
+        shown = np.compress(inside, grid, axis=0)
         shapes = resampling(rectification, side, shown)
     return _Footprint(shown, len(shown) / len(grid), *shapes)
 
@@ -319,5 +318,5 @@ def _depth_resolution(pair: _Pair, scale: float) -> float:
     if pair.camera1 is None or pair.camera2 is None:
         return float("nan")
     depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
-    with np.errstate(invalid="ignore"):
-        return float(np.nanmedian(per_pixel / depth) / scale) if np.isfinite(depth).any() else float("nan")
+    known = np.isfinite(depth)
+    return middle(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")

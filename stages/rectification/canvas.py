@@ -35,9 +35,9 @@ def place(
     low1, high1 = crop(apply_homography(H1, x1), _reach(H1, size1), margin)
     low2, high2 = crop(apply_homography(H2, x2), _reach(H2, size2), margin)
     top, bottom = max(low1[1], low2[1]), min(high1[1], high2[1])
-    height = int(np.clip(bottom - top + 1, 1, LARGEST * max(size1[1], size2[1])))
-    width1 = int(np.clip(high1[0] - low1[0] + 1, 1, LARGEST * size1[0]))
-    width2 = int(np.clip(high2[0] - low2[0] + 1, 1, LARGEST * size2[0]))
+    height = int(min(max(bottom - top + 1, 1), LARGEST * max(size1[1], size2[1])))
+    width1 = int(min(max(high1[0] - low1[0] + 1, 1), LARGEST * size1[0]))
+    width2 = int(min(max(high2[0] - low2[0] + 1, 1), LARGEST * size2[0]))
     return _shift(low1[0], top) @ H1, _shift(low2[0], top) @ H2, (width1, height), (width2, height)
 
 
@@ -73,7 +73,7 @@ def _reach(H: Float64s, size: Size) -> Float64s:
     grid = frame_grid(size)
     z = grid @ H[2, :2] + H[2, 2]
     typical = middle(z)
-    return apply_homography(H, grid[z * typical > 0.05 * typical * typical])
+    return apply_homography(H, np.compress(z * typical > 0.05 * typical * typical, grid, axis=0))
 
 
 def _shift(x: float, y: float) -> Float64s:
