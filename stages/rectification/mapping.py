@@ -73,19 +73,20 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     """What happens to the pixels of a frame around points x (n, 2): the area that each takes in the rectified image, negative if
     it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
     polar, H = _maps(rectification, side)
-    a, b, c, d = homography_jacobian(H, x) if polar is None else _polar_jacobian(rectification, side, x)
+    a, b, c, d = homography_jacobian(H, x) if polar is None else _polar_jacobian(polar, x)
     together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
     return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
 
 
-def _polar_jacobian(rectification: Rectification, side: Side, x: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
-    """a, b, c, d (n,) of [[a, b], [c, d]], by differences: rows follow their angles from knot to knot."""
-    h = 0.25
-    left, right, above, below = (
-        to_rectified(rectification, side, x + np.array(step)) for step in ((-h, 0), (h, 0), (0, -h), (0, h))
-    )
-    (a, c), (b, d) = (right - left).T / (2 * h), (below - above).T / (2 * h)
-    return a, b, c, d
+def _polar_jacobian(polar: PolarRows, x: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
+    """a, b, c, d (n,) of [[a, b], [c, d]]: away from the epipole along a row, around it across rows."""
+    away_x, away_y = (x - polar.epipole).T
+    radius = np.hypot(away_x, away_y)
+    unit_x, unit_y = away_x / radius, away_y / radius
+    k = np.floor(_row_of_angle(polar, np.arctan2(away_y, away_x))).astype(np.int64)
+    k = np.clip(k, 0, len(polar.angles) - 2)
+    rows_per_px = 1 / (radius * (polar.angles[k + 1] - polar.angles[k]))
+    return polar.direction * unit_x, polar.direction * unit_y, -unit_y * rows_per_px, unit_x * rows_per_px
 
 
 def disparity_px(disparity: Disparity, side: Side) -> Float32s:

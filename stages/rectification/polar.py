@@ -16,8 +16,9 @@ from .quality import order_agreement
 _FAR = 1e6
 """An epipole farther than this many image diagonals is put there: its lines then differ from parallels by less than 1e-4 px."""
 
-_SAMPLES = 20000
-"""Directions looked at to lay out the rows."""
+_SAMPLES_PER_PIXEL = 2
+"""Directions looked at to lay out the rows, for each pixel of the frame's border: with more, no row but the first and the last
+of some pairs would be another."""
 
 
 def polar(F: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size) -> tuple[PolarRows, PolarRows, Size, Size, float]:
@@ -35,7 +36,7 @@ def polar(F: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size) -> 
     cut = _largest_gap(np.arctan2(away1[:, 1], away1[:, 0]))
     seen = (np.arctan2(away1[:, 1], away1[:, 0]) - cut) % (2 * np.pi)
     step = MARGIN_OF_WIDTH * max(size1[0], size2[0]) / float(np.median(radius1)) + MARGIN_SHARE * float(np.ptp(seen))
-    theta = cut + np.linspace(max(seen.min() - step, 0.0), min(seen.max() + step, 2 * np.pi), _SAMPLES)
+    theta = cut + np.linspace(max(seen.min() - step, 0.0), min(seen.max() + step, 2 * np.pi), _SAMPLES_PER_PIXEL * 2 * sum(size1))
     radii1, radii2 = _radius_range(radius1, e1, size1), _radius_range(radius2, e2, size2)
     angles1, angles2 = _rows(F, e1, e2, side, theta, size1, size2, radii1[1], radii2[1])
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified, warp, warp_mask
+from wbflow_stages.rectification.mapping import disparity_px, from_rectified, resampling, to_rectified, warp, warp_mask
 from wbflow_stages.types import INVALID, Disparity, PolarRows, Rectification
 
 SIDES: tuple[Literal[1, 2], ...] = (1, 2)
@@ -35,6 +35,27 @@ def test_a_point_comes_back_from_the_rectified_image(rectification: Rectificatio
     for side in SIDES:
         there = to_rectified(rectification, side, point)
         assert np.abs(from_rectified(rectification, side, there) - point).max() < 1e-8
+
+
+@pytest.mark.parametrize("rectification", [planar(), polar(1), polar(-1)], ids=["planar", "polar", "polar leftward"])
+def test_area_and_sides_of_a_resampled_pixel_are_those_of_a_small_square_and_circle_sent_there(
+    rectification: Rectification,
+) -> None:
+    points = np.random.default_rng(0).uniform([0, 0], [200, 150], (10, 2))
+    turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    circle = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+    for side in SIDES:
+        area, longer, shorter = resampling(rectification, side, points)
+        for k, point in enumerate(points):
+            reach = np.hypot(
+                *(to_rectified(rectification, side, point + circle) - to_rectified(rectification, side, point[None])).T
+            )
+            assert reach.max() / 0.1 == pytest.approx(longer[k], rel=0.02)
+            assert reach.min() / 0.1 == pytest.approx(shorter[k], rel=0.02)
+            (a, c), (b, d) = to_rectified(rectification, side, point + 0.1 * np.eye(2)) - to_rectified(
+                rectification, side, point[None]
+            )
+            assert (a * d - b * c) / 0.01 == pytest.approx(area[k], rel=0.02)
 
 
 @pytest.mark.parametrize("rectification", [planar(), polar(1), polar(-1)], ids=["planar", "polar", "polar leftward"])
