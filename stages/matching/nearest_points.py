@@ -69,11 +69,12 @@ def _search(
             left, right, top, bottom = cx - reach, cx + reach, cy - reach, cy + reach
             for row in range(max(top, 0), min(bottom, rows - 1) + 1):
                 # the whole row where the square begins or ends, else its two ends
-                step = 1 if reach == 0 or row in (top, bottom) else 2 * reach
-                for column in range(left, right + 1, step):
-                    if column < 0 or column >= columns:
+                whole = row in (top, bottom)
+                for end in range(1 if whole else 2):
+                    first, last = max(right if end == 1 else left, 0), min(right if whole or end == 1 else left, columns - 1)
+                    if first > last:
                         continue
-                    for at in range(starts[row * columns + column], starts[row * columns + column + 1]):
+                    for at in range(starts[row * columns + first], starts[row * columns + last + 1]):
                         dx, dy = points[at, 0] - queries[q, 0], points[at, 1] - queries[q, 1]
                         d = dx * dx + dy * dy
                         if d >= best[k - 1]:
