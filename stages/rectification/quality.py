@@ -50,7 +50,7 @@ def line_uncertainty(
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
-    Ni = np.linalg.inv(N)
+    Ni = np.array([[half, 0.0, half], [0.0, half, half], [0.0, 0.0, 1.0]])
     Fn = Ni.T @ F @ Ni
     Fn = Fn / np.linalg.norm(Fn)
     tangent = _tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
