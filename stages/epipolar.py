@@ -18,15 +18,6 @@ def apply_homography(H: Float64s, x: Float64s) -> Float64s:
     return np.column_stack([X / z, Y / z])
 
 
-def homography_jacobian(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
-    """a, b, c, d (n,) of [[a, b], [c, d]]: how the image of each point (n, 2) under a (3, 3) homography moves with the point."""
-    X, Y, z = H[:, :2] @ x.T + H[:, 2:]
-    inverse = 1 / z
-    u, v = X * inverse, Y * inverse
-    (h11, h12, _), (h21, h22, _), (h31, h32, _) = H
-    return (h11 - u * h31) * inverse, (h12 - u * h32) * inverse, (h21 - v * h31) * inverse, (h22 - v * h32) * inverse
-
-
 def skew(t: Float64s) -> Float64s:
     """The (3, 3) matrix [t]x with [t]x v = t x v."""
     return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])

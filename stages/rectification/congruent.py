@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from ..epipolar import apply_homography, homogeneous
 from ..kernels import kernel
-from ..types import Float32s, Float64s, Int32s, Int64s
+from ..types import Float32s, Float64s, Int32s
 from .percentiles import middle
 from .projective import rows_fixed_by, send_epipole_to_infinity
 
@@ -37,19 +37,22 @@ def seed(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int]) -> tupl
 
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
     """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
-    cell = np.floor(x1 * (COLUMNS / size[0])).astype(np.int64)
-    key = cell[:, 1] * (4 * COLUMNS) + cell[:, 0]
-    key -= key.min()
-    best = np.full(key.max() + 1, -1, dtype=np.int32)
-    _best_of_each(key, probability, best)
-    return np.sort(best[best >= 0])
+    return _best_of_each_cell(x1, probability, size[0] / COLUMNS)
 
 
 @kernel
-def _best_of_each(key: Int64s, probability: Float32s, best: Int32s) -> None:
-    for k in range(len(key)):
-        if best[key[k]] < 0 or probability[k] > probability[best[key[k]]]:
-            best[key[k]] = k
+def _best_of_each_cell(x: Float64s, probability: Float32s, side: float) -> Int32s:
+    column, row = np.empty(len(x), np.int32), np.empty(len(x), np.int32)
+    for k in range(len(x)):
+        column[k], row[k] = np.floor(x[k, 0] / side), np.floor(x[k, 1] / side)
+    left, top = column.min(), row.min()
+    best = np.full((row.max() - top + 1, column.max() - left + 1), -1, np.int32)
+    for k in range(len(x)):
+        before = best[row[k] - top, column[k] - left]
+        if before < 0 or probability[k] > probability[before]:
+            best[row[k] - top, column[k] - left] = k
+    chosen = best.ravel()
+    return np.sort(chosen[chosen >= 0])
 
 
 def net_edges(x: Float64s) -> Int32s:

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..epipolar import apply_homography, homography_jacobian
+from ..epipolar import apply_homography
+from ..kernels import kernel
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
 
 Side = Literal[1, 2]
@@ -73,20 +74,29 @@ def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[F
     """What happens to the pixels of a frame around points x (n, 2): the area that each takes in the rectified image, negative if
     it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
     polar, H = _maps(rectification, side)
-    a, b, c, d = homography_jacobian(H, x) if polar is None else _polar_jacobian(polar, x)
-    together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
-    return a * d - b * c, 0.5 * (together + apart), 0.5 * np.abs(together - apart)
-
-
-def _polar_jacobian(polar: PolarRows, x: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
-    """a, b, c, d (n,) of [[a, b], [c, d]]: away from the epipole along a row, around it across rows."""
+    if polar is None:
+        return _pixels_under(H, x)
     away_x, away_y = (x - polar.epipole).T
-    radius = np.hypot(away_x, away_y)
-    unit_x, unit_y = away_x / radius, away_y / radius
     k = np.floor(_row_of_angle(polar, np.arctan2(away_y, away_x))).astype(np.int64)
     k = np.clip(k, 0, len(polar.angles) - 2)
-    rows_per_px = 1 / (radius * (polar.angles[k + 1] - polar.angles[k]))
-    return polar.direction * unit_x, polar.direction * unit_y, -unit_y * rows_per_px, unit_x * rows_per_px
+    # along its row a pixel keeps its length, and rows run at right angles to what crosses them
+    rows_per_px = polar.direction / (np.hypot(away_x, away_y) * (polar.angles[k + 1] - polar.angles[k]))
+    across = np.abs(rows_per_px)
+    return rows_per_px, np.maximum(across, 1), np.minimum(across, 1)
+
+
+@kernel
+def _pixels_under(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
+    area, longer, shorter = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
+    for k in range(len(x)):
+        inverse = 1 / (H[2, 0] * x[k, 0] + H[2, 1] * x[k, 1] + H[2, 2])
+        u = (H[0, 0] * x[k, 0] + H[0, 1] * x[k, 1] + H[0, 2]) * inverse
+        v = (H[1, 0] * x[k, 0] + H[1, 1] * x[k, 1] + H[1, 2]) * inverse
+        a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
+        c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
+        together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
+        area[k], longer[k], shorter[k] = a * d - b * c, 0.5 * (together + apart), 0.5 * abs(together - apart)
+    return area, longer, shorter
 
 
 def disparity_px(disparity: Disparity, side: Side) -> Float32s:

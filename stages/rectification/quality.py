@@ -55,9 +55,9 @@ def line_uncertainty(
     Fn = Fn / np.linalg.norm(Fn)
     tangent = _tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
     directions = np.column_stack([Fn.ravel(), tangent])  # along F itself the distance changes by its own amount
-    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, directions * half)
+    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ directions
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
-    elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, directions * half)[:, 1:]
+    elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ tangent
     noise = max(1.4826 * middle(np.abs(residual)), 0.1)
 
     values, vectors = np.linalg.eigh(rows.T @ rows)
@@ -121,19 +121,15 @@ def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float
 
 
 @kernel
-def _derivatives(F: Float64s, x1: Float64s, x2: Float64s, directions: Float64s) -> Float64s:
-    """(n, k): how the Sampson distance of points (n, 2) changes when F moves along each of `directions` (9, k)."""
-    changes = np.empty((len(x1), directions.shape[1]))
-    row = np.empty(9)
+def _derivatives(F: Float64s, x1: Float64s, x2: Float64s, px: float) -> Float64s:
+    """(n, 9): how the Sampson distance, in pixels, of normalised points (n, 2) changes with F."""
+    rows = np.empty((len(x1), 9))
     for n in range(len(x1)):
         (u1, v1), (u2, v2) = x1[n], x2[n]
         l1x, l1y = u2 * F[0, 0] + v2 * F[1, 0] + F[2, 0], u2 * F[0, 1] + v2 * F[1, 1] + F[2, 1]
         l2x, l2y = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2], F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
-        inverse = 1 / np.sqrt(l1x * l1x + l1y * l1y + l2x * l2x + l2y * l2y + 1e-30)
-        row[:] = u2 * u1, u2 * v1, u2, v2 * u1, v2 * v1, v2, u1, v1, 1.0
-        for k in range(directions.shape[1]):
-            total = 0.0
-            for i in range(9):
-                total += row[i] * directions[i, k]
-            changes[n, k] = total * inverse
-    return changes
+        s = px / np.sqrt(l1x * l1x + l1y * l1y + l2x * l2x + l2y * l2y + 1e-30)
+        rows[n, 0], rows[n, 1], rows[n, 2] = s * u2 * u1, s * u2 * v1, s * u2
+        rows[n, 3], rows[n, 4], rows[n, 5] = s * v2 * u1, s * v2 * v1, s * v2
+        rows[n, 6], rows[n, 7], rows[n, 8] = s * u1, s * v1, s
+    return rows
