@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s
-from .checks import disagreement, within_reach, without_specks
+from .checks import within_reach
 from .pair import RectifiedPair
-from .sgbm import match_sgbm
+from .sgbm import confirmed, match_in_one_piece
 
 _SHRINK = 4
 
@@ -36,10 +36,8 @@ _COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
 def prepared(pair: RectifiedPair) -> RectifiedPair:
     """The pair with the disparity range that the quick look finds, and both images of one brightness and contrast."""
     small = _shrunk(pair)
-    found = match_sgbm(_flattened(small))
-    agreed = small.valid_left & (disagreement(found.left, found.right, -1) <= 1)
-    kept = without_specks(np.where(agreed, found.left, np.float32(np.nan)), max(agreed.size // 2000, 4))
-    agreed = ~np.isnan(kept)
+    found = match_in_one_piece(_flattened(small))
+    agreed = ~np.isnan(confirmed(found.left, found.right, small.valid_left, -1))
     common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
     if agreed.sum() < max(_ENOUGH * common.sum(), 50):
         return _flattened(pair)

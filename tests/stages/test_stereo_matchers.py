@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from dots import stereo_pair, texture, true_disparity
+from wbflow_stages.stereo.blocks import blocks
 from wbflow_stages.stereo.census_sgm import match_census_sgm
 from wbflow_stages.stereo.noise import noise_level, quietened
 from wbflow_stages.stereo.pair import DenseMatcher, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.plane_votes import doubt, smoothed
 from wbflow_stages.stereo.quick_look import prepared
-from wbflow_stages.stereo.sgbm import match_sgbm
+from wbflow_stages.stereo.sgbm import match_in_one_piece, match_sgbm
 
 MATCHERS = [match_sgbm, match_census_sgm, match_patchmatch]
 
@@ -120,6 +121,68 @@ def test_a_hidden_strip_of_columns_has_no_disparity_and_changes_nothing_far_from
     assert np.mean(np.abs(found - truth)[inside] < 1) > 0.85
     nothing = dataclasses.replace(pair, valid_left=~shown & shown, valid_right=~shown & shown)
     assert np.isnan(match_sgbm(nothing).left).all()
+
+
+def near_and_far() -> tuple[RectifiedPair, np.ndarray, np.ndarray]:
+    """A wall at 12 px and a thing at 150, to be searched from -40 to 220: the pair, its disparity, and what both views see."""
+    wall, thing = texture(192, 524, seed=1), texture(100, 120, seed=2)
+    left, right = wall[:, :512].copy(), wall[:, 12:].copy()
+    left[50:150, 270:390] = right[50:150, 120:240] = thing
+    truth = np.full(left.shape, 12.0)
+    truth[50:150, 270:390] = 150
+    seen = np.ones(left.shape, dtype=bool)
+    seen[:, :20] = False
+    seen[50:150, 132:252] = False
+    return pair_of(left, right, -40, 220), truth, seen
+
+
+def test_a_wide_range_is_matched_as_well_in_blocks_as_in_one_piece() -> None:
+    pair, truth, seen = near_and_far()
+    for part in (seen, seen & (truth > 100)):
+        blocked, whole = (np.mean(np.abs(match(pair).left - truth)[part] < 1) for match in (match_sgbm, match_in_one_piece))
+        assert blocked > 0.97 and blocked > whole - 0.01
+
+
+def test_a_wide_range_gives_the_same_bytes_from_any_number_of_threads() -> None:
+    pair = near_and_far()[0]
+    threads = cv2.getNumThreads()
+    found = []
+    try:
+        for n in (1, 4):
+            cv2.setNumThreads(n)
+            found.append(match_sgbm(pair))
+    finally:
+        cv2.setNumThreads(threads)
+    assert found[0].left.tobytes() == found[1].left.tobytes()
+    assert found[0].right.tobytes() == found[1].right.tobytes()
+
+
+def test_blocks_search_what_was_seen_and_little_else() -> None:
+    """At half the size: a slanted wall with a thing before it, and nothing at the right."""
+    height, width, low, high = 160, 320, -300, 300
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    seen = np.where((x > 180) & (x < 230) & (y > 90), np.float32(120), -60 + 0.2 * x)
+    seen[:, 240:] = np.nan
+    found = blocks(seen, low, high)
+    reached = np.zeros((2 * height, 2 * width), dtype=int)
+    voxels = 0
+    for block in found:
+        rows, columns = slice(block.top, block.bottom), slice(block.left, block.right)
+        reached[rows, columns] += 1
+        voxels += reached[rows, columns].size * (block.high - block.low + 1)
+        inside = 2 * seen[block.top // 2 : block.bottom // 2, block.left // 2 : block.right // 2]
+        assert low <= block.low <= np.nanmin(inside) and np.nanmax(inside) <= block.high <= high
+        assert block.high - block.low + 1 >= 90
+    assert reached.max() == 1 and (reached[:, :480] == 1).all() and not reached[:, 512:].any()
+    assert voxels < 0.35 * reached.size * (high - low + 1)
+    assert blocks(np.full_like(seen, np.nan), low, high) == []
+
+
+def test_a_range_that_nothing_narrows_is_searched_in_one_block() -> None:
+    seen = np.random.default_rng(0).uniform(-140, 140, (96, 128)).astype(np.float32)
+    (block,) = blocks(seen, -300, 300)
+    assert (block.top, block.bottom, block.left, block.right) == (0, 192, 0, 256)
+    assert block.low < -260 and block.high > 260
 
 
 def test_wrong_planes_are_outvoted_and_doubted() -> None:
