@@ -56,7 +56,9 @@ def scaled(geometry: Geometry, left: TrueView, right: TrueView) -> Geometry:
     T1, T2 = (np.array([[s, 0, 0.5 * s - 0.5], [0, s, 0.5 * s - 0.5], [0, 0, 1]]) for s in (s1, s2))
     F = np.linalg.inv(T2).T @ geometry.F @ np.linalg.inv(T1)
     x1, x2 = ((x + 0.5) * s - 0.5 for x, s in ((geometry.x1, s1), (geometry.x2, s2)))
-    return replace(geometry, F=F / np.linalg.norm(F), x1=x1, x2=x2, view1=left.frame.view, view2=right.frame.view)
+    noise = None if geometry.noise_px is None else geometry.noise_px * np.float32(s1)
+    views = {"view1": left.frame.view, "view2": right.frame.view}
+    return replace(geometry, F=F / np.linalg.norm(F), x1=x1, x2=x2, noise_px=noise, **views)
 
 
 def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:

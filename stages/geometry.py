@@ -17,7 +17,9 @@ from .robust import (
     homography_support,
     pose_of_fundamental,
     rotation_support,
+    supporters,
 )
+from .two_view_fit import refine_two_view
 from .types import Features, Float64s, Geometry, Matches, Rejected, View
 from .verdict import pair_evidence, pair_score, probability
 
@@ -73,6 +75,7 @@ def estimate_geometry(
     found = _solve(matches, threshold_px, use_intrinsics, seed)
     if guided and found is not None:
         matches, found = _guided_round(matches, found, left, right, problems, threshold_px, use_intrinsics, seed)
+    found, noise = _weighted(matches, found, left, right, threshold_px)
     count = 0 if found is None else int(found.inliers.sum())
     if found is None or count < min_inliers:
         figures = {"matches": float(before), "inliers": float(count)}
@@ -119,6 +122,7 @@ def estimate_geometry(
         agreement=evidence.agreement,
         half_rotation_deg=evidence.half_rotation_deg,
         stretch=evidence.stretch,
+        noise_px=noise[found.inliers].astype(np.float32),
         warnings=_warnings(support, contradicted, few_inliers, small_area, min_inliers),
     )
 
@@ -220,6 +224,32 @@ def _guided_round(
     if better is None or better.inliers.sum() < inside.sum():
         return matches, found
     return more, better
+
+
+def _weighted(
+    matches: Matches, found: TwoView | None, left: Features, right: Features, threshold_px: float
+) -> tuple[TwoView | None, Float64s]:
+    """The geometry refined with weights by the size of the keypoints, and the noise (n,) in pixels of each match."""
+    size = np.maximum(_size(left.frames[matches.i1]), _size(right.frames[matches.i2]))
+    if found is None or found.inliers.sum() < 8:
+        return found, size
+    x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
+    inside = found.inliers
+    lenses = (view1.K, view2.K) if found.R is not None and view1.K is not None and view2.K is not None else None
+    F, inside_noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside], lenses)
+    noise = size * float(inside_noise[0] / size[inside][0])
+    inliers = supporters(F, x1, x2, threshold_px)
+    if inliers.sum() < 8:
+        return found, noise
+    if found.R is None:
+        return TwoView(F, inliers), noise
+    pose = pose_of_fundamental(F, x1[inliers], x2[inliers], view1, view2)
+    return (found if pose is None else TwoView(F, inliers, *pose)), noise
+
+
+def _size(frames: Float64s) -> Float64s:
+    """(n,) size of keypoints in pixels of the frame, from their local frames (n, 2, 2)."""
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(frames))), dtype=np.float64)
 
 
 def _known(view: View) -> bool:

@@ -43,11 +43,11 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
     if F is None:
         return None
     for _ in range(2):
-        inliers = _inliers(F, x1, x2, threshold_px)
+        inliers = supporters(F, x1, x2, threshold_px)
         if inliers.sum() < 8:
             return None
         F = refine_fundamental(F, x1[inliers], x2[inliers], threshold_px)
-    inliers = _inliers(F, x1, x2, threshold_px)
+    inliers = supporters(F, x1, x2, threshold_px)
     return TwoView(F, inliers) if inliers.sum() >= 8 else None
 
 
@@ -75,7 +75,7 @@ def estimate_essential(
         return None
     R, t = np.asarray(pose.R, dtype=np.float64), t / np.linalg.norm(t)
     F = essential_to_fundamental(R, t, view1.K, view2.K)
-    inliers = _inliers(F, x1, x2, threshold_px)
+    inliers = supporters(F, x1, x2, threshold_px)
     return TwoView(F, inliers, R, t) if inliers.sum() >= 8 else None
 
 
@@ -157,7 +157,8 @@ def pinhole(view: View) -> dict[str, Any]:
     return {"model": "PINHOLE", "width": view.width, "height": view.height, "params": params}
 
 
-def _inliers(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Bools:
+def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Bools:
+    """(n,) which correspondences lie within `INLIER_FACTOR` thresholds of F, in Sampson distance."""
     return np.asarray(np.abs(sampson_distance(F, x1, x2)) < INLIER_FACTOR * threshold_px)
 
 

@@ -191,6 +191,7 @@ class Geometry:
     with distinctive matches, distinct_share: share of the inliers without a look-alike in their own image, agreement: share of
     the clear matches found without geometry that F explains, half_rotation_deg: angle between the rotations that the two halves
     of the inliers tell (nan without K), stretch: median log ratio of the axes of the local affine maps;
+    noise_px: (n,) float32, standard deviation of the distance of each inlier to its epipolar line, None where nobody knows;
     warnings: named degenerate cases that did not reject the pair.
     """
 
@@ -217,6 +218,7 @@ class Geometry:
     agreement: float = 0.0
     half_rotation_deg: float = float("nan")
     stretch: float = 0.0
+    noise_px: Float32s | None = None
     warnings: tuple[str, ...] = ()
 
 

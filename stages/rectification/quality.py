@@ -7,13 +7,11 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from ..epipolar import epipoles, homogeneous, skew
+from ..epipolar import homogeneous
 from ..kernels import kernel
+from ..two_view_fit import tangent
 from ..types import Float64s, Int64s
 from .percentiles import middle
-
-_TURNS = np.stack([skew(axis) for axis in np.eye(3)])
-"""(3, 3, 3): what a small turn about each axis adds to a vector."""
 
 
 def order_agreement(y1: Float64s, y2: Float64s, bands: int = 12) -> float:
@@ -53,19 +51,19 @@ def line_uncertainty(
     Ni = np.array([[half, 0.0, half], [0.0, half, half], [0.0, 0.0, 1.0]])
     Fn = Ni.T @ F @ Ni
     Fn = Fn / np.linalg.norm(Fn)
-    tangent = _tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
-    directions = np.column_stack([Fn.ravel(), tangent])  # along F itself the distance changes by its own amount
-    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ directions
+    directions = tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
+    both = np.column_stack([Fn.ravel(), directions])  # along F itself the distance changes by its own amount
+    rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ both
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
-    elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ tangent
+    elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
     noise = max(1.4826 * middle(np.abs(residual)), 0.1)
 
     values, vectors = np.linalg.eigh(rows.T @ rows)
     spread = vectors * (noise / np.sqrt(np.maximum(values, 1e-12 * values.max())))
     moves = _moves_without_each_part(rows, residual, noise, _parts(x1))
     moves = (moves - moves.mean(axis=0)) * np.sqrt((len(moves) - 1) / len(moves))
-    both = np.concatenate([elsewhere @ spread, elsewhere @ moves.T], axis=1)
-    return np.asarray(np.linalg.norm(both, axis=1), dtype=np.float64)
+    parts = np.concatenate([elsewhere @ spread, elsewhere @ moves.T], axis=1)
+    return np.asarray(np.linalg.norm(parts, axis=1), dtype=np.float64)
 
 
 def _parts(x: Float64s, across: int = 4, down: int = 3) -> Int64s:
@@ -105,19 +103,6 @@ def _weighted_sums(rows: Float64s, residual: Float64s, noise: float, part: Int64
             rights[part[n], i] += weighted * residual[n]
             for j in range(k):
                 normals[part[n], i, j] += weighted * rows[n, j]
-
-
-def _tangent(F: Float64s, intrinsics: tuple[Float64s, Float64s] | None) -> Float64s:
-    """Orthonormal directions (9, k) in which F may change: it keeps its norm and its rank, or stays an essential matrix."""
-    if intrinsics is None:
-        e1, e2 = epipoles(F)  # no change along F itself, nor along e2 e1^T
-        return np.asarray(np.linalg.svd(np.stack([F.ravel(), np.outer(e2, e1).ravel()]))[2][2:].T, dtype=np.float64)
-    K1, K2 = intrinsics
-    E = K2.T @ F @ K1
-    moves = np.concatenate([_TURNS @ E, E @ _TURNS])  # turn either camera about an axis
-    changes = (np.linalg.inv(K2).T @ moves @ np.linalg.inv(K1)).reshape(6, 9)
-    changes = changes - np.outer(changes @ F.ravel(), F.ravel())
-    return np.asarray(np.linalg.svd(changes, full_matrices=False)[2][:5].T, dtype=np.float64)
 
 
 @kernel
