@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pairs_with_truth import TrueView, photographed, true_correspondences
 
+from wbflow_stages.fusion.depth import sample_disparity
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified
-from wbflow_stages.types import Disparity, Float32s, Float64s, Geometry, Matches, Rectification
+from wbflow_stages.types import Disparity, Float64s, Geometry, Matches, Rectification
 
 FEATURE_WIDTH = 1536
 SWEEP = "5-4 5-3 5-2 5-1 5-6 5-7 5-8 5-9"
@@ -73,20 +74,6 @@ def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:
 def dense_errors(rectification: Rectification, disparity: Disparity, pair: TruePair) -> Float64s:
     """(n,) pixels of image 2 between where the left disparity sends a true point and where it is; nan where it has no value."""
     at = to_rectified(rectification, 1, pair.x1)
-    d = sampled(disparity_px(disparity, 1), at)
+    d = sample_disparity(disparity_px(disparity, 1), at)
     found = from_rectified(rectification, 2, np.column_stack([at[:, 0] - d, at[:, 1]]))
     return np.linalg.norm(found - pair.x2, axis=1)
-
-
-def sampled(values: Float32s, at: Float64s) -> Float64s:
-    """Values (n,) between pixels by linear interpolation; the nearest pixel's where the four neighbours jump or lack one."""
-    h, w = values.shape
-    corner = np.floor(at).astype(int)
-    inside = (corner >= 0).all(axis=1) & (corner < [w - 1, h - 1]).all(axis=1)
-    x, y = np.clip(corner[:, 0], 0, w - 2), np.clip(corner[:, 1], 0, h - 2)
-    f, g = (at - corner).T
-    four = np.stack([values[y, x], values[y, x + 1], values[y + 1, x], values[y + 1, x + 1]])
-    weights = np.stack([(1 - f) * (1 - g), f * (1 - g), (1 - f) * g, f * g])
-    smooth = np.ptp(four, axis=0) < 2.5
-    nearest = four[weights.argmax(axis=0), np.arange(len(at))]
-    return np.where(inside, np.where(smooth, (four * weights).sum(axis=0), nearest), np.nan)

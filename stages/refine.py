@@ -80,7 +80,7 @@ def refine(
     sweep = PlaneSweep(image, frame.mask, sources, M, b, taps)
     cost = sweep.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing) / scale
+    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     said = sweep.judge(planes, max_cost)
     kept = frame.mask & (said.first < max_cost)
     z = np.where(kept, 1.0 / planes[0].astype(np.float64), np.nan)

@@ -16,6 +16,12 @@ from ..kernels import kernel
 from ..rectification.mapping import Side, disparity_px, from_rectified, to_rectified
 from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
+_SMOOTH_PX = 2.5
+"""Neighbouring pixels whose disparities differ by no more lie on one surface."""
+
+_SAME_STEP = 0.3
+"""Steps from row to row are those of one slope if they differ by no more than this share."""
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -53,7 +59,7 @@ def pair_depth(
         y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
         pixels = np.column_stack([x, y]).astype(np.float64)
         at = to_rectified(rectification, side, pixels)
-        at[:, 0] += sign * _sample(d, at)
+        at[:, 0] += sign * sample_disparity(d, at)
         partner = from_rectified(rectification, 2 if side == 1 else 1, at)
         _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
     return depth, gain
@@ -91,7 +97,9 @@ def _by_homographies(
 
 
 @kernel
-def _sample(disparity: Float32s, at: Float64s) -> Float64s:
+def sample_disparity(disparity: Float32s, at: Float64s) -> Float64s:
+    """Disparity (n,) at fractional positions (n, 2): linear between pixels of one surface, else the nearest pixel's, so that no
+    edge is smeared; nan outside."""
     out = np.empty(len(at))
     for n in range(len(at)):
         out[n] = _disparity_at(disparity, at[n, 0], at[n, 1])
@@ -100,7 +108,6 @@ def _sample(disparity: Float32s, at: Float64s) -> Float64s:
 
 @kernel
 def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
-    """Disparity at a fractional position: bilinear on a smooth surface, else the nearest pixel's, so that no edge is smeared."""
     h, w = disparity.shape
     if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
         return np.nan
@@ -108,9 +115,21 @@ def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
     fx, fy = x - x0, y - y0
     a, b = disparity[y0, x0], disparity[y0, x0 + 1]
     c, d = disparity[y0 + 1, x0], disparity[y0 + 1, x0 + 1]
-    if max(a, b, c, d) - min(a, b, c, d) <= 2.5 and not np.isnan(a + b + c + d):
-        return float((a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy)
+    if abs(a - b) <= _SMOOTH_PX and abs(c - d) <= _SMOOTH_PX:
+        above, below = a * (1 - fx) + b * fx, c * (1 - fx) + d * fx
+        if abs(above - below) <= _SMOOTH_PX or _goes_on(disparity, x0 + int(fx >= 0.5), y0):
+            return float(above * (1 - fy) + below * fy)
     return float(disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)])
+
+
+@kernel
+def _goes_on(disparity: Float32s, x: int, y: int) -> bool:
+    """Whether the step from row y to the next one is that of a slope: ground seen at a low angle moves by several pixels from
+    row to row, again and again; an edge does it once."""
+    step = disparity[y + 1, x] - disparity[y, x]
+    if y > 0 and abs(disparity[y, x] - disparity[y - 1, x] - step) <= _SAME_STEP * abs(step):
+        return True
+    return bool(y + 2 < disparity.shape[0] and abs(disparity[y + 2, x] - disparity[y + 1, x] - step) <= _SAME_STEP * abs(step))
 
 
 @kernel

@@ -22,8 +22,9 @@ def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
     return np.where(np.isnan(difference), np.float32(np.inf), difference).astype(np.float32)
 
 
-def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> Bools:
-    """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn.
+def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, steep: float = 0.15) -> Bools:
+    """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the tolerance
+    is divided by 1 + `steep` times the range of disparities within 5x5 pixels.
 
     There, errors are larger than the disagreement tells: both views stretch the same edge over what lies behind it.
     """
@@ -32,7 +33,7 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float) -> 
     window = np.ones((5, 5), dtype=np.uint8)
     highest = cv2.dilate(np.where(known, one, np.float32(-1e6)), window)
     lowest = cv2.erode(np.where(known, one, np.float32(1e6)), window)
-    return np.asarray(known & (difference * (1 + 0.15 * (highest - lowest)) <= tolerance_px))
+    return np.asarray(known & (difference * (1 + steep * (highest - lowest)) <= tolerance_px))
 
 
 def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:

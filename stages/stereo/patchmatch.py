@@ -7,6 +7,8 @@ change.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -22,7 +24,7 @@ _SWEEPS = 2
 _DEAREST = 0.6
 """Planes that cost more are no matches."""
 
-_DOUBTFUL = 2.35
+_DOUBTFUL = 2.5
 """How much the surroundings of a pixel may disagree with its plane, see `doubt`."""
 
 _DIRECT_PX = 1.0e6
@@ -35,11 +37,10 @@ _BEYOND = 0.5
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
     view1, view2 = _matched_views(pair)
-    left, mirrored_right = view1.smoothed(), view2.smoothed()
-    right = np.ascontiguousarray(mirrored_right[:, ::-1])
-    confidence1 = view1.confidence(left, disagreement(left, right, -1))
-    confidence2 = view2.confidence(mirrored_right, np.ascontiguousarray(disagreement(right, left, 1)[:, ::-1]))
-    return DenseMatches(left, right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))
+    planes1, planes2 = view1.smoothed(), view2.smoothed()
+    mirrored_left, right = (np.ascontiguousarray(planes[0, :, ::-1]) for planes in (planes1, planes2))
+    confidence1, confidence2 = view1.confidence(planes1, right), view2.confidence(planes2, mirrored_left)
+    return DenseMatches(planes1[0], right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))
 
 
 class _View:
@@ -47,10 +48,9 @@ class _View:
 
     planes: (3, h, w) float32 disparity and its slopes along x and y; cost: (h, w) float32, 0 to 1."""
 
-    def __init__(self, pair: RectifiedPair, coarse_planes: Float32s) -> None:
+    def __init__(self, pair: RectifiedPair, planes: Float32s) -> None:
         self.pair = pair
-        self.planes = np.empty((3, *pair.left.shape), dtype=np.float32)
-        _spread(coarse_planes, self.planes)
+        self.planes = planes
         self.cost = np.ones(pair.left.shape, dtype=np.float32)
         beyond = _BEYOND * (pair.disparity_max - pair.disparity_min)
         low, high = pair.disparity_min - beyond, pair.disparity_max + beyond
@@ -60,12 +60,18 @@ class _View:
         self.sweeps.sweep(number, self.planes, self.cost, proposals)
 
     def smoothed(self) -> Float32s:
-        """Disparity (h, w), nan where too costly."""
-        return smoothed(self.pair.left, self.planes, self.cost, _DEAREST)
+        """Planes (3, h, w), nan where too costly."""
+        return smoothed(self.pair.left, self.planes, self.cost, _DEAREST, rounds=2)
 
-    def confidence(self, disparity: Float32s, difference: Float32s) -> Float32s:
-        """(h, w), for the smoothed disparity and its difference from what the other view says."""
-        return np.where(doubt(disparity, self.planes, difference) <= _DOUBTFUL, 1 - self.cost, 0).astype(np.float32)
+    def settled(self) -> Float32s:
+        """Planes (3, h, w) for the next size: the smoothed ones, and its own where those are too costly."""
+        planes = smoothed(self.pair.left, self.planes, self.cost, _DEAREST)
+        return np.where(np.isnan(planes[0]), self.planes, planes)
+
+    def confidence(self, planes: Float32s, other: Float32s) -> Float32s:
+        """(h, w), for the smoothed planes and the disparity that the other view says, each in the sense of this one's pair."""
+        sure = doubt(planes, disagreement(planes[0], other, -1)) <= _DOUBTFUL
+        return np.where(sure, 1 - self.cost, 0).astype(np.float32)
 
     def seen_from_other(self) -> Float32s:
         return _seen_from_other(self.planes, self.cost)
@@ -74,13 +80,14 @@ class _View:
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
     small = halved(pair)
-    if pair.left.size > _DIRECT_PX:
-        coarse1, coarse2 = (view.planes for view in _matched_views(small))
-        sweeps = 1
-    else:
-        coarse1, coarse2 = _start(small)
-        sweeps = _SWEEPS
-    views = _View(pair, coarse1), _View(mirrored(pair), coarse2)
+    large = pair.left.size > _DIRECT_PX
+    coarse = _matched_views(small) if large else _swept(small, _start(small), 1)
+    start = [_doubled(view.settled(), pair.left.shape) for view in coarse]
+    return _swept(pair, start, 1 if large else _SWEEPS)
+
+
+def _swept(pair: RectifiedPair, start: Sequence[Float32s], sweeps: int) -> tuple[_View, _View]:
+    views = _View(pair, start[0]), _View(mirrored(pair), start[1])
     for sweep in range(sweeps):
         proposals = [view.seen_from_other() for view in views[::-1]] if sweep else [view.planes for view in views]
         for view, proposed in zip(views, proposals, strict=True):
@@ -93,7 +100,7 @@ def _start(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
     found = match_census_sgm(pair)
     planes1 = _planes_of(found.left, found.right, pair.valid_left, -1)
     planes2 = _planes_of(found.right, found.left, pair.valid_right, 1)
-    return planes1, planes2[:, :, ::-1] * np.array([1, -1, 1], dtype=np.float32)[:, None, None]
+    return planes1, planes2[:, :, ::-1] * np.array([[[1]], [[-1]], [[1]]], dtype=np.float32)
 
 
 def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
@@ -135,15 +142,17 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
 
 
 @kernel
-def _spread(coarse: Float32s, planes: Float32s) -> None:
-    """Planes of an image from those of half its size."""
-    height, width = planes.shape[1:]
+def _doubled(coarse: Float32s, shape: tuple[int, int]) -> Float32s:
+    """Planes (3, h, w) of an image of this shape from those of half its size."""
+    height, width = shape
+    planes = np.empty((3, height, width), dtype=np.float32)
     for y in range(height):
         for x in range(width):
             d, a, b = coarse[:, y // 2, x // 2]
             planes[0, y, x] = 2 * d + a * (x % 2 - 0.5) + b * (y % 2 - 0.5)
             planes[1, y, x] = a
             planes[2, y, x] = b
+    return planes
 
 
 @kernel

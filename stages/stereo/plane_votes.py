@@ -16,7 +16,7 @@ _LIKENESS = 8.0
 """Grey levels at which a neighbour counts half."""
 
 _NEAR = 2
-"""How far away, in pixels, neighbours correct a disparity, and raise doubts."""
+"""How far away, in pixels, neighbours correct a plane, and raise doubts."""
 
 _VOTERS, _VOTER_STRIDE = 6, 3
 """How far away, in pixels, and how densely neighbours are asked what a pixel's disparity should be."""
@@ -31,23 +31,30 @@ _BORDER = _VOTERS
 _BLOCK = 128
 
 
-def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1) -> Float32s:
-    """(h, w) disparity of planes (3, h, w) whose `cost` is below `dearest`, nan elsewhere: first corrected by its neighbours,
-    then the median of what neighbours farther away say.  spacing: of the pixels that were compared: voters stand as far apart."""
+def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
+    """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
+    neighbours, then the median of what neighbours farther away say.  A further round starts from what the one before said,
+    with slopes fitted to the voters.  spacing: of the pixels that were compared: voters stand as far apart."""
     border = _BORDER * spacing
     known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))
     bordered = _bordered(border, known, planes[1], planes[2], image)
-    bordered[0, border:-border, border:-border] = _corrected(bordered, border)
-    return _voted(bordered, spacing)
+    inner = slice(border, -border)
+    bordered[0, inner, inner] = _corrected(bordered, border, 1)[0]
+    voted = _voted(bordered, spacing)
+    for _ in range(rounds - 1):
+        bordered[0, inner, inner] = voted
+        bordered[1:3, inner, inner] = _corrected(bordered, border, _VOTER_STRIDE * spacing)[1:]
+        voted = _voted(bordered, spacing)
+    return np.stack([voted, *bordered[1:3, inner, inner]])
 
 
-def doubt(disparity: Float32s, planes: Float32s, difference: Float32s) -> Float32s:
+def doubt(planes: Float32s, difference: Float32s) -> Float32s:
     """(h, w) doubt in each pixel's plane: how far its 5x5 neighbours lie from it on average, the more where disparity is torn.
 
     Neighbours that the other view does not confirm (`difference` in pixels) count as if far away: where one is wrong, those
     beside it are suspect.  Infinite where the pixel itself is not confirmed."""
-    confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), disparity, np.float32(np.nan))
-    return _doubt(_bordered(_BORDER, confirmed)[0], planes, _neighbours_inside(disparity.shape))
+    confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), planes[0], np.float32(np.nan))
+    return _doubt(_bordered(_BORDER, confirmed)[0], planes, _neighbours_inside(difference.shape))
 
 
 def _bordered(border: int, *layers: Float32s) -> Float32s:
@@ -66,13 +73,13 @@ def _neighbours_inside(shape: tuple[int, ...]) -> Float32s:
 
 
 @kernel
-def _corrected(bordered: Float32s, border: int) -> Float32s:
-    """(h, w) disparity: the planes' own, corrected by a least-squares plane through what neighbours say.
+def _corrected(bordered: Float32s, border: int, stride: int) -> Float32s:
+    """Planes (3, h, w): the pixels' own, corrected by a least-squares plane through what 5x5 neighbours, `stride` apart, say.
 
     They must nearly agree, and weigh by likeness.  `bordered` are disparity, its slopes and grey (4, h, w) with a border."""
     known, image = bordered[0], bordered[3]
     height, width = known.shape[0] - 2 * border, known.shape[1] - 2 * border
-    out = np.empty((height, width), dtype=np.float32)
+    out = np.empty((3, height, width), dtype=np.float32)
     soft = np.float32(1.0 / _LIKENESS)
     s = np.empty(9 * _BLOCK, dtype=np.float32)
     none = np.float32(0.0)
@@ -83,8 +90,9 @@ def _corrected(bordered: Float32s, border: int) -> Float32s:
             d, a, b, grey = known[row, column:], bordered[1, row, column:], bordered[2, row, column:], image[row, column:]
             s[:] = none
             s[3 * _BLOCK : 5 * _BLOCK] = np.float32(2.0)  # slopes stay the plane's own where little speaks
-            for dy in range(-_NEAR, _NEAR + 1):
-                for dx in range(-_NEAR, _NEAR + 1):
+            for j in range(-_NEAR, _NEAR + 1):
+                for i in range(-_NEAR, _NEAR + 1):
+                    dx, dy = i * stride, j * stride
                     disparity, likeness = known[row + dy, column + dx :], image[row + dy, column + dx :]
                     fx, fy = np.float32(dx), np.float32(dy)
                     for x in range(n):
@@ -110,7 +118,9 @@ def _corrected(bordered: Float32s, border: int) -> Float32s:
                 v, vx, vy = s[6 * _BLOCK + x], s[7 * _BLOCK + x], s[8 * _BLOCK + x]
                 minor = xx * yy - xy * xy
                 det = w * minor - wx * (wx * yy - xy * wy) + wy * (wx * xy - xx * wy)
-                out[y, x0 + x] = d[x] + (v * minor - wx * (vx * yy - xy * vy) + wy * (vx * xy - xx * vy)) / det
+                out[0, y, x0 + x] = d[x] + (v * minor - wx * (vx * yy - xy * vy) + wy * (vx * xy - xx * vy)) / det
+                out[1, y, x0 + x] = a[x] + (w * (vx * yy - xy * vy) - v * (wx * yy - xy * wy) + wy * (wx * vy - vx * wy)) / det
+                out[2, y, x0 + x] = b[x] + (w * (xx * vy - vx * xy) - wx * (wx * vy - vx * wy) + v * (wx * xy - xx * wy)) / det
     return out
 
 

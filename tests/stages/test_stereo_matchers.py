@@ -194,14 +194,25 @@ def test_wrong_planes_are_outvoted_and_doubted() -> None:
     planes[0, 20:24, 126:130] += 9
     cost = np.zeros_like(x)
     cost[:, 200:] = 0.7
-    found = smoothed(np.full_like(x, 90), planes, cost, 0.6)
+    found = smoothed(np.full_like(x, 90), planes, cost, 0.6)[0]
     assert np.isnan(found[:, 200:]).all()
     assert np.abs(found - truth)[:, :200].max() < 0.25
     torn = truth + np.where((abs(y - 22) < 2) & (abs(x - 128) < 2), np.float32(9), np.float32(0))
     difference = np.where(x < 250, np.float32(0.5), np.float32(5))
-    doubts = doubt(torn, planes, difference)
+    doubts = doubt(np.stack([torn, planes[1], planes[2]]), difference)
     assert doubts[22, 128] > 3 and np.isinf(doubts[:, 250:]).all()
     assert doubts[5:55, 5:110].max() < 0.2 and doubts[0, 0] < 0.2
+
+
+def test_a_second_round_of_votes_finds_the_slope_of_planes_that_have_none() -> None:
+    """Semi-global matching's fronto-parallel start, on ground seen at a low angle."""
+    y, x = np.mgrid[0:60, 0:120].astype(np.float32)
+    truth = 30 + 0.3 * x - 0.4 * y
+    flat = np.stack([truth, np.zeros_like(x), np.zeros_like(x)])
+    found = smoothed(np.full_like(x, 90), flat, np.zeros_like(x), 0.6, rounds=2)
+    inside = (slice(15, -15), slice(15, -15))
+    assert np.abs(found[1][inside] - 0.3).max() < 0.1 and np.abs(found[2][inside] + 0.4).max() < 0.1
+    assert np.abs(found[0] - truth)[inside].max() < 0.3
 
 
 def test_halving_keeps_disparity_half_as_large() -> None:
