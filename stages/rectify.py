@@ -303,7 +303,8 @@ def _row_uncertainty_px(
     if not inside.any():
         return 0.0
     essential = _intrinsics_behind(geometry)
-    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown[inside], partner[inside], essential)
+    shown, partner = np.compress(inside, shown, axis=0), np.compress(inside, partner, axis=0)
+    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown, partner, essential)
     return (_DEVIATIONS_OF_F if essential is None else _DEVIATIONS_OF_E) * percentiles(sigma, 95)[0]
 
 
