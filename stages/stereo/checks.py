@@ -9,17 +9,22 @@ from ..kernels import kernel
 from ..types import Bools, Float32s
 
 
+@kernel
 def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
     """(h, w) float32: how far the disparity of one view differs from that of the pixel it points to, inf where there is none.
 
     sign: -1 when `one` belongs to the left view (x2 = x1 - d), 1 for the right view.
     """
     height, width = one.shape
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    target = np.where(np.isnan(one), np.float32(-10), np.clip(x + sign * one, -10, width + 10)).astype(np.float32)
-    back = cv2.remap(other, target, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-    difference = np.abs(back - one)
-    return np.where(np.isnan(difference), np.float32(np.inf), difference).astype(np.float32)
+    difference = np.full((height, width), np.inf, dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            column = np.rint(np.float32(x) + np.float32(sign) * one[y, x])
+            if 0 <= column < width:  # nor where it is nan
+                away = abs(other[y, int(column)] - one[y, x])
+                if not np.isnan(away):
+                    difference[y, x] = away
+    return difference
 
 
 def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, steep: float = 0.15) -> Bools:
