@@ -12,8 +12,8 @@ from scipy.spatial import Delaunay, QhullError
 
 from ..epipolar import apply_homography, homogeneous
 from ..kernels import kernel
-from ..types import Float32s, Float64s, Int32s
-from .percentiles import middle
+from ..types import Float32s, Float64s, Int32s, Int64s
+from .percentiles import extremes, middle
 from .projective import rows_fixed_by, send_epipole_to_infinity
 
 COLUMNS = 24
@@ -37,22 +37,19 @@ def seed(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int]) -> tupl
 
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
     """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
-    return _best_of_each_cell(x1, probability, size[0] / COLUMNS)
+    side = size[0] / COLUMNS
+    first, last = np.floor(np.array(extremes(x1)) / side).astype(np.int64)
+    best = np.full(last - first + 1, -1, dtype=np.int32)
+    _best_of_each_cell(x1, probability, side, first, best)
+    return np.sort(best[best >= 0])
 
 
 @kernel
-def _best_of_each_cell(x: Float64s, probability: Float32s, side: float) -> Int32s:
-    column, row = np.empty(len(x), np.int32), np.empty(len(x), np.int32)
+def _best_of_each_cell(x: Float64s, probability: Float32s, side: float, first: Int64s, best: Int32s) -> None:
     for k in range(len(x)):
-        column[k], row[k] = np.floor(x[k, 0] / side), np.floor(x[k, 1] / side)
-    left, top = column.min(), row.min()
-    best = np.full((row.max() - top + 1, column.max() - left + 1), -1, np.int32)
-    for k in range(len(x)):
-        before = best[row[k] - top, column[k] - left]
-        if before < 0 or probability[k] > probability[before]:
-            best[row[k] - top, column[k] - left] = k
-    chosen = best.ravel()
-    return np.sort(chosen[chosen >= 0])
+        i, j = int(np.floor(x[k, 0] / side)) - first[0], int(np.floor(x[k, 1] / side)) - first[1]
+        if best[i, j] < 0 or probability[k] > probability[best[i, j]]:
+            best[i, j] = k
 
 
 def net_edges(x: Float64s) -> Int32s:
@@ -82,24 +79,24 @@ def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: i
     for k in range(len(edges)):
         i, j = edges[k]
         D[k, 0], D[k, 1], d[k] = design[i, 0] - design[j, 0], design[i, 1] - design[j, 1], target[i] - target[j]
-    fit = np.zeros(2)
     weights, residuals = np.ones(len(d)), np.empty(len(d))
+    x, y = 0.0, 0.0
     for _ in range(iterations):
         aa, ab, bb, ad, bd = 0.0, 0.0, 0.0, 0.0, 0.0  # two well-scaled columns: normal equations lose nothing
         for k in range(len(d)):
             a, b = weights[k] * D[k, 0], weights[k] * D[k, 1]
             aa, ab, bb = aa + a * D[k, 0], ab + a * D[k, 1], bb + b * D[k, 1]
             ad, bd = ad + a * d[k], bd + b * d[k]
-        before = fit
-        fit = np.array([bb * ad - ab * bd, aa * bd - ab * ad]) / (aa * bb - ab * ab)
-        if np.abs(fit - before).max() <= _SETTLED * np.abs(fit).max():
+        before = x, y
+        x, y = (bb * ad - ab * bd) / (aa * bb - ab * ab), (aa * bd - ab * ad) / (aa * bb - ab * ab)
+        if max(abs(x - before[0]), abs(y - before[1])) <= _SETTLED * max(abs(x), abs(y)):
             break
         for k in range(len(d)):
-            residuals[k] = abs(D[k, 0] * fit[0] + D[k, 1] * fit[1] - d[k])
+            residuals[k] = abs(D[k, 0] * x + D[k, 1] * y - d[k])
         s = 1.4826 * np.median(residuals) + 1e-6
         for k in range(len(d)):
             weights[k] = 1 / (1 + (residuals[k] / (2 * s)) ** 2)
-    return fit
+    return np.array([x, y])
 
 
 def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust: bool) -> tuple[Float64s, Float64s]:

@@ -1,4 +1,5 @@
-"""Medians and percentiles of a few thousand values in a fifth of the time of numpy's own, which rectification asks for often."""
+"""Medians, percentiles and extremes of a few thousand values, in half the time of numpy's own or less: rectification asks for
+them often."""
 
 from __future__ import annotations
 
@@ -22,3 +23,9 @@ def percentiles(values: Float64s, *shares: float) -> list[float]:
     places = [share / 100 * last for share in shares]
     ordered = np.partition(values, sorted({min(int(place) + k, last) for place in places for k in (0, 1)}))
     return [float((1 - place % 1) * ordered[int(place)] + place % 1 * ordered[min(int(place) + 1, last)]) for place in places]
+
+
+def extremes(points: Float64s) -> tuple[Float64s, Float64s]:
+    """Smallest and largest coordinates (2,), (2,) of points (n, 2)."""
+    columns = np.ascontiguousarray(points.T)  # several times faster than along the long axis
+    return columns.min(axis=1), columns.max(axis=1)
