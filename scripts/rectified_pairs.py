@@ -58,8 +58,9 @@ def scaled(geometry: Geometry, left: TrueView, right: TrueView) -> Geometry:
     F = np.linalg.inv(T2).T @ geometry.F @ np.linalg.inv(T1)
     x1, x2 = ((x + 0.5) * s - 0.5 for x, s in ((geometry.x1, s1), (geometry.x2, s2)))
     noise = None if geometry.noise_px is None else geometry.noise_px * np.float32(s1)
+    lens1, lens2 = (None if K is None else T @ K for K, T in ((geometry.lens1, T1), (geometry.lens2, T2)))
     views = {"view1": left.frame.view, "view2": right.frame.view}
-    return replace(geometry, F=F / np.linalg.norm(F), x1=x1, x2=x2, noise_px=noise, **views)
+    return replace(geometry, F=F / np.linalg.norm(F), x1=x1, x2=x2, noise_px=noise, lens1=lens1, lens2=lens2, **views)
 
 
 def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:

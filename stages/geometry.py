@@ -9,17 +9,19 @@ import numpy as np
 
 from .epipolar import homogeneous, symmetric_epipolar_distance
 from .matching.structural import Correspondences, ViewPair, guided_matches, view_pairs
+from .plausible_lenses import ODDEST, TwoCameras, refine_with_plausible_lenses
 from .robust import (
     INLIER_FACTOR,
     TwoView,
     estimate_essential,
     estimate_fundamental,
+    estimate_with_one_lens,
     homography_support,
     pose_of_fundamental,
     rotation_support,
     supporters,
 )
-from .two_view_fit import refine_two_view
+from .two_view_fit import noise_px, refine_two_view
 from .types import Features, Float64s, Geometry, Matches, Rejected, View
 from .verdict import pair_evidence, pair_score, probability
 
@@ -72,10 +74,11 @@ def estimate_geometry(
     """
     before = len(matches.x1)
     problems = view_pairs(left, right, matches.tilted)
-    found = _solve(matches, threshold_px, use_intrinsics, seed)
+    found = _solve(matches, _sizes(matches, left, right), threshold_px, use_intrinsics, seed)
     if guided and found is not None:
         matches, found = _guided_round(matches, found, left, right, problems, threshold_px, use_intrinsics, seed)
-    found, noise = _weighted(matches, found, left, right, threshold_px)
+    size = _sizes(matches, left, right)
+    found, noise, lenses = _weighted(matches, found, size, threshold_px, use_intrinsics)
     count = 0 if found is None else int(found.inliers.sum())
     if found is None or count < min_inliers:
         figures = {"matches": float(before), "inliers": float(count)}
@@ -123,6 +126,9 @@ def estimate_geometry(
         half_rotation_deg=evidence.half_rotation_deg,
         stretch=evidence.stretch,
         noise_px=noise[found.inliers].astype(np.float32),
+        lens1=None if lenses is None else lenses.K1,
+        lens2=None if lenses is None else lenses.K2,
+        lens_oddness=float("nan") if lenses is None else lenses.oddness,
         warnings=_warnings(support, contradicted, few_inliers, small_area, min_inliers),
     )
 
@@ -184,12 +190,12 @@ def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_are
     return tuple(found)
 
 
-def _solve(matches: Matches, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView | None:
-    """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`."""
+def _solve(matches: Matches, size: Float64s, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView | None:
+    """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`.  size: (n,) of the matched keypoints."""
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
     bare = estimate_fundamental(x1, x2, threshold_px, seed)
     if not (use_intrinsics and _known(view1) and _known(view2)):
-        return bare
+        return None if bare is None else _plausible(matches, bare, size, threshold_px, use_intrinsics, seed)
     calibrated = estimate_essential(x1, x2, view1, view2, threshold_px, seed)
     if bare is None or calibrated is None:
         return calibrated or bare
@@ -220,31 +226,64 @@ def _guided_round(
         probability=again.probability.astype(np.float32),
         affine=right.frames[i2] @ np.linalg.inv(left.frames[i1]),
     )
-    better = _solve(more, threshold_px, use_intrinsics, seed)
+    better = _solve(more, _sizes(more, left, right), threshold_px, use_intrinsics, seed)
     if better is None or better.inliers.sum() < inside.sum():
         return matches, found
     return more, better
 
 
 def _weighted(
-    matches: Matches, found: TwoView | None, left: Features, right: Features, threshold_px: float
-) -> tuple[TwoView | None, Float64s]:
-    """The geometry refined with weights by the size of the keypoints, and the noise (n,) in pixels of each match."""
-    size = np.maximum(_size(left.frames[matches.i1]), _size(right.frames[matches.i2]))
-    if found is None or found.inliers.sum() < 8:
-        return found, size
+    matches: Matches, found: TwoView | None, size: Float64s, threshold_px: float, use_intrinsics: bool
+) -> tuple[TwoView | None, Float64s, TwoCameras | None]:
+    """The geometry refined with weights by the size of the keypoints; the noise (n,) in pixels of each match; lenses that go with
+    F where they are not known."""
+    if found is None:
+        return None, size, None
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
     inside = found.inliers
-    lenses = (view1.K, view2.K) if found.R is not None and view1.K is not None and view2.K is not None else None
-    F, inside_noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside], lenses)
-    noise = size * float(inside_noise[0] / size[inside][0])
+    if found.R is not None and view1.K is not None and view2.K is not None:
+        F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside], (view1.K, view2.K))
+        pose = pose_of_fundamental(F, x1[inside], x2[inside], view1, view2)
+        inliers = supporters(F, x1, x2, threshold_px)
+        better = None if pose is None or inliers.sum() < 8 else TwoView(F, inliers, *pose)
+        return better or found, size * (noise[0] / size[inside][0]), None
+    F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside])
+    lenses = None
+    if not (_known(view1) and _known(view2)):
+        lenses = refine_with_plausible_lenses([F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, use_intrinsics))
+    if lenses is not None and lenses.oddness <= ODDEST:
+        F = lenses.F
     inliers = supporters(F, x1, x2, threshold_px)
-    if inliers.sum() < 8:
-        return found, noise
-    if found.R is None:
-        return TwoView(F, inliers), noise
-    pose = pose_of_fundamental(F, x1[inliers], x2[inliers], view1, view2)
-    return (found if pose is None else TwoView(F, inliers, *pose)), noise
+    better = None if inliers.sum() < 8 else TwoView(F, inliers)
+    return better or found, size * (noise[0] / size[inside][0]), lenses
+
+
+def _plausible(matches: Matches, bare: TwoView, size: Float64s, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView:
+    """F of two cameras with lenses as cameras have, unless these are odd or it has far fewer inliers than the bare F."""
+    x1, x2 = matches.x1, matches.x2
+    views = _lenses_to_use(matches, use_intrinsics)
+    one = estimate_with_one_lens(x1, x2, *views, threshold_px, seed)
+    candidates = [bare] if one is None else [bare, one]
+    either = np.any([c.inliers for c in candidates], axis=0)
+    noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
+    noise = size[either] * (noise[0] / size[bare.inliers][0])
+    found = refine_with_plausible_lenses([c.F for c in candidates], x1[either], x2[either], noise, *views)
+    if found is None or found.oddness > ODDEST:
+        return bare
+    inliers = supporters(found.F, x1, x2, threshold_px)
+    return TwoView(found.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare
+
+
+def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
+    view1, view2 = matches.view1, matches.view2
+    if use_intrinsics:
+        return view1, view2
+    return View(view1.width, view1.height), View(view2.width, view2.height)
+
+
+def _sizes(matches: Matches, left: Features, right: Features) -> Float64s:
+    """(n,) size of the coarser keypoint of each match, pixels."""
+    return np.asarray(np.maximum(_size(left.frames[matches.i1]), _size(right.frames[matches.i2])), dtype=np.float64)
 
 
 def _size(frames: Float64s) -> Float64s:

@@ -17,6 +17,7 @@ from .epipolar import (
     triangulate_depth,
 )
 from .matching.nearest_points import nearest_points
+from .plausible_lenses import ODDEST, freedoms
 from .rectification.calibrated import calibrated
 from .rectification.canvas import Size, frame_grid, place
 from .rectification.congruent import congruent, seed
@@ -31,12 +32,15 @@ Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]
 
 _SMALLEST_SIDE_PX = 16
 
+_NOMINAL_SIDE = 768
+"""Long side of the frame, pixels, that `max_row_error_px` is said for."""
+
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
 
-_DEVIATIONS_OF_E, _DEVIATIONS_OF_F = 2.5, 3.5
-"""Standard deviations by which epipolar lines may be off: a bare F has two freedoms more, by which wrong matches that agree bend
-it, and no residual tells."""
+_DEVIATIONS = 3.5
+"""Standard deviations by which epipolar lines may be off: residuals don't tell all, matches err together and wrong ones agree.
+Chosen on fountain with known lenses as the least with which no pair of wrong rows passes; checked on entry and the demo."""
 
 
 class _Pair(NamedTuple):
@@ -98,7 +102,9 @@ def rectify(
     min_matches
         Fewer matches than this reject the pair; fewer than 50 warn.
     max_row_error_px
-        Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of the frame.
+        Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a frame whose long
+        side is 768: the limit grows with larger frames, whose pixels show as much less.  Smaller frames keep the limit in their
+        own pixels, since no matcher notices half a pixel.
     min_angle_deg
         Reject if the rays of the matches converge by less than this (median), in degrees; where no camera tells the angle,
         a homography that explains the pair takes its place.
@@ -117,6 +123,9 @@ def rectify(
         return Rejected("F is more likely wrong than right: too few distinctive matches agree with it", figures)
     if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
         raise ValueError("method 'calibrated' needs the cameras of both frames")
+    if pair.camera1 is None and geometry.lens_oddness > ODDEST:
+        figures = {"lens_oddness": geometry.lens_oddness, "allowed": ODDEST}
+        return Rejected("F is that of very odd lenses: it is wrong, or their fields of view must be given", figures)
     refusal = _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
     if refusal is not None:
         return refusal
@@ -248,8 +257,10 @@ def _finished(
     margin = range_margin * (high - low) + 0.01 * pair.size1[0]
     scale = float(np.sqrt(middle(np.concatenate([footprint.area for footprint in footprints]))))
     uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
-    if uncertainty > max_row_error_px:
-        return Rejected("the matches are too few or too clustered to tell the epipolar lines", {"row_error_px": uncertainty})
+    allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
+    if uncertainty > allowed:
+        figures = {"row_error_px": uncertainty, "allowed_px": allowed}
+        return Rejected("the matches are too few or too clustered to tell the epipolar lines", figures)
     return Rectification(
         method=found.method,
         reason=found.reason,
@@ -303,9 +314,13 @@ def _row_uncertainty_px(
     if not inside.any():
         return 0.0
     essential = _intrinsics_behind(geometry)
+    lenses = None
+    if geometry.lens1 is not None and geometry.lens2 is not None:
+        lenses = freedoms(pair.F, geometry.lens1, geometry.lens2, geometry.view1, geometry.view2)
+    noise = None if geometry.noise_px is None else geometry.noise_px.astype(np.float64)
     shown, partner = np.compress(inside, shown, axis=0), np.compress(inside, partner, axis=0)
-    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown, partner, essential)
-    return (_DEVIATIONS_OF_F if essential is None else _DEVIATIONS_OF_E) * percentiles(sigma, 95)[0]
+    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown, partner, essential, noise, lenses)
+    return _DEVIATIONS * percentiles(sigma, 95)[0]
 
 
 def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:

@@ -79,6 +79,35 @@ def estimate_essential(
     return TwoView(F, inliers, R, t) if inliers.sum() >= 8 else None
 
 
+def estimate_with_one_lens(
+    x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int
+) -> TwoView | None:
+    """F of two views with one unknown lens, whose centre is theirs (six points inside LO-RANSAC, poselib); None when nothing with
+    8 inliers is found.  It has one freedom less than a bare F, by which wrong matches that agree can bend it."""
+    if len(x1) < 8:
+        return None
+    unit1, unit2 = (float(max(view.width, view.height)) for view in (view1, view2))
+    T1, T2 = (
+        np.array([[side / unit1, 0, (view.width - 1) / 2], [0, side / unit1, (view.height - 1) / 2], [0, 0, 1]])
+        for view, side in ((view1, unit1), (view2, unit2))
+    )
+    centred1, centred2 = ((x - T[:2, 2]) / T[0, 0] for x, T in ((x1, T1), (x2, T2)))
+    options = {
+        "max_epipolar_error": INLIER_FACTOR * threshold_px,
+        "max_iterations": MAX_ITERATIONS,
+        "min_iterations": MIN_ITERATIONS,
+        "seed": seed,
+    }
+    found, _ = poselib.estimate_shared_focal_relative_pose(centred1, centred2, np.zeros(2), options, {})
+    f, R, t = float(found.camera1.focal()), np.asarray(found.pose.R), np.asarray(found.pose.t)
+    if not np.isfinite([f, *t]).all() or f <= 0 or np.linalg.norm(t) < 1e-12:
+        return None
+    K = np.diag([f, f, 1.0])
+    F = _unit(np.linalg.inv(T2).T @ essential_to_fundamental(R, t, K, K) @ np.linalg.inv(T1))
+    inliers = supporters(F, x1, x2, threshold_px)
+    return TwoView(F, inliers) if inliers.sum() >= 8 else None
+
+
 def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s] | None:
     """`cam2_R_cam1`, `cam2_t_cam1` nearest to F: of the four decompositions of K2^T F K1 the one with the points in front."""
     if view1.K is None or view2.K is None:

@@ -54,12 +54,12 @@ def _descend(F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, lenses: I
     """Levenberg-Marquardt in normalised coordinates; scale: (n,) what makes a distance one unit of the loss."""
     damping, F = 1e-4, _nearest(F, lenses)
     directions = tangent(F, lenses)
-    cost, normal, right = _normal_equations(F, x1, x2, scale, directions)
+    cost, normal, right = normal_equations(F, x1, x2, scale, directions)
     for _ in range(ITERATIONS):
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal)), -right)
         moved = _nearest(F + (directions @ step).reshape(3, 3), lenses)
         ahead = tangent(moved, lenses)
-        new_cost, new_normal, new_right = _normal_equations(moved, x1, x2, scale, ahead)
+        new_cost, new_normal, new_right = normal_equations(moved, x1, x2, scale, ahead)
         if not new_cost < cost:
             damping *= 10
             if damping > 1e3:
@@ -97,7 +97,7 @@ def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
 
 
 @kernel
-def _normal_equations(
+def normal_equations(
     F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, directions: Float64s
 ) -> tuple[float, Float64s, Float64s]:
     """Sum of log(1 + r^2) of the scaled Sampson distances r, and the weighted normal equations of their changes along (9, k)."""

@@ -192,6 +192,8 @@ class Geometry:
     the clear matches found without geometry that F explains, half_rotation_deg: angle between the rotations that the two halves
     of the inliers tell (nan without K), stretch: median log ratio of the axes of the local affine maps;
     noise_px: (n,) float32, standard deviation of the distance of each inlier to its epipolar line, None where nobody knows;
+    lens1, lens2: (3, 3) intrinsics that go with F where they had to be guessed, else None; lens_oddness: how far these are from
+    what cameras have, in squared standard deviations, nan where they are known;
     warnings: named degenerate cases that did not reject the pair.
     """
 
@@ -219,6 +221,9 @@ class Geometry:
     half_rotation_deg: float = float("nan")
     stretch: float = 0.0
     noise_px: Float32s | None = None
+    lens1: Float64s | None = None
+    lens2: Float64s | None = None
+    lens_oddness: float = float("nan")
     warnings: tuple[str, ...] = ()
 
 

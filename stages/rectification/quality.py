@@ -43,30 +43,53 @@ def parallax_px(x1: Float64s, x2: Float64s) -> float:
 
 
 def line_uncertainty(
-    F: Float64s, x1: Float64s, x2: Float64s, at1: Float64s, at2: Float64s, essential: tuple[Float64s, Float64s] | None = None
+    F: Float64s,
+    x1: Float64s,
+    x2: Float64s,
+    at1: Float64s,
+    at2: Float64s,
+    essential: tuple[Float64s, Float64s] | None = None,
+    noise: Float64s | None = None,
+    freedoms: tuple[Float64s, Float64s] | None = None,
 ) -> Float64s:
     """Standard deviation (m,) in pixels of the epipolar line of at1 (m, 2) beside at2 (m, 2), for F fitted to x1, x2 (n, 2).
 
     Two parts.  The residuals, propagated through the seven degrees of freedom of F, or the five that are left when
     F = K2^-T E K1^-1 and `essential` = (K1, K2): few or clustered matches fit well and say little elsewhere, which no residual
     tells.  And how F changes, to first order, when the matches of one part of the image are left out: wrong matches that agree
-    with each other show there.  References: Csurka et al., CVIU 1997; Efron, The jackknife, 1982.
+    with each other show there.
+
+    noise: (n,) standard deviation of each match, pixels; as measured and alike where None.  freedoms: directions (9, k) in which
+    F may change instead of those, and the information (k, k) there is on them besides the matches.
+
+    References: Csurka et al., CVIU 1997; Efron, The jackknife, 1982.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
     Ni = np.array([[half, 0.0, half], [0.0, half, half], [0.0, 0.0, 1.0]])
     Fn = Ni.T @ F @ Ni
-    Fn = Fn / np.linalg.norm(Fn)
-    directions = tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
+    length = np.linalg.norm(Fn)
+    Fn = Fn / length
+    if freedoms is None:
+        directions = tangent(Fn, None if essential is None else (N @ essential[0], N @ essential[1]))
+        known = np.zeros((directions.shape[1], directions.shape[1]))
+    else:
+        directions = (Ni.T @ freedoms[0].T.reshape(-1, 3, 3) @ Ni).reshape(-1, 9).T / length
+        directions = directions - np.outer(Fn.ravel(), Fn.ravel() @ directions)
+        known = freedoms[1]
     both = np.column_stack([Fn.ravel(), directions])  # along F itself the distance changes by its own amount
     rows = _derivatives(Fn, x1 / half - 1, x2 / half - 1, half) @ both
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
     elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
-    noise = max(1.4826 * middle(np.abs(residual)), 0.1)
+    if noise is None:
+        noise = np.full(len(x1), max(1.4826 * middle(np.abs(residual)), 0.1))
+    residual, rows = residual / noise, rows / noise[:, None]
+    each = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(known))  # turns and lenses in units of what is known of them
+    rows, elsewhere, known = rows * each, elsewhere * each, known * np.outer(each, each)
 
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    spread = vectors * (noise / np.sqrt(np.maximum(values, 1e-12 * values.max())))
-    moves = _moves_without_each_part(rows, residual, noise, _parts(x1))
+    values, vectors = np.linalg.eigh(rows.T @ rows + known)
+    spread = vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))
+    moves = _moves_without_each_part(rows, residual, known, _parts(x1))
     moves = (moves - moves.mean(axis=0)) * np.sqrt((len(moves) - 1) / len(moves))
     parts = np.concatenate([elsewhere @ spread, elsewhere @ moves.T], axis=1)
     return np.asarray(np.linalg.norm(parts, axis=1), dtype=np.float64)
@@ -87,23 +110,23 @@ def _split(order: Int64s, count: int) -> list[Int64s]:
     return [order[first:last] for first, last in pairwise(bounds)]
 
 
-def _moves_without_each_part(rows: Float64s, residual: Float64s, noise: float, part: Int64s) -> Float64s:
-    """(parts, k): the Gauss-Newton step of the robust fit when each part is left out."""
+def _moves_without_each_part(rows: Float64s, residual: Float64s, known: Float64s, part: Int64s) -> Float64s:
+    """(parts, k): the Gauss-Newton step of the robust fit when each part is left out; all in units of the noise."""
     k = rows.shape[1]
     normals, rights = np.zeros((part.max() + 1, k, k)), np.zeros((part.max() + 1, k))
-    _weighted_sums(rows, residual, noise, part, normals, rights)
-    normal = normals.sum(axis=0)
+    _weighted_sums(rows, residual, part, normals, rights)
+    normal = normals.sum(axis=0) + known
     without = normal + 1e-9 * np.trace(normal) * np.eye(k) - normals
     change = rights.sum(axis=0) - rights
     return np.asarray(-np.linalg.solve(without, change[..., None])[..., 0], dtype=np.float64)
 
 
 @kernel
-def _weighted_sums(rows: Float64s, residual: Float64s, noise: float, part: Int64s, normals: Float64s, rights: Float64s) -> None:
+def _weighted_sums(rows: Float64s, residual: Float64s, part: Int64s, normals: Float64s, rights: Float64s) -> None:
     """Add each part's robustly weighted rows^T rows (parts, k, k) and rows^T residual (parts, k)."""
     k = rows.shape[1]
     for n in range(len(rows)):
-        weight = 1 / (1 + (residual[n] / (2 * noise)) ** 2)
+        weight = 1 / (1 + (residual[n] / 2) ** 2)
         for i in range(k):
             weighted = weight * rows[n, i]
             rights[part[n], i] += weighted * residual[n]

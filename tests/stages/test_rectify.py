@@ -12,7 +12,7 @@ from wbflow_stages.epipolar import apply_homography, epipoles, fundamental_from_
 from wbflow_stages.rectification.mapping import from_rectified, resampling, to_rectified
 from wbflow_stages.rectify import Method, rectify
 from wbflow_stages.robust import estimate_fundamental
-from wbflow_stages.types import Camera, Geometry, Rectification, Rejected
+from wbflow_stages.types import Camera, Geometry, Rectification, Rejected, View
 
 SIDEWAYS = np.array([2.0, 0.1, 0.0])
 METHODS: tuple[Method, ...] = ("congruent", "hartley", "seed", "calibrated", "polar")
@@ -196,6 +196,35 @@ def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_t
     result = rectified(close, left, right, method)
     assert result.method == "hartley" and "net" in result.reason
     assert row_errors(result, geometry.x1, geometry.x2).max() < 1e-3
+
+
+def test_the_limit_for_rows_grows_with_the_frame() -> None:
+    """The same pair four times as large, noise and all, is as good as before."""
+    geometry, _, _ = two_views(SIDEWAYS, n=900, noise_px=0.4)
+    rectified(geometry, None, None)
+    S = np.array([[4.0, 0.0, 1.5], [0.0, 4.0, 1.5], [0.0, 0.0, 1.0]])
+    large = dataclasses.replace(
+        geometry,
+        F=np.linalg.inv(S).T @ geometry.F @ np.linalg.inv(S),
+        x1=4 * geometry.x1 + 1.5,
+        x2=4 * geometry.x2 + 1.5,
+        view1=View(4 * WIDTH, 4 * HEIGHT),
+        view2=View(4 * WIDTH, 4 * HEIGHT),
+    )
+    rectified(large, None, None)
+    refused = rectify(large, None, None, max_row_error_px=0.1)
+    assert isinstance(refused, Rejected) and refused.figures["row_error_px"] > 0.5
+    assert refused.figures["allowed_px"] == pytest.approx(0.1 * 4 * WIDTH / 768)
+
+
+def test_exact_matches_among_rough_ones_make_the_rows_sure() -> None:
+    geometry, _, _ = two_views(SIDEWAYS)
+    rng = np.random.default_rng(0)
+    noise = np.where(np.arange(len(geometry.x1)) % 5 == 0, 0.05, 2.0)
+    x2 = geometry.x2 + noise[:, None] * rng.normal(size=geometry.x2.shape)
+    rough = dataclasses.replace(geometry, x2=x2)
+    assert isinstance(rectify(rough, None, None), Rejected)
+    rectified(dataclasses.replace(rough, noise_px=noise.astype(np.float32)), None, None)
 
 
 def test_an_f_that_is_more_likely_wrong_than_right_is_refused_unless_cameras_replace_it() -> None:
