@@ -69,12 +69,14 @@ def _angle_in_image2(F: Float64s, e1: Float64s, e2: Float64s, side: float, theta
     """Angles (n,) at e2 of the half lines that belong to the directions theta (n,) at e1, without jumps."""
     centre1, centre2 = (np.array([(w - 1) / 2, (h - 1) / 2]) for w, h in (size1, size2))
     reach = max(float(np.hypot(*(centre1 - e1))), float(np.hypot(*size1)))
-    points = e1 + reach * np.column_stack([np.cos(theta), np.sin(theta)])
-    line = homogeneous(points) @ F.T
-    norm = np.hypot(line[:, 0], line[:, 1])[:, None]
-    foot = centre2 - line[:, :2] * ((line[:, :2] @ centre2 + line[:, 2])[:, None] / norm**2)
-    ahead = foot + side * 2 * np.hypot(*size2) * np.column_stack([line[:, 1], -line[:, 0]]) / norm - e2
-    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    points = e1[:, None] + reach * np.stack([np.cos(theta), np.sin(theta)])
+    a, b, c = F[:, :2] @ points + F[:, 2:]  # their lines, and from the foot of the centre a long way along them:
+    norm = np.sqrt(a * a + b * b)
+    foot = (a * centre2[0] + b * centre2[1] + c) / (norm * norm)
+    along = side * 2 * np.hypot(*size2) / norm
+    phi = np.arctan2(centre2[1] - foot * b - along * a - e2[1], centre2[0] - foot * a + along * b - e2[0])
+    phi[1:] -= 2 * np.pi * np.cumsum(np.round(np.diff(phi) / (2 * np.pi)))
+    return np.asarray(phi, dtype=np.float64)
 
 
 def _rows(
