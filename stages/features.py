@@ -30,6 +30,10 @@ SMALL_PX = 100
 """An image with fewer pixels for each keypoint wanted is described in one go: it holds hardly more keypoints than are wanted, and
 describing some afterwards builds the pyramid of scales anew."""
 
+LARGEST_PX, OVERLAP_PX = 6_500_000, 256
+"""An image with more pixels is searched in bands: all scales of one pixel take 230 bytes.  Bands reach farther by the overlap,
+and begin at multiples of it, so that coarse scales are sampled at the same places."""
+
 
 def detect(
     frame: Frame,
@@ -106,7 +110,7 @@ def _equalised(grey: Uint8s) -> Uint8s:
 
 def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
     small = grey.size < SMALL_PX * wanted
-    found, every = sift.detectAndCompute(grey, None) if small else (sift.detect(grey, None), None)
+    found, every = sift.detectAndCompute(grey, None) if small else (_found(sift, grey), None)
     rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], dtype=np.float64).reshape(-1, 5)
     chosen = _spread(rows, _usable(rows, mask), grey.shape, wanted, grid_columns, crowding)
     if len(chosen) == 0:
@@ -114,6 +118,22 @@ def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns
     raw = sift.compute(grey, [found[i] for i in chosen])[1] if every is None else every[chosen]
     rows = rows[chosen]
     return rows[:, :2], _keypoint_frames(rows[:, 2], np.radians(rows[:, 3])), _root(raw), rows[:, 4].astype(np.float32)
+
+
+def _found(sift: Any, grey: Uint8s) -> list[cv2.KeyPoint]:
+    """All keypoints, found band by band in a large image."""
+    height = grey.shape[0]
+    count = -(-grey.size // LARGEST_PX)
+    found = []
+    for band in range(count):
+        top, bottom = height * band // count, height * (band + 1) // count
+        start = max(top // OVERLAP_PX - 1, 0) * OVERLAP_PX
+        for keypoint in sift.detect(grey[start : bottom + OVERLAP_PX], None):
+            x, y = keypoint.pt
+            if top <= y + start < bottom or count == 1:
+                keypoint.pt = x, y + start
+                found.append(keypoint)
+    return found
 
 
 def _detect_tilted(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:

@@ -37,10 +37,12 @@ _BEYOND = 0.5
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
     view1, view2 = _matched_views(pair)
-    planes1, planes2 = view1.smoothed(), view2.smoothed()
-    mirrored_left, right = (np.ascontiguousarray(planes[0, :, ::-1]) for planes in (planes1, planes2))
-    confidence1, confidence2 = view1.confidence(planes1, right), view2.confidence(planes2, mirrored_left)
-    return DenseMatches(planes1[0], right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))
+    for view in (view1, view2):
+        view.planes = view.smoothed(rounds=2)
+    left, mirrored_right = view1.planes[0], view2.planes[0]
+    mirrored_left, right = (np.ascontiguousarray(disparity[:, ::-1]) for disparity in (left, mirrored_right))
+    confidence1, confidence2 = view1.confidence(right), view2.confidence(mirrored_left)
+    return DenseMatches(left.copy(), right, confidence1, np.ascontiguousarray(confidence2[:, ::-1]))  # without the slopes
 
 
 class _View:
@@ -52,25 +54,24 @@ class _View:
         self.pair = pair
         self.planes = planes
         self.cost = np.ones(pair.left.shape, dtype=np.float32)
-        beyond = _BEYOND * (pair.disparity_max - pair.disparity_min)
-        low, high = pair.disparity_min - beyond, pair.disparity_max + beyond
-        self.sweeps = Sweeps(pair.left, pair.right, pair.valid_left, low, high)
 
-    def sweep(self, number: int, proposals: Float32s) -> None:
-        self.sweeps.sweep(number, self.planes, self.cost, proposals)
+    def sweeps(self) -> Sweeps:
+        beyond = _BEYOND * (self.pair.disparity_max - self.pair.disparity_min)
+        low, high = self.pair.disparity_min - beyond, self.pair.disparity_max + beyond
+        return Sweeps(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
 
-    def smoothed(self) -> Float32s:
+    def smoothed(self, rounds: int) -> Float32s:
         """Planes (3, h, w), nan where too costly."""
-        return smoothed(self.pair.left, self.planes, self.cost, _DEAREST, rounds=2)
+        return smoothed(self.pair.left, self.planes, self.cost, _DEAREST, rounds=rounds)
 
     def settled(self) -> Float32s:
         """Planes (3, h, w) for the next size: the smoothed ones, and its own where those are too costly."""
-        planes = smoothed(self.pair.left, self.planes, self.cost, _DEAREST)
+        planes = self.smoothed(rounds=1)
         return np.where(np.isnan(planes[0]), self.planes, planes)
 
-    def confidence(self, planes: Float32s, other: Float32s) -> Float32s:
-        """(h, w), for the smoothed planes and the disparity that the other view says, each in the sense of this one's pair."""
-        sure = doubt(planes, disagreement(planes[0], other, -1)) <= _DOUBTFUL
+    def confidence(self, other: Float32s) -> Float32s:
+        """(h, w), once the planes are smoothed, for the disparity that the other view says, in the sense of this one's pair."""
+        sure = doubt(self.planes, disagreement(self.planes[0], other, -1)) <= _DOUBTFUL
         return np.where(sure, 1 - self.cost, 0).astype(np.float32)
 
     def seen_from_other(self) -> Float32s:
@@ -79,19 +80,24 @@ class _View:
 
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
-    small = halved(pair)
     large = pair.left.size > _DIRECT_PX
-    coarse = _matched_views(small) if large else _swept(small, _start(small), 1)
-    start = [_doubled(view.settled(), pair.left.shape) for view in coarse]
-    return _swept(pair, start, 1 if large else _SWEEPS)
+    return _swept(pair, _coarse_planes(pair, large), 1 if large else _SWEEPS)
 
 
-def _swept(pair: RectifiedPair, start: Sequence[Float32s], sweeps: int) -> tuple[_View, _View]:
+def _coarse_planes(pair: RectifiedPair, large: bool) -> list[Float32s]:
+    """Planes (3, h, w) of both views, those of the right one in a mirror, found at half the size."""
+    small = halved(pair)
+    views = _matched_views(small) if large else _swept(small, _start(small), 1)
+    return [_doubled(view.settled(), pair.left.shape) for view in views]
+
+
+def _swept(pair: RectifiedPair, start: Sequence[Float32s], count: int) -> tuple[_View, _View]:
     views = _View(pair, start[0]), _View(mirrored(pair), start[1])
-    for sweep in range(sweeps):
-        proposals = [view.seen_from_other() for view in views[::-1]] if sweep else [view.planes for view in views]
-        for view, proposed in zip(views, proposals, strict=True):
-            view.sweep(sweep, proposed)
+    sweeps = [view.sweeps() for view in views]
+    for number in range(count):
+        proposals = [view.seen_from_other() for view in views[::-1]] if number else [view.planes for view in views]
+        for view, sweep, proposed in zip(views, sweeps, proposals, strict=True):
+            sweep.sweep(number, view.planes, view.cost, proposed)
     return views
 
 

@@ -36,16 +36,19 @@ def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, 
     neighbours, then the median of what neighbours farther away say.  A further round starts from what the one before said,
     with slopes fitted to the voters.  spacing: of the pixels that were compared: voters stand as far apart."""
     border = _BORDER * spacing
+    inner = slice(border, -border)
     known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))
     bordered = _bordered(border, known, planes[1], planes[2], image)
-    inner = slice(border, -border)
-    bordered[0, inner, inner] = _corrected(bordered, border, 1)[0]
-    voted = _voted(bordered, spacing)
+    out = np.empty((3, *known.shape), dtype=np.float32)
+    _correct(bordered, border, 1, out)
+    bordered[0, inner, inner] = out[0]
     for _ in range(rounds - 1):
-        bordered[0, inner, inner] = voted
-        bordered[1:3, inner, inner] = _corrected(bordered, border, _VOTER_STRIDE * spacing)[1:]
-        voted = _voted(bordered, spacing)
-    return np.stack([voted, *bordered[1:3, inner, inner]])
+        bordered[0, inner, inner] = _voted(bordered, spacing)
+        _correct(bordered, border, _VOTER_STRIDE * spacing, out)
+        bordered[1:3, inner, inner] = out[1:]
+    out[0] = _voted(bordered, spacing)
+    out[1:] = bordered[1:3, inner, inner]
+    return out
 
 
 def doubt(planes: Float32s, difference: Float32s) -> Float32s:
@@ -73,13 +76,13 @@ def _neighbours_inside(shape: tuple[int, ...]) -> Float32s:
 
 
 @kernel
-def _corrected(bordered: Float32s, border: int, stride: int) -> Float32s:
-    """Planes (3, h, w): the pixels' own, corrected by a least-squares plane through what 5x5 neighbours, `stride` apart, say.
+def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> None:
+    """Planes (3, h, w) into `out`: the pixels' own, corrected by a least-squares plane through what 5x5 neighbours, `stride`
+    apart, say.
 
     They must nearly agree, and weigh by likeness.  `bordered` are disparity, its slopes and grey (4, h, w) with a border."""
     known, image = bordered[0], bordered[3]
     height, width = known.shape[0] - 2 * border, known.shape[1] - 2 * border
-    out = np.empty((3, height, width), dtype=np.float32)
     soft = np.float32(1.0 / _LIKENESS)
     s = np.empty(9 * _BLOCK, dtype=np.float32)
     none = np.float32(0.0)
@@ -121,7 +124,6 @@ def _corrected(bordered: Float32s, border: int, stride: int) -> Float32s:
                 out[0, y, x0 + x] = d[x] + (v * minor - wx * (vx * yy - xy * vy) + wy * (vx * xy - xx * vy)) / det
                 out[1, y, x0 + x] = a[x] + (w * (vx * yy - xy * vy) - v * (wx * yy - xy * wy) + wy * (wx * vy - vx * wy)) / det
                 out[2, y, x0 + x] = b[x] + (w * (xx * vy - vx * xy) - wx * (wx * vy - vx * wy) + v * (wx * xy - xx * wy)) / det
-    return out
 
 
 _VOTES = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
@@ -134,7 +136,7 @@ def _voted(bordered: Float32s, spacing: int) -> Float32s:
     """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
 
     A wrong plane, or one of the other side of an edge, is outvoted; slanted surfaces keep their slant.  `bordered` as in
-    `_corrected`."""
+    `_correct`."""
     border = _BORDER * spacing
     height, width = bordered.shape[1] - 2 * border, bordered.shape[2] - 2 * border
     out = np.empty((height, width), dtype=np.float32)

@@ -51,6 +51,16 @@ def test_no_more_keypoints_than_asked_for_and_the_strongest_first():
     assert (np.diff(found.responses[:120]) <= 0).all()
 
 
+def test_a_large_image_searched_in_bands_shows_the_same_keypoints(monkeypatch: pytest.MonkeyPatch) -> None:
+    grey = blobs(width=480, height=900)
+    whole = features(grey, tilted_keypoints=0, keypoints=400)
+    monkeypatch.setattr("wbflow_stages.features.LARGEST_PX", 160_000)
+    bands = features(grey, tilted_keypoints=0, keypoints=400)
+    same = set(map(tuple, np.round(whole.xy, 2))) & set(map(tuple, np.round(bands.xy, 2)))
+    assert len(same) > 0.98 * len(whole.xy)
+    assert np.ptp(bands.xy[:, 1]) > 850
+
+
 def test_a_faint_half_gets_its_share_of_keypoints():
     grey = blobs()
     grey[:, 240:] = 110 + 0.15 * (grey[:, 240:] - 110)
