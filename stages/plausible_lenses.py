@@ -79,9 +79,7 @@ def refine_with_plausible_lenses(
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
-    mean1, sigma1 = _expected(view1, unit)
-    mean2, sigma2 = _expected(view2, unit)
-    mean, sigma = (np.concatenate([[a[0], b[0]], a[1:], b[1:]]) for a, b in ((mean1, mean2), (sigma1, sigma2)))
+    mean, sigma = _expected_of_both(view1, view2, unit)
     problem = _Problem((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
     every = -(-len(x1) // MOST_POSED)
     best: tuple[float, _State] | None = None
@@ -105,9 +103,7 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
     (12, 12), in units of that of the matches, that is known of them beforehand."""
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
-    mean1, sigma1 = _expected(view1, unit)
-    mean2, sigma2 = _expected(view2, unit)
-    mean, sigma = (np.concatenate([[a[0], b[0]], a[1:], b[1:]]) for a, b in ((mean1, mean2), (sigma1, sigma2)))
+    mean, sigma = _expected_of_both(view1, view2, unit)
     L1, L2 = np.linalg.inv(T1) @ K1, np.linalg.inv(T2) @ K2
     lens = np.array([np.log(L1[0, 0]), np.log(L2[0, 0]), L1[0, 2], L1[1, 2], L2[0, 2], L2[1, 2]])
     left, right = np.linalg.inv(L2).T, np.linalg.inv(L1)
@@ -129,6 +125,15 @@ def _frame_of(view: View, unit: float) -> Float64s:
 
 def _with(view: View, K: Float64s) -> View:
     return View(view.width, view.height, K)
+
+
+def _expected_of_both(view1: View, view2: View, unit: float) -> tuple[Float64s, Float64s]:
+    """Mean and standard deviation (6,) of the lens of a `_State`."""
+    mean1, sigma1 = _expected(view1, unit)
+    mean2, sigma2 = _expected(view2, unit)
+    return np.concatenate([[mean1[0], mean2[0]], mean1[1:], mean2[1:]]), np.concatenate(
+        [[sigma1[0], sigma2[0]], sigma1[1:], sigma2[1:]]
+    )
 
 
 def _expected(view: View, unit: float) -> tuple[Float64s, Float64s]:
