@@ -80,7 +80,7 @@ class VoxelGrid:
             length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
             yield Samples(
                 self._centres(keys) + sums[:, 0:3] / w,
-                sums[:, 3:6] / np.maximum(length, 1e-30),
+                np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
                 sums[:, 6:9] / c,
                 (w / n)[:, 0],
                 sums[:, 12].copy(),  # a view would keep all the block's sums alive

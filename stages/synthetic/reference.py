@@ -38,10 +38,10 @@ def reference_cloud(
     if cells is None:
         raise ValueError("a reference cloud needs cameras")
     mean = cells.total / np.maximum(cells.count, 1)[:, None]
-    normal = mean[:, 3:6] / np.maximum(np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True), 1e-9)
+    direction = mean[:, 3:6] / np.maximum(np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True), 1e-9)
     return Cloud(
         points=mean[:, :3].astype(np.float32),
-        normals=normal.astype(np.float32),
+        normals=direction.astype(np.float32),
         colors=(mean[:, 6:] + 0.5).astype(np.uint8),
         confidence=np.ones(len(mean), np.float32),
         views=cells.views,

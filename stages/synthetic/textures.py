@@ -99,7 +99,7 @@ def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
     """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
     shape = shape_of(width_m, height_m, texel_m)
-    rib = np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28))
+    rib = np.asarray(np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28)), dtype=np.float32)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * (1 + 0.10 * rib)[None, :, None]
     number = lettering(shape, texel_m, str(rng.integers(1000, 9999)), 0.2 * width_m, 0.25 * height_m, 0.5 * height_m, bold=0.18)
     mix(image, (0.70, 0.68, 0.62), 0.75 * number * smoothstep(-0.6, 0.4, fractal_noise(rng, shape, texel_m, 0.4)))
@@ -151,7 +151,8 @@ def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colou
     """A slatted steel door with a large number."""
     shape = shape_of(width_m, height_m, texel_m)
     y = (np.arange(shape[0], dtype=np.float32) * texel_m % 0.12) / 0.12
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * (0.75 + 0.4 * np.sin(np.pi * y))[:, None, None]
+    light = np.asarray(0.75 + 0.4 * np.sin(np.pi * y), dtype=np.float32)
+    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * light[:, None, None]
     mix(
         image,
         (0.75, 0.73, 0.66),
