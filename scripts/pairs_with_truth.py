@@ -15,7 +15,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wbflow_stages.epipolar import (
+from wbflow_stages.features import detect
+from wbflow_stages.frames import clean_frame
+from wbflow_stages.twoview.epipolar import (
     backproject,
     fundamental_from_cameras,
     project,
@@ -23,8 +25,6 @@ from wbflow_stages.epipolar import (
     scaled_intrinsics,
     symmetric_epipolar_distance,
 )
-from wbflow_stages.features import detect
-from wbflow_stages.frames import clean_frame
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, View
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")

@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wbflow.orientation import look_at
-from wbflow.ply import read_ply
+from wbflow.config.rotations import look_at
+from wbflow.store.ply import read_ply
 
 
 def main() -> None:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pairs_with_truth import TrueView, photographed, true_correspondences
 
-from wbflow_stages.fusion.depth import sample_disparity
+from wbflow_stages.fusion.pair_depth import sample_disparity
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified
+from wbflow_stages.rectification.warping import disparity_px, from_rectified, to_rectified
 from wbflow_stages.types import Disparity, Float64s, Geometry, Matches, Rectification
 
 FEATURE_WIDTH = 1536

@@ -1,4 +1,4 @@
-"""Depth of one view from the disparities of all its pairs: triangulated, and kept where pairs agree (`fusion.depth`)."""
+"""Depth of one view from the disparities of all its pairs: triangulated, and kept where pairs agree (`fusion.pair_depth`)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .fusion.depth import NoiseModel, fuse_pairs, pair_depth
-from .rectification.mapping import Side
+from .fusion.pair_depth import NoiseModel, fuse_pairs, pair_depth
+from .rectification.warping import Side
 from .types import Camera, DepthMap, Disparity, Pair, Rectification, Rejected
 
 

@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from .rectification.mapping import Side, warp_with_mask
-from .stereo.checks import agreeing, disagreement, lands_on, within_reach, without_specks
+from .rectification.warping import Side, warp_with_mask
+from .stereo.coarse_range import prepared
+from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_specks
+from .stereo.denoise import quietened
 from .stereo.graphcut import match_graphcut
-from .stereo.noise import quietened
-from .stereo.pair import DenseMatcher, DenseMatches, RectifiedPair
+from .stereo.matcher import DenseMatcher, DenseMatches, RectifiedPair
 from .stereo.patchmatch import match_patchmatch
-from .stereo.quick_look import prepared
 from .stereo.sgbm import match_sgbm
 from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Rejected, Uint8s
 

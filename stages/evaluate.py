@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .epipolar import backproject, project, symmetric_epipolar_distance
-from .kernels import kernel
+from .core.jit import kernel
+from .twoview.epipolar import backproject, project, symmetric_epipolar_distance
 from .types import Bools, Camera, Float32s, Float64s, Uint8s
 
 Points = npt.NDArray[np.floating]

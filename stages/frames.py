@@ -13,8 +13,8 @@ from math import atan, degrees, radians, tan
 import cv2
 import numpy as np
 
-from .epipolar import scaled_intrinsics
-from .exif import focal_in_long_sides
+from .io.exif import focal_in_long_sides
+from .twoview.epipolar import scaled_intrinsics
 from .types import Bools, Capture, Float64s, Frame, Lens, Uint8s, View
 
 

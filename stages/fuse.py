@@ -1,7 +1,7 @@
 """Depths of all views become one coloured point cloud.
 
 Three passes over the views, few of them in memory at a time: a glance at each (`fusion.glance`), from which follow what can be
-compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.crosscheck`); points that
+compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.visibility`); points that
 survive, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the pixel's footprint and the depth's
 propagated error, so a desk and a quarry are treated alike.
 """
@@ -14,12 +14,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from .epipolar import backproject
-from .fusion.crosscheck import Verdict, cross_check
-from .fusion.depth import world_normals
 from .fusion.exposure import exposure_gains
 from .fusion.glance import glance, natural_voxel, nearest_views
+from .fusion.pair_depth import world_normals
+from .fusion.visibility import Verdict, cross_check
 from .fusion.voxels import Samples, VoxelGrid
+from .twoview.epipolar import backproject
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Rejected
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from .epipolar import homogeneous, symmetric_epipolar_distance
 from .matching.structural import Correspondences, ViewPair, guided_matches, view_pairs
-from .plausible_lenses import ODDEST, TwoCameras, refine_with_plausible_lenses
-from .robust import (
+from .twoview.epipolar import homogeneous, symmetric_epipolar_distance
+from .twoview.intrinsics_prior import ODDEST, TwoCameras, refine_with_plausible_lenses
+from .twoview.pair_score import pair_evidence, pair_score, probability
+from .twoview.refinement import noise_px, refine_two_view
+from .twoview.robust import (
     INLIER_FACTOR,
     TwoView,
     estimate_essential,
@@ -21,9 +23,7 @@ from .robust import (
     rotation_support,
     supporters,
 )
-from .two_view_fit import noise_px, refine_two_view
 from .types import Features, Float64s, Geometry, Matches, Rejected, View
-from .verdict import pair_evidence, pair_score, probability
 
 ESSENTIAL_SUPPORT = 0.7
 """E is kept when it has at least this share of the inliers of F.  F has two freedoms more: enough to take in, besides the truth,

@@ -17,7 +17,7 @@ from math import radians
 
 import numpy as np
 
-from .epipolar import backproject, project
+from .twoview.epipolar import backproject, project
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Overlap, Placement, View
 
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .epipolar import camera_of, rotation_between_deg
-from .known_poses import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
+from .sfm.pose_check import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
+from .twoview.epipolar import camera_of, rotation_between_deg
 from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
 
 MOST_NAMES = 6

@@ -10,22 +10,17 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from .epipolar import (
-    fundamental_from_cameras,
-    rays,
-    symmetric_epipolar_distance,
-    triangulate_depth,
-)
-from .matching.nearest_points import nearest_points
-from .plausible_lenses import ODDEST, freedoms
+from .core.nearest_points import nearest_points
 from .rectification.calibrated import calibrated
-from .rectification.canvas import Size, frame_grid, place
 from .rectification.congruent import congruent, seed
 from .rectification.hartley import hartley
-from .rectification.mapping import Side, from_rectified, rectified_size, resampling, to_rectified
 from .rectification.percentiles import middle, percentiles
+from .rectification.placement import Size, frame_grid, place
 from .rectification.polar import polar
 from .rectification.quality import line_uncertainty, order_agreement, parallax_px
+from .rectification.warping import Side, from_rectified, rectified_size, resampling, to_rectified
+from .twoview.epipolar import fundamental_from_cameras, rays, symmetric_epipolar_distance, triangulate_depth
+from .twoview.intrinsics_prior import ODDEST, freedoms
 from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification, Rejected
 
 Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]

@@ -1,7 +1,8 @@
 """Depth of one view refined against all views around it at once: the second pass, after the pairs.
 
-Starting from the depth that pairs gave, planes are improved by what several photographs together show (`fusion.planes`): matches
-that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a surface best.
+Starting from the depth that pairs gave, planes are improved by what several photographs together show (`mvs.propagation`):
+matches that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a
+surface best.
 In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.
 
 References
@@ -17,9 +18,9 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from .fusion.depth import NoiseModel, transfer
-from .fusion.planes import PlaneSweep, Scalar
-from .stereo.plane_votes import smoothed
+from .fusion.pair_depth import NoiseModel, transfer
+from .mvs.propagation import PlaneSweep, Scalar
+from .stereo.plane_filter import smoothed
 from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Rejected
 
 

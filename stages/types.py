@@ -337,7 +337,7 @@ class Rectification:
     anisotropy: longest over shortest side of a resampled pixel, 95 % over both images; kept1, kept2: share of each frame inside
     its rectified image; depth_resolution: median depth error of one pixel of disparity over depth, nan without cameras;
     warnings: what weakens the result without making it useless.
-    Use `rectification.mapping` to move points and images; nothing else asks which method it was.
+    Use `rectification.warping` to move points and images; nothing else asks which method it was.
     """
 
     method: str

@@ -17,9 +17,9 @@ from . import __version__
 if TYPE_CHECKING:
     import datetime
 
-    from .plan import State
-    from .run import Finished, Listener, Options
-    from .site import Site
+    from .config.load import Site
+    from .night.plan import State
+    from .night.run import Finished, Listener, Options
 
 USAGE = 2
 FAILED = 1
@@ -107,7 +107,7 @@ def run(
     if dry_run:
         _explain(loaded, date, until, force)
         return
-    from .run import Options
+    from .night.run import Options
 
     options = Options(_day(date), jobs, until, force, wait, backend, scheduler)
     finished = _run(loaded, options, verbose, quiet or as_json)
@@ -139,7 +139,7 @@ def status(site: Path, date: datetime.datetime | None, work: Path | None, until:
 def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None:
     """Site, captures and machine examined without running; every finding, with its remedy."""
     loaded = _load(site, work)
-    from .check import check as examine
+    from .results.check import check as examine
 
     findings = examine(loaded, _day(date))
     for finding in findings:
@@ -156,8 +156,8 @@ def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None
 def report(site: Path, run_id: str | None, work: Path | None) -> None:
     """(Re)build a run's report."""
     loaded = _load(site, work)
-    from .files import write_atomic
-    from .report.page import build_report
+    from .results.report.page import build_report
+    from .store.atomic import write_atomic
 
     folder = _run_folder(loaded, run_id)
     write_atomic(folder / "report.html", build_report(loaded.work, folder).encode())
@@ -172,7 +172,7 @@ def history(site: Path, work: Path | None) -> None:
     loaded = _load(site, work)
     if not (loaded.work / "runs").is_dir():
         _stop(0, f"{loaded.name} has no runs yet: wbflow run {site}")
-    from .ledger import Ledger
+    from .store.ledger import Ledger
 
     with Ledger(loaded.work) as ledger:
         runs = ledger.runs()
@@ -192,8 +192,8 @@ def history(site: Path, work: Path | None) -> None:
 def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
     """Remove artifacts that the last N runs don't use."""
     loaded = _load(site, work)
-    from .clean import clean as remove
-    from .lock import Locked, hold
+    from .store.clean import clean as remove
+    from .store.lock import Locked, hold
 
     try:
         with hold(loaded.work / "lock", wait=False):
@@ -210,7 +210,7 @@ def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
 @click.option("--light", type=click.Choice(["day", "dusk", "night"]), default="day", help="Time of day.")
 def demo(folder: Path, small: bool, light: str) -> None:
     """Render the demo site (captures, site.yaml, truth) into DIR."""
-    from .demo import write_demo
+    from .results.demo import write_demo
 
     try:
         write_demo(folder, small=small, light=light)
@@ -224,8 +224,8 @@ def demo(folder: Path, small: bool, light: str) -> None:
 @click.argument("run_b", type=_PATH)
 def compare(run_a: Path, run_b: Path) -> None:
     """Two nights side by side: folders of two runs."""
-    from .compare import compare as rows
-    from .compare import read_run
+    from .results.compare import compare as rows
+    from .results.compare import read_run
 
     try:
         table = rows(read_run(run_a), read_run(run_b))
@@ -246,9 +246,9 @@ def compare(run_a: Path, run_b: Path) -> None:
 @_verbose
 def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose: bool) -> None:
     """Two photographs and nothing else: matches, F, rectified pair, disparity, and a picture of each step."""
-    from .lock import Locked
-    from .pair import match_pair, pair_site
-    from .yamlfile import SiteError
+    from .config.positions import SiteError
+    from .results.pair import match_pair, pair_site
+    from .store.lock import Locked
 
     for photograph in (left, right):
         if not photograph.is_file():
@@ -282,9 +282,9 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
     if not forms:
         _stop(USAGE, f"say what to export: {', '.join(f'--{name}' for name in asked)}")
     loaded = _load(site, work)
-    from .cache import DamagedArtifact
-    from .export import MissingExtra, NothingToExport
-    from .export import export as write
+    from .results.export import MissingExtra, NothingToExport
+    from .results.export import export as write
+    from .store.cache import DamagedArtifact
 
     latest = (loaded.work / "runs" / "latest").exists()
     try:
@@ -303,8 +303,8 @@ def _day(date: datetime.datetime | None) -> datetime.date | None:
 
 
 def _load(path: Path, work: Path | None) -> Site:
-    from .site import load_site
-    from .yamlfile import SiteError
+    from .config.load import load_site
+    from .config.positions import SiteError
 
     try:
         return load_site(path, work.resolve() if work else None)
@@ -314,7 +314,7 @@ def _load(path: Path, work: Path | None) -> Site:
 
 
 def _check_names(site: Site, until: str | None, force: tuple[str, ...]) -> None:
-    from .pipeline import STAGES
+    from .graph.pipeline import STAGES
 
     names = [stage.name for stage in STAGES]
     if until and until not in names:
@@ -325,8 +325,8 @@ def _check_names(site: Site, until: str | None, force: tuple[str, ...]) -> None:
 
 
 def _run(site: Site, options: Options, verbose: bool, quiet: bool) -> Finished:
-    from .lock import Locked
-    from .run import run as work
+    from .night.run import run as work
+    from .store.lock import Locked
 
     try:
         return work(site, options, _listener(site, verbose, quiet))
@@ -375,8 +375,8 @@ def _summary(finished: Finished) -> None:
 
 
 def _explain(site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...]) -> None:
-    from .night import open_night
-    from .status import explain
+    from .night.night import open_night
+    from .results.status import explain
 
     plan = open_night(site, _day(date), until, force).plan
     plan.refresh()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..io.rasters import pfm, png, stepped
 from ..types import DepthMap
-from .rasters import pfm, png, stepped
 
 
 def depth_files(depth: DepthMap) -> tuple[dict[str, bytes], float]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..io.rasters import pfm, png, stepped
 from ..types import Float32s, Float64s
-from .rasters import pfm, png, stepped
 
 MOST_CELLS = 50_000_000
 QUANTILE = 0.9

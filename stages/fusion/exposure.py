@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..types import Camera, Float32s, Float64s, Uint8s
-from .depth import transfer
 from .glance import STEP, Glance
+from .pair_depth import transfer
 
 
 def exposure_gains(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ..types import Camera, DepthMap, Float32s, Float64s, Frame, Uint8s
-from .depth import transfer
+from .pair_depth import transfer
 
 STEP = 4
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Bools, Float32s, Float64s, Int32s
 
 Int64s = npt.NDArray[np.int64]

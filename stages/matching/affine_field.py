@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels import kernel
-from ..sorting import sorting_network
+from ..core.jit import kernel
+from ..core.nearest_points import nearest_points
+from ..core.sorting import sorting_network
 from ..types import Float64s, Int32s, Int64s
-from .nearest_points import nearest_points
 
 _BATCH = 128
 _WIDTH_RANK = 8

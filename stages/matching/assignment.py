@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Bools, Float64s, Int32s
 
 

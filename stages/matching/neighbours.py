@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
 
 _BLOCK, _SPAN = 512, 32

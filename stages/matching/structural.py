@@ -22,12 +22,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.jit import kernel
+from ..core.nearest_points import nearest_points
 from ..features import PLAIN, TILTED
-from ..kernels import kernel
 from ..types import Features, Float32s, Float64s, Int32s, Int64s
 from .affine_field import AffineField, fit_affine_field
 from .assignment import assign, without_repeats
-from .nearest_points import nearest_points
 from .neighbours import Neighbours, nearest_neighbours
 
 

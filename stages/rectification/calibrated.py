@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..epipolar import apply_homography
+from ..twoview.epipolar import apply_homography
 from ..types import Camera, Float32s, Float64s
 from .congruent import control_points, fit_edges, net_edges
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from ..epipolar import apply_homography, homogeneous
-from ..kernels import kernel
+from ..core.jit import kernel
+from ..twoview.epipolar import apply_homography, homogeneous
 from ..types import Float32s, Float64s, Int32s, Int64s
 from .percentiles import extremes, middle
 from .projective import rows_fixed_by, send_epipole_to_infinity

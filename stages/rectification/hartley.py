@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..epipolar import apply_homography, homogeneous
+from ..twoview.epipolar import apply_homography, homogeneous
 from ..types import Float64s
 from .projective import rows_fixed_by, send_epipole_to_infinity
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..epipolar import epipoles, homogeneous
+from ..twoview.epipolar import epipoles, homogeneous
 from ..types import Float64s, PolarRows
-from .canvas import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid
+from .placement import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid
 from .quality import order_agreement
 
 _FAR = 1e6

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..epipolar import epipoles
+from ..twoview.epipolar import epipoles
 from ..types import Float64s
 from .percentiles import middle
 

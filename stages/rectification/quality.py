@@ -7,9 +7,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from ..epipolar import apply_homography
-from ..kernels import kernel
-from ..two_view_fit import tangent
+from ..core.jit import kernel
+from ..twoview.epipolar import apply_homography
+from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
 from .percentiles import middle, percentiles
 

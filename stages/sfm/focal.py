@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..epipolar import camera_of
-from ..robust import pose_of_fundamental
+from ..twoview.epipolar import camera_of
+from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, View
 from .tracks import Edge
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..twoview.pair_score import site_verdict
 from ..types import Float64s, Geometry, Pair, View
-from ..verdict import site_verdict
 from .focal import Lenses, guess_lenses, relative_rotations
-from .mapping import Model, grow
-from .rotations import angle_between, average_rotations, components
+from .incremental import Model, grow
+from .rotation_averaging import angle_between, average_rotations, components
 from .tracks import Edge, build_tracks
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
+from ..twoview.epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
 from ..types import Camera, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
-from .mapping import refine
+from .incremental import refine
 from .problem import Problem
-from .rotations import angle_between
+from .rotation_averaging import angle_between
 from .tracks import Edge, without_distortion
 from .world import World, to_world
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Bools, Camera, Float64s, Geometry, Int32s, Int64s
 
 Edge = tuple[int, int]

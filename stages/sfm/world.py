@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..control_points import control_landmarks
-from ..georeference import Landmark, Similarity, align, upward
 from ..types import Camera, Float64s, Placement, Survey
-from .mapping import Model, refine, replace_cameras
+from .control_points import control_landmarks
+from .incremental import Model, refine, replace_cameras
 from .problem import Problem
+from .similarity import Landmark, Similarity, align, upward
 
 EXACT_SHARE = 1e-4
 """An exact position without a rotation counts as known to this share of the scene's distance..."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Bools, Float32s
 
 _Piece = tuple[int, int, int, int, int, int, float]

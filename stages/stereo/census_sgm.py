@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Bools, Float32s, Uint8s, Uint16s
-from .pair import DenseMatches, RectifiedPair
+from .matcher import DenseMatches, RectifiedPair
 
 Uint64s = npt.NDArray[np.uint64]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..types import Float32s
 from .census_sgm import census_costs
-from .pair import DenseMatches, RectifiedPair, halved, mirrored
+from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
 LARGEST_PX = 384 * 256
 """Pairs with more pixels are halved."""

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Bools, Float32s
 from .census_sgm import match_census_sgm
-from .checks import disagreement, fill_along_rows, without_specks
-from .pair import DenseMatches, RectifiedPair, halved, mirrored
-from .plane_sweep import Sweeps
-from .plane_votes import doubt, smoothed
+from .consistency import disagreement, fill_along_rows, without_specks
+from .matcher import DenseMatches, RectifiedPair, halved, mirrored
+from .plane_filter import doubt, smoothed
+from .propagation import Sweeps
 
 _SWEEPS = 2
 _DEAREST = 0.6

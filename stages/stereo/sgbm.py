@@ -7,8 +7,8 @@ import numpy as np
 
 from ..types import Bools, Float32s, Uint8s
 from .blocks import BELOW_PX, CONTEXT_PX, blocks
-from .checks import disagreement, without_specks
-from .pair import DenseMatches, RectifiedPair, halved, mirrored
+from .consistency import disagreement, without_specks
+from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
 _BLOCK = 3
 _SOBEL_CAP = 20

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Camera, Float32s, Float64s, Lens
 
 CENTRE = (20.0, 18.0)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from ..types import Float32s
-from .noise import Rng, blobs, cracks, fractal_noise, lettering, smoothstep
 from .paint import Colour, Texture, encode, mix, palette, shape_of, stones, weather
+from .random_fields import Rng, blobs, cracks, fractal_noise, lettering, smoothstep
 
 COBBLE_TONES: tuple[Colour, ...] = (
     (0.21, 0.20, 0.19),

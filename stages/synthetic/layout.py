@@ -7,7 +7,7 @@ import numpy as np
 from . import ground
 from . import textures as paint
 from .cameras import CENTRE, Mount, position
-from .noise import Rng
+from .random_fields import Rng
 from .renderer import Lamp, Light
 from .scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
 from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post

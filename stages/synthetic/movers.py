@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..types import Float64s
-from .noise import Rng
+from .random_fields import Rng
 from .scene import MOVING, Scene, SceneBuilder
 from .textures import cloth, painted_steel, sign_board
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Float32s, Uint8s
-from .noise import Rng, fractal_noise, smoothstep
+from .random_fields import Rng, fractal_noise, smoothstep
 
 Colour = tuple[float, float, float]
 

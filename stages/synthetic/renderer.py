@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import open3d as o3d
 
-from ..kernels import kernel
+from ..core.jit import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
 from .paint import Texture
 from .scene import GLOWING, STATIC, WATER, Scene

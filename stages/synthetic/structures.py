@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Float64s
-from .noise import Rng
+from .random_fields import Rng
 from .scene import SceneBuilder
 from .textures import container_roof, container_side, painted_steel
 

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ..epipolar import project
+from ..twoview.epipolar import project
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 from .cameras import MOUNTS, Mount, camera_of, choose_mounts, distort, pixel_rays
 from .layout import static_yard, yard_light

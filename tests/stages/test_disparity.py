@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
-from laser import FOUNTAIN, laser_matches, photograph
-from two_views import geometry_of, looking
+from tests.helpers.dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
+from tests.helpers.laser import FOUNTAIN, laser_matches, photograph
+from tests.helpers.two_views import geometry_of, looking
 from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
-from wbflow_stages.epipolar import apply_homography, fundamental_from_cameras
-from wbflow_stages.fusion.depth import sample_disparity
-from wbflow_stages.rectification.mapping import disparity_px, from_rectified, to_rectified
+from wbflow_stages.fusion.pair_depth import sample_disparity
+from wbflow_stages.rectification.warping import disparity_px, from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
-from wbflow_stages.stereo.pair import DenseMatches, RectifiedPair
+from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair
+from wbflow_stages.twoview.epipolar import apply_homography, fundamental_from_cameras
 from wbflow_stages.types import INVALID, Camera, Disparity, Frame, Rectification, Rejected
 
 NAMES: tuple[Matcher, ...] = ("sgbm", "patchmatch")

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from wbflow_stages.epipolar import fundamental_from_cameras
 from wbflow_stages.evaluate import (
     align,
     angle_deg,
@@ -22,6 +21,7 @@ from wbflow_stages.evaluate import (
     voxel_means,
 )
 from wbflow_stages.synthetic.cameras import look_at
+from wbflow_stages.twoview.epipolar import fundamental_from_cameras
 from wbflow_stages.types import Camera
 
 PLANE = np.stack([*np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 1, 0.02)), np.zeros((50, 50))], axis=-1).reshape(-1, 3)

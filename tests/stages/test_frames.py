@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from wbflow_stages.epipolar import project
 from wbflow_stages.frames import (
     BadCapture,
     EmptyCapture,
@@ -18,6 +17,7 @@ from wbflow_stages.frames import (
     decode,
     working_size,
 )
+from wbflow_stages.twoview.epipolar import project
 from wbflow_stages.types import Camera, Capture, Lens
 
 WIDTH, HEIGHT = 320, 240

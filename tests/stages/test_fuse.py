@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exact_scene import make_yard, true_depth
+from tests.helpers.exact_scene import make_yard, true_depth
 from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
-from wbflow_stages.fusion.depth import inverse_depth_slopes
+from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
 from wbflow_stages.types import Cloud, DepthMap, Frame, Rejected
 
 

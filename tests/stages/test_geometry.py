@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from wbflow_stages.epipolar import fundamental_from_cameras, project, relative_pose, symmetric_epipolar_distance
 from wbflow_stages.geometry import estimate_geometry
+from wbflow_stages.twoview.epipolar import fundamental_from_cameras, project, relative_pose, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Features, Geometry, Matches, Rejected, View
 
 K = np.array([[800.0, 0, 500], [0, 800, 333], [0, 0, 1]])

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
-from wbflow_stages.epipolar import apply_homography, epipoles, fundamental_from_cameras, homogeneous, project
-from wbflow_stages.rectification.mapping import from_rectified, resampling, to_rectified
+from tests.helpers.two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
+from wbflow_stages.rectification.warping import from_rectified, resampling, to_rectified
 from wbflow_stages.rectify import Method, rectify
-from wbflow_stages.robust import estimate_fundamental
+from wbflow_stages.twoview.epipolar import apply_homography, epipoles, fundamental_from_cameras, homogeneous, project
+from wbflow_stages.twoview.robust import estimate_fundamental
 from wbflow_stages.types import Camera, Geometry, Rectification, Rejected, View
 
 SIDEWAYS = np.array([2.0, 0.1, 0.0])

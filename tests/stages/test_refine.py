@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exact_scene import Yard, make_yard, true_depth
+from tests.helpers.exact_scene import Yard, make_yard, true_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.refine import refine
 from wbflow_stages.types import INVALID, Camera, Cloud, DepthMap, Frame, Rejected

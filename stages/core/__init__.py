@@ -1,0 +1,1 @@
+"""What several rooms share: compiled loops, nearest points, sorting."""

@@ -1,0 +1,280 @@
+"""Depth of one view from the disparities of its pairs: triangulation, propagated uncertainty, agreement between pairs.
+
+A pixel's sigma is what `noise_px` in the other image does to its depth, and a relative floor that stands for what no pixel noise
+explains (calibration, low-frequency errors of matching): sigma^2 = (noise_px dz/dpx)^2 + (floor z)^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..rectification.warping import Side, disparity_px, from_rectified, to_rectified
+from ..twoview.epipolar import relative_pose
+from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
+
+_SMOOTH_PX = 2.5
+"""Neighbouring pixels whose disparities differ by no more lie on one surface."""
+
+_SAME_STEP = 0.3
+"""Steps from row to row are those of one slope if they differ by no more than this share."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """noise_px: error of a match in pixels of the other image; floor: relative error of depth that more pixels don't reduce;
+    limit: largest relative sigma at which a hypothesis is still used."""
+
+    noise_px: float = 0.35
+    floor: float = 0.0004
+    limit: float = 0.006
+
+
+def pair_depth(
+    camera: Camera, other: Camera, rectification: Rectification, disparity: Disparity, side: Side
+) -> tuple[Float32s, Float32s]:
+    """Depth (h, w) float32 of each pixel of one view of a pair, nan where unknown, and |dz/dpixel| in the other image.
+
+    Parameters
+    ----------
+    camera, other
+        The view asked for, and its partner.
+    rectification, disparity
+        Of the pair.
+    side
+        1 if `camera` is the pair's left view, 2 if it is its right one.
+    """
+    depth = np.full((camera.height, camera.width), np.nan, np.float32)
+    gain = np.full_like(depth, np.nan)
+    d = disparity_px(disparity, side)
+    sign = -1.0 if side == 1 else 1.0
+    M, b = transfer(camera, other)
+    H, H_other = (rectification.H1, rectification.H2) if side == 1 else (rectification.H2, rectification.H1)
+    if H is not None and H_other is not None:
+        _by_homographies(d, sign, H, np.linalg.inv(H_other).astype(np.float64), M, b, depth, gain)
+    else:
+        y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
+        pixels = np.column_stack([x, y]).astype(np.float64)
+        at = to_rectified(rectification, side, pixels)
+        at[:, 0] += sign * sample_disparity(d, at)
+        partner = from_rectified(rectification, 2 if side == 1 else 1, at)
+        _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
+    return depth, gain
+
+
+def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
+    """M (3, 3), b (3,): pixel p of `camera` at depth z is seen by `other` at z M p + b, whose third entry is the depth there."""
+    R, t = relative_pose(camera, other)
+    return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
+
+
+@kernel
+def _by_homographies(
+    disparity: Float32s, sign: float, H: Float64s, H_back: Float64s, M: Float64s, b: Float64s, depth: Float32s, gain: Float32s
+) -> None:
+    """Depth and |dz/dpixel| of every pixel; H: to the rectified image, H_back: from that of the other view to its frame."""
+    h, w = depth.shape
+    for y in range(h):
+        for x in range(w):
+            scale = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+            u, v = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / scale, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / scale
+            d = _disparity_at(disparity, u, v)
+            if np.isnan(d):
+                continue
+            u += sign * d
+            scale = H_back[2, 0] * u + H_back[2, 1] * v + H_back[2, 2]
+            depth[y, x], gain[y, x] = _depth_at(
+                x,
+                y,
+                (H_back[0, 0] * u + H_back[0, 1] * v + H_back[0, 2]) / scale,
+                (H_back[1, 0] * u + H_back[1, 1] * v + H_back[1, 2]) / scale,
+                M,
+                b,
+            )
+
+
+@kernel
+def sample_disparity(disparity: Float32s, at: Float64s) -> Float64s:
+    """Disparity (n,) at fractional positions (n, 2): linear between pixels of one surface, else the nearest pixel's, so that no
+    edge is smeared; nan outside."""
+    out = np.empty(len(at))
+    for n in range(len(at)):
+        out[n] = _disparity_at(disparity, at[n, 0], at[n, 1])
+    return out
+
+
+@kernel
+def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
+    h, w = disparity.shape
+    if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
+        return np.nan
+    x0, y0 = int(x), int(y)
+    fx, fy = x - x0, y - y0
+    a, b = disparity[y0, x0], disparity[y0, x0 + 1]
+    c, d = disparity[y0 + 1, x0], disparity[y0 + 1, x0 + 1]
+    if abs(a - b) <= _SMOOTH_PX and abs(c - d) <= _SMOOTH_PX:
+        above, below = a * (1 - fx) + b * fx, c * (1 - fx) + d * fx
+        if abs(above - below) <= _SMOOTH_PX or _goes_on(disparity, x0 + int(fx >= 0.5), y0):
+            return float(above * (1 - fy) + below * fy)
+    return float(disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)])
+
+
+@kernel
+def _goes_on(disparity: Float32s, x: int, y: int) -> bool:
+    """Whether the step from row y to the next one is that of a slope: ground seen at a low angle moves by several pixels from
+    row to row, again and again; an edge does it once."""
+    step = disparity[y + 1, x] - disparity[y, x]
+    if y > 0 and abs(disparity[y, x] - disparity[y - 1, x] - step) <= _SAME_STEP * abs(step):
+        return True
+    return bool(y + 2 < disparity.shape[0] and abs(disparity[y + 2, x] - disparity[y + 1, x] - step) <= _SAME_STEP * abs(step))
+
+
+@kernel
+def _triangulate(pixels: Float64s, partner: Float64s, M: Float64s, b: Float64s, depth: Float32s, gain: Float32s) -> None:
+    for n in range(len(pixels)):
+        depth[n], gain[n] = _depth_at(pixels[n, 0], pixels[n, 1], partner[n, 0], partner[n, 1], M, b)
+
+
+@kernel
+def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) -> tuple[float, float]:
+    """Closed-form least squares on the two linear equations of the partner (u, v); depth and |dz/dpixel|, nan behind a camera."""
+    m0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
+    m1 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
+    m2 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
+    a1, b1 = m0 - u * m2, b[0] - u * b[2]
+    a2, b2 = m1 - v * m2, b[1] - v * b[2]
+    z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
+    w = z * m2 + b[2]
+    if not (z > 0 and w > 0):  # nor where the partner is unknown
+        return np.nan, np.nan
+    du = (m0 * b[2] - b[0] * m2) / (w * w)
+    dv = (m1 * b[2] - b[1] * m2) / (w * w)
+    return z, 1.0 / np.sqrt(du * du + dv * dv)
+
+
+def fuse_pairs(
+    camera: Camera, depths: Sequence[Float32s], gains: Sequence[Float32s], partners: Sequence[str], noise: NoiseModel
+) -> DepthMap:
+    """Agreement between the pairs of one view: per pixel the hypothesis with most supporters, averaged over them by 1 / sigma^2.
+
+    Parameters
+    ----------
+    depths, gains
+        (h, w) float32 of each pair, as `pair_depth` gives them; at most 32.
+    partners
+        The other camera of each pair, in the same order.
+    """
+    if len(depths) > 32:
+        raise ValueError(f"{len(depths)} pairs of one view, at most 32 can be fused")
+    Z, G = np.stack(depths), np.stack(gains)
+    h, w = Z.shape[1:]
+    depth, sigma = np.full((h, w), np.nan, np.float32), np.full((h, w), np.nan, np.float32)
+    support = np.zeros((h, w), np.uint32)
+    _agree(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
+    slope_x, slope_y = inverse_depth_slopes(depth, camera.K[0, 0])
+    return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners), np.isfinite(depth))
+
+
+@kernel
+def _agree(
+    Z: Float32s, G: Float32s, noise: float, floor: float, limit: float, depth: Float32s, sigma: Float32s, support: Uint32s
+) -> None:
+    n, h, w = Z.shape
+    s = np.empty(n)
+    for y in range(h):
+        for x in range(w):
+            for k in range(n):
+                s[k] = np.sqrt((noise * G[k, y, x]) ** 2 + (floor * Z[k, y, x]) ** 2)
+                if not s[k] <= limit * Z[k, y, x]:
+                    s[k] = np.nan
+            best = 0.0
+            for k in range(n):
+                if np.isnan(s[k]):
+                    continue
+                z = Z[k, y, x]
+                score, total, weights, mask = 0.0, 0.0, 0.0, np.uint32(0)
+                for m in range(n):
+                    tolerance = min(3.0 * np.sqrt(s[k] ** 2 + s[m] ** 2), 0.016 * z)
+                    if abs(Z[m, y, x] - z) <= tolerance:  # never true where s[m] is nan
+                        weight = 1.0 / s[m] ** 2
+                        total += weight * Z[m, y, x]
+                        weights += weight
+                        score += 1.0 + 0.1 * floor * z / s[m]  # among equals, the more exact
+                        mask |= np.uint32(1) << np.uint32(m)
+                if score > best:
+                    best = score
+                    depth[y, x] = total / weights
+                    sigma[y, x] = max(1.0 / np.sqrt(weights), floor * z)
+                    support[y, x] = mask
+
+
+def inverse_depth_slopes(depth: Float32s, focal: float, radius: int = 3) -> tuple[Float32s, Float32s]:
+    """(h, w) float32 each: how 1/z changes per pixel in x and in y, from a robust local plane; 0 where depth is unknown."""
+    slope_x, slope_y = np.zeros_like(depth), np.zeros_like(depth)
+    steepest = 2.75 / focal  # a surface turned 70 degrees away changes its depth by tan(70) / focal per pixel
+    _slopes((1.0 / depth).astype(np.float32), radius, steepest, slope_x, slope_y)
+    return slope_x, slope_y
+
+
+@kernel
+def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_y: Float32s) -> None:
+    """Least squares through the centre over neighbours on the same surface; one neighbour of all pixels of a row after the other,
+    which the compiler does for several pixels at once."""
+    h, w = q.shape
+    xx, yy, xy, xq, yq = np.empty(w), np.empty(w), np.empty(w), np.empty(w), np.empty(w)
+    for y in range(h):
+        xx[:], yy[:], xy[:], xq[:], yq[:] = 1.0, 1.0, 0.0, 0.0, 0.0
+        for j in range(max(0, y - radius), min(h, y + radius + 1)):
+            for dx in range(-radius, radius + 1):
+                dy = j - y
+                if max(abs(dx), abs(dy)) == 0:
+                    continue
+                first, last = max(0, -dx), min(w, w - dx)
+                here, there = q[y, first:last], q[j, first + dx : last + dx]
+                _add_neighbour(
+                    here, there, float(dx), float(dy), steepest,
+                    xx[first:last], yy[first:last], xy[first:last], xq[first:last], yq[first:last],
+                )  # fmt: skip
+        for x in range(w):
+            if not np.isnan(q[y, x]):
+                det = xx[x] * yy[x] - xy[x] * xy[x]
+                slope_x[y, x] = (xq[x] * yy[x] - yq[x] * xy[x]) / det
+                slope_y[y, x] = (yq[x] * xx[x] - xq[x] * xy[x]) / det
+
+
+@kernel
+def _add_neighbour(
+    here: Float32s,
+    there: Float32s,
+    dx: float,
+    dy: float,
+    steepest: float,
+    xx: Float64s,
+    yy: Float64s,
+    xy: Float64s,
+    xq: Float64s,
+    yq: Float64s,
+) -> None:
+    reach = max(abs(dx), abs(dy))
+    for x in range(len(here)):
+        e = there[x] - here[x]
+        near = abs(e) <= steepest * here[x] * reach  # never where one is unknown
+        xx[x] += dx * dx if near else 0.0
+        yy[x] += dy * dy if near else 0.0
+        xy[x] += dx * dy if near else 0.0
+        xq[x] += dx * e if near else 0.0
+        yq[x] += dy * e if near else 0.0
+
+
+def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np.ndarray) -> Float64s:
+    """(n, 3) unit normals of the local planes at pixels of a view, turned toward the camera.
+
+    A plane is linear in inverse depth, 1/z = (A, B, c) (x, y, 1), hence (A, B, c) K X = 1 for its points X in camera axes.
+    """
+    A, B = depth.slope_x[rows, columns].astype(np.float64), depth.slope_y[rows, columns].astype(np.float64)
+    c = 1.0 / depth.depth[rows, columns].astype(np.float64) - A * columns - B * rows
+    normals = -np.column_stack([A, B, c]) @ camera.K @ camera.R
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True), dtype=np.float64)

@@ -1,0 +1,161 @@
+"""What the other views say about one view's depth: who agrees, and who sees through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..core.jit import kernel
+from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint32s
+from .pair_depth import transfer
+
+Uint64s = npt.NDArray[np.uint64]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Per pixel of a view, (h, w): pairs: distinct pairs that support the depth; cameras: distinct cameras in them;
+    visible: other views that have the point in their image and nothing in front of it; agreeing, violating: those among them
+    whose own depth agrees, or lies behind, so that they look through the point."""
+
+    pairs: Uint8s
+    cameras: Uint16s
+    visible: Uint8s
+    agreeing: Uint8s
+    violating: Uint8s
+
+
+def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera], depth_of: Callable[[str], DepthMap]) -> Verdict:
+    """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
+
+    A view agrees within three sigmas of both and 0.2 % of the depth; it looks through the point when its own depth lies more than
+    four times that behind it.
+    """
+    own = depth_of(name)
+    h, w = own.depth.shape
+    numbers = _PairNumbers()
+    pairs = _own_pairs(own.support, numbers.of(name, own))
+    visible, agreeing, violating = (np.zeros((h, w), np.uint8) for _ in range(3))
+    for other in others:
+        M, b = transfer(cameras[name], cameras[other])
+        seen = depth_of(other)
+        _compare(
+            *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
+            *(numbers.of(other, seen), visible, agreeing, violating, pairs),
+        )
+    count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
+    _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
+    return Verdict(count, seen_by, visible, agreeing, violating)
+
+
+class _PairNumbers:
+    """Numbers of the pairs that can support a point, as they are met; at most 64, further ones go uncounted.
+
+    cameras_of_pairs: (64, 2) uint8, the two cameras of each pair as small numbers.
+    """
+
+    def __init__(self) -> None:
+        self.cameras_of_pairs = np.zeros((64, 2), np.uint8)
+        self._numbers: dict[frozenset[str], int] = {}
+        self._cameras: dict[str, int] = {}
+
+    @property
+    def met(self) -> int:
+        return min(len(self._numbers), 64)
+
+    def of(self, view: str, depth: DepthMap) -> Uint8s:
+        """(n,) uint8: the number of the pair with each of a view's n partners (255: not counted)."""
+        table = np.full(len(depth.partners), 255, np.uint8)
+        for k, partner in enumerate(depth.partners):
+            number = self._numbers.setdefault(frozenset((view, partner)), len(self._numbers))
+            if number < 64:
+                table[k] = number
+                ends = [self._cameras.setdefault(end, len(self._cameras)) for end in (view, partner)]
+                self.cameras_of_pairs[number] = ends
+        return table
+
+
+@kernel
+def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
+    h, w = support.shape
+    pairs = np.zeros((h, w), np.uint64)
+    for y in range(h):
+        for x in range(w):
+            for k in range(len(bits)):
+                if (support[y, x] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
+                    pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
+    return pairs
+
+
+@kernel
+def _compare(
+    depth: Float32s,
+    sigma: Float32s,
+    M: Float64s,
+    b: Float64s,
+    other_depth: Float32s,
+    slope_x: Float32s,
+    slope_y: Float32s,
+    other_sigma: Float32s,
+    other_support: Uint32s,
+    bits: Uint8s,
+    visible: Uint8s,
+    agreeing: Uint8s,
+    violating: Uint8s,
+    pairs: Uint64s,
+) -> None:
+    h, w = depth.shape
+    other_h, other_w = other_depth.shape
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
+    b0, b1, b2 = b
+    for y in range(h):
+        for x in range(w):
+            own = depth[y, x]
+            if np.isnan(own):
+                continue
+            z = own * (m20 * x + m21 * y + m22) + b2
+            if not z > 0:
+                continue
+            u = (own * (m00 * x + m01 * y + m02) + b0) / z
+            v = (own * (m10 * x + m11 * y + m12) + b1) / z
+            if not (u > -0.5 and v > -0.5 and u < other_w - 0.5 and v < other_h - 0.5):
+                continue
+            i, j = int(u + 0.5), int(v + 0.5)
+            if np.isnan(other_depth[j, i]):
+                visible[y, x] += 1
+                continue
+            there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
+            s = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2)
+            tolerance = min(3.0 * s + 0.002 * z, 0.016 * z)
+            if there < z - tolerance:
+                continue  # hidden
+            visible[y, x] += 1
+            if there <= z + tolerance:
+                agreeing[y, x] += 1
+                for k in range(len(bits)):
+                    if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
+                        pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
+            elif there > z + 4.0 * tolerance:
+                violating[y, x] += 1
+
+
+@kernel
+def _count(pairs: Uint64s, pair_index: Uint8s, count: Uint8s, cameras: Uint16s) -> None:
+    """Set bits, and distinct cameras of the pairs they stand for."""
+    h, w = pairs.shape
+    stamp = np.full(256, -1, np.int64)
+    for y in range(h):
+        for x in range(w):
+            if pairs[y, x] == 0:
+                continue
+            for k in range(len(pair_index)):
+                if (pairs[y, x] >> np.uint64(k)) & np.uint64(1):
+                    count[y, x] += 1
+                    for end in range(2):
+                        camera = pair_index[k, end]
+                        if stamp[camera] != y * w + x:
+                            stamp[camera] = y * w + x
+                            cameras[y, x] += 1

@@ -1,0 +1,1 @@
+"""Pictures in and out: EXIF, rasters, previews."""

@@ -1,0 +1,57 @@
+"""The result of one pair as files that other programs read: matches, F, rectified images, disparity, a picture of each step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..rectification.warping import disparity_px, warp
+from ..types import Disparity, Frame, Geometry, Matches, Rectification
+from .previews import disparity_preview, matches_preview, rectified_preview
+from .rasters import pfm, png
+
+PNG_STEPS = 16
+"""Steps of the 16-bit disparity image in a pixel."""
+
+
+def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, right: Frame) -> dict[str, bytes]:
+    """matches.csv, and where there is a geometry inliers.csv and F.txt; a picture of each."""
+    files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right))}
+    if geometry is not None:
+        rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
+        files |= {"inliers.csv": _table(geometry), "F.txt": f"{rows}\n".encode()}
+        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right))
+    return files
+
+
+def rectified_files(rectification: Rectification, left: Frame, right: Frame) -> dict[str, bytes]:
+    """left-rectified.png, right-rectified.png and a picture of both with common rows."""
+    return {
+        "left-rectified.png": png(warp(rectification, 1, left.image)),
+        "right-rectified.png": png(warp(rectification, 2, right.image)),
+        "3-rectified.jpg": bytes(rectified_preview(rectification, left, right)),
+    }
+
+
+def disparity_files(
+    disparity: Disparity, rectification: Rectification, left: Frame, right: Frame
+) -> tuple[dict[str, bytes], int]:
+    """Disparity of both rectified views as 16-bit PNG and PFM, a picture, and the offset of the PNGs in pixels.
+
+    PNG: 0 is unknown, else disparity = (value - 1) / 16 + offset.  PFM: float32, bottom row first, infinite where unknown.
+    """
+    maps = {"left": disparity_px(disparity, 1), "right": disparity_px(disparity, 2)}
+    known = np.concatenate([m[np.isfinite(m)] for m in maps.values()])
+    offset = int(np.floor(known.min())) if known.size else 0
+    files = {"4-disparity.jpg": bytes(disparity_preview(disparity, left, right, rectification))}
+    for name, values in maps.items():
+        steps = np.nan_to_num((values - offset) * PNG_STEPS + 1, nan=0.0)
+        files[f"{name}-disparity.png"] = png(np.clip(np.round(steps), 0, 65535).astype(np.uint16))
+        files[f"{name}-disparity.pfm"] = pfm(values)
+    return files, offset
+
+
+def _table(found: Matches | Geometry) -> bytes:
+    lines = ["x1,y1,x2,y2,probability"]
+    for (x1, y1), (x2, y2), p in zip(found.x1.tolist(), found.x2.tolist(), found.probability.tolist(), strict=True):
+        lines.append(f"{x1:.3f},{y1:.3f},{x2:.3f},{y2:.3f},{p:.4f}")
+    return ("\n".join(lines) + "\n").encode()

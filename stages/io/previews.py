@@ -1,0 +1,190 @@
+"""Small pictures of every stage's result, for the report: what a person looks at to see whether a night is sound.
+
+Each function returns a JPEG file's bytes, (n,) uint8, at most 480 pixels wide; the same result gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from ..rectification.warping import disparity_px, warp
+from ..types import Camera, Cloud, DepthMap, Disparity, Float32s, Float64s, Frame, Geometry, Matches, Rectification, Uint8s
+
+WIDTH = 480
+QUALITY = 80
+_LINES = 60
+_DOTS = 500_000
+
+
+def frame_preview(frame: Frame, **_: object) -> Uint8s:
+    """The frame; what its mask leaves out is dimmed."""
+    shown = np.where(frame.mask[..., None], frame.image, frame.image // 4 + 32)
+    return _jpeg(_fit(shown.astype(np.uint8), WIDTH))
+
+
+def matches_preview(matches: Matches | Geometry, left: object = None, right: object = None, **_: object) -> Uint8s:
+    """Both views side by side, and lines between corresponding points: evenly spread, each in a colour of its own.
+
+    left, right: the views' `Frame`s; anything else, and the points stand on empty ground.
+    """
+    ground = [
+        side.image if isinstance(side, Frame) else np.full((view.height, view.width, 3), 48, np.uint8)
+        for side, view in ((left, matches.view1), (right, matches.view2))
+    ]
+    canvas, at1, at2 = _side_by_side(ground[0], ground[1], matches.x1, matches.x2)
+    chosen = _spread(matches.x1, (matches.view1.width, matches.view1.height))
+    for k, n in enumerate(chosen):
+        colour = _hue(k / max(1, len(chosen)))
+        start, end = (tuple(int(v) for v in np.round(p[n])) for p in (at1, at2))
+        cv2.line(canvas, start, end, colour, 1, cv2.LINE_AA)
+        cv2.circle(canvas, start, 2, colour, -1, cv2.LINE_AA)
+        cv2.circle(canvas, end, 2, colour, -1, cv2.LINE_AA)
+    return _jpeg(canvas)
+
+
+def rectified_preview(rectification: Rectification, left: Frame, right: Frame, **_: object) -> Uint8s:
+    """Both rectified images and a few common rows: what lies on a row on the left lies on it on the right."""
+    return _jpeg(_rectified(rectification, left, right))
+
+
+def disparity_preview(
+    disparity: Disparity,
+    left: Frame | None = None,
+    right: Frame | None = None,
+    rectification: Rectification | None = None,
+    **_: object,
+) -> Uint8s:
+    """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given."""
+    shown = _disparities(disparity)
+    if left is None or right is None or rectification is None:
+        return _jpeg(shown)
+    above = _rectified(rectification, left, right)
+    canvas = np.full((above.shape[0] + 4 + shown.shape[0], max(above.shape[1], shown.shape[1]), 3), 24, np.uint8)
+    canvas[: above.shape[0], : above.shape[1]] = above
+    canvas[above.shape[0] + 4 :, : shown.shape[1]] = shown
+    return _jpeg(canvas)
+
+
+def depth_preview(depth: DepthMap, **_: object) -> Uint8s:
+    """Depth of one view, near in warm colours; black where unknown."""
+    return _jpeg(_fit(_coloured((1.0 / depth.depth).astype(np.float32))[0], WIDTH))
+
+
+def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera], **_: object) -> Uint8s:
+    """The cloud from above, and the cameras as red triangles that open the way they look."""
+    up, east, north = _directions(cameras)
+    plan = np.stack([east, north])
+    some = slice(None, None, 1 + len(cloud.points) // _DOTS)
+    scene, colors = cloud.points[some].astype(np.float64), cloud.colors[some]
+    points = scene @ plan.T
+    centres = np.array([camera.C for camera in cameras.values()]).reshape(-1, 3) @ plan.T
+    low, high = _extent(points, centres)
+    size = np.maximum(high - low, 1e-9)
+    scale = min((WIDTH - 20) / size[0], (WIDTH - 20) / size[1])
+    width, height = (np.floor(size * scale).astype(int) + 20).tolist()
+
+    def pixel(p: Float64s) -> Float64s:
+        return np.column_stack([(p[:, 0] - low[0]) * scale + 10, height - 10 - (p[:, 1] - low[1]) * scale])
+
+    canvas = np.full((height, width, 3), 24, np.uint8)
+    order = np.argsort(scene @ up, kind="stable")  # the highest is drawn last
+    x, y = np.round(pixel(points[order])).astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    canvas[y[inside], x[inside]] = colors[order][inside]
+    for centre, camera in zip(centres, cameras.values(), strict=True):
+        ahead = plan @ camera.R[2]
+        aside = np.array([-ahead[1], ahead[0]])
+        corners = centre + np.array([np.zeros(2), 14 * ahead + 7 * aside, 14 * ahead - 7 * aside]) / scale
+        cv2.polylines(canvas, [np.round(pixel(corners)).astype(np.int32)], True, (255, 70, 50), 1, cv2.LINE_AA)
+    return _jpeg(canvas)
+
+
+def _jpeg(image: Uint8s) -> Uint8s:
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return np.asarray(data, dtype=np.uint8).ravel()
+
+
+def _fit(image: Uint8s, width: int) -> Uint8s:
+    """Reduced to a width; never enlarged."""
+    h, w = image.shape[:2]
+    if w <= width:
+        return image
+    return np.asarray(cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _side_by_side(left: Uint8s, right: Uint8s, x1: Float64s, x2: Float64s) -> tuple[Uint8s, Float64s, Float64s]:
+    """Two pictures on one canvas at one scale, and where their points come to lie on it."""
+    gap, widest = 4, max(left.shape[1], right.shape[1])
+    scale = min(1.0, (WIDTH - gap) / 2 / widest)
+    small = [_fit(image, max(1, round(image.shape[1] * scale))) for image in (left, right)]
+    canvas = np.full((max(s.shape[0] for s in small), small[0].shape[1] + gap + small[1].shape[1], 3), 24, np.uint8)
+    offset = small[0].shape[1] + gap
+    canvas[: small[0].shape[0], : small[0].shape[1]] = small[0]
+    canvas[: small[1].shape[0], offset:] = small[1]
+    return canvas, (x1 + 0.5) * scale - 0.5, (x2 + 0.5) * scale - 0.5 + [offset, 0]
+
+
+def _spread(x: Float64s, size: tuple[int, int]) -> list[int]:
+    """Row numbers of at most 60 points, the first in each cell of a grid over the image."""
+    cells = np.floor(x / np.array(size) * [10, 6]).astype(int)
+    _, first = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)
+    return [int(n) for n in first[:_LINES]]
+
+
+def _rectified(rectification: Rectification, left: Frame, right: Frame) -> Uint8s:
+    """Both rectified images side by side, with common rows drawn in."""
+    none = np.zeros((0, 2))
+    canvas, _, _ = _side_by_side(warp(rectification, 1, left.image), warp(rectification, 2, right.image), none, none)
+    for row in np.linspace(0, canvas.shape[0] - 1, 9)[1:-1]:
+        cv2.line(canvas, (0, round(row)), (canvas.shape[1] - 1, round(row)), (255, 210, 60), 1)
+    return canvas
+
+
+def _disparities(disparity: Disparity) -> Uint8s:
+    """Disparity of both views side by side, on one scale of colours."""
+    coloured = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
+    none = np.zeros((0, 2))
+    return _side_by_side(coloured[0], coloured[1], none, none)[0]
+
+
+def _hue(share: float) -> tuple[int, int, int]:
+    pixel = np.array([[[round(179 * share), 200, 255]]], np.uint8)
+    red, green, blue = np.asarray(cv2.cvtColor(pixel, cv2.COLOR_HSV2RGB))[0, 0]
+    return int(red), int(green), int(blue)
+
+
+def _coloured(*maps: Float32s) -> list[Uint8s]:
+    """Each (h, w, 3) uint8: the common 2nd to 98th percentile spread over a colour map; black where there is no value."""
+    known = np.concatenate([values[np.isfinite(values)] for values in maps])
+    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 1.0)
+    pictures = []
+    for values in maps:
+        level = np.nan_to_num((values - low) / max(high - low, 1e-12)).clip(0, 1) * 255
+        coloured = cv2.cvtColor(cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+        pictures.append(np.where(np.isfinite(values)[..., None], coloured, 0).astype(np.uint8))
+    return pictures
+
+
+def _directions(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float64s]:
+    """Unit vectors up (against the cameras' mean y axis), right and ahead of the first camera's view, as seen from above."""
+    if not cameras:
+        return np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    up = -np.sum([camera.R[1] for camera in cameras.values()], axis=0)
+    first = next(iter(cameras.values()))
+    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else -first.R[1]
+    ahead = np.sum([camera.R[2] for camera in cameras.values()], axis=0)
+    ahead = ahead - (ahead @ up) * up
+    if np.linalg.norm(ahead) < 1e-6:
+        ahead = np.cross(up, first.R[0])
+    ahead = ahead / np.linalg.norm(ahead)
+    return up, np.cross(ahead, up), ahead
+
+
+def _extent(points: Float64s, centres: Float64s) -> tuple[Float64s, Float64s]:
+    """Corners of the picture: the cameras and all points but the farthest percent at each end."""
+    shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []
+    corners = np.vstack([*shown, centres]) if len(centres) or shown else np.zeros((1, 2))
+    return corners.min(axis=0), corners.max(axis=0)

@@ -1,0 +1,1 @@
+"""Depth of one view judged by all views around it."""

@@ -1,0 +1,85 @@
+"""Where a pair of rectifying homographies puts the images: common scale and rows, own x offsets, cropped around the matches."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import Float64s
+from .percentiles import middle
+
+MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05
+"""The crop leaves this share of the matches' box around it, and this share of the frame's width more."""
+
+LARGEST = 2.5
+"""A rectified image is at most this many frame widths wide and frame heights high."""
+
+Size = tuple[int, int]
+
+
+def place(
+    H1: Float64s, H2: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size
+) -> tuple[Float64s, Float64s, Size, Size]:
+    """H1, H2 scaled and shifted so that rectified pixels are about as long and as high as the frames', and the rectified sizes.
+
+    One scale for x and one for y, common to both images: what one image loses in width the other gains.
+
+    x1, x2: (n, 2) matches, on the near side of the lines that H1 and H2 send to infinity.
+    """
+    (box1, lengths1), (box2, lengths2) = _sent(H1, x1), _sent(H2, x2)
+    wide, high = np.concatenate([lengths1, lengths2], axis=1)
+    scale = 1 / np.array([middle(wide), middle(high)])
+    S = np.diag([*scale, 1.0])
+    H1, H2 = S @ H1, S @ H2
+    margin = MARGIN_OF_WIDTH * max(size1[0], size2[0])
+    low1, high1 = _crop(scale * box1, _reach(H1, size1), margin)
+    low2, high2 = _crop(scale * box2, _reach(H2, size2), margin)
+    top, bottom = max(low1[1], low2[1]), min(high1[1], high2[1])
+    height = int(min(max(bottom - top + 1, 1), LARGEST * max(size1[1], size2[1])))
+    width1 = int(min(max(high1[0] - low1[0] + 1, 1), LARGEST * size1[0]))
+    width2 = int(min(max(high2[0] - low2[0] + 1, 1), LARGEST * size2[0]))
+    return _shift(low1[0], top) @ H1, _shift(low2[0], top) @ H2, (width1, height), (width2, height)
+
+
+@kernel
+def _sent(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s]:
+    """Smallest and largest coordinates (2, 2) of the images of points x (n, 2) under H, and how many rectified pixels wide and
+    high (2, n) a pixel at each point becomes."""
+    box, lengths = np.empty((2, 2)), np.empty((2, len(x)))
+    box[0], box[1] = np.inf, -np.inf
+    for k in range(len(x)):
+        inverse = 1 / (H[2, 0] * x[k, 0] + H[2, 1] * x[k, 1] + H[2, 2])
+        for i in range(2):
+            at = (H[i, 0] * x[k, 0] + H[i, 1] * x[k, 1] + H[i, 2]) * inverse
+            box[0, i], box[1, i] = min(box[0, i], at), max(box[1, i], at)
+            lengths[i, k] = np.sqrt((H[i, 0] - at * H[2, 0]) ** 2 + (H[i, 1] - at * H[2, 1]) ** 2) * abs(inverse)
+    return box, lengths
+
+
+def _crop(box: Float64s, reach: Float64s, margin: float) -> tuple[Float64s, Float64s]:
+    """Whole-pixel corners (2,), (2,) of a `box` with margins, no larger than the box `reach` (2, 2)."""
+    around = MARGIN_SHARE * (box[1] - box[0]) + margin
+    return np.floor(np.maximum(box[0] - around, reach[0])), np.ceil(np.minimum(box[1] + around, reach[1]))
+
+
+@lru_cache(maxsize=8)
+def frame_grid(size: Size, steps: int = 25) -> Float64s:
+    """(steps^2, 2) points that cover a frame, its borders included; read-only."""
+    x, y = np.meshgrid(np.linspace(-0.5, size[0] - 0.5, steps), np.linspace(-0.5, size[1] - 0.5, steps))
+    grid = np.column_stack([x.ravel(), y.ravel()])
+    grid.flags.writeable = False
+    return grid
+
+
+def _reach(H: Float64s, size: Size) -> Float64s:
+    """The box (2, 2) of the visible part of a frame: of points well on the near side of the line sent to infinity."""
+    grid = frame_grid(size)
+    z = grid @ H[2, :2] + H[2, 2]
+    typical = middle(z)
+    return _sent(H, np.compress(z * typical > 0.05 * typical * typical, grid, axis=0))[0]
+
+
+def _shift(x: float, y: float) -> Float64s:
+    return np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]])

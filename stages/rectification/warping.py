@@ -1,0 +1,156 @@
+"""Moving points and images between a frame and its rectified image, whatever the method of rectification.
+
+`side` is 1 for the left image and 2 for the right one.  Points are (n, 2) float64 (x, y), pixel centres at integers.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeVar
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..core.jit import kernel
+from ..twoview.epipolar import apply_homography
+from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
+
+Side = Literal[1, 2]
+Pixels = TypeVar("Pixels", np.uint8, np.float32)
+
+
+def rectified_size(rectification: Rectification, side: Side) -> tuple[int, int]:
+    """(width, height) of one rectified image."""
+    return rectification.size1 if side == 1 else rectification.size2
+
+
+def to_rectified(rectification: Rectification, side: Side, x: Float64s) -> Float64s:
+    """Where points (n, 2) of a frame lie in its rectified image; the result may lie outside it."""
+    polar, H = _maps(rectification, side)
+    if polar is None:
+        return apply_homography(H, x)
+    away = x - polar.epipole
+    radius = np.hypot(away[:, 0], away[:, 1])
+    return np.column_stack([polar.direction * radius - polar.start_px, _row_of_angle(polar, np.arctan2(away[:, 1], away[:, 0]))])
+
+
+def from_rectified(rectification: Rectification, side: Side, x: Float64s) -> Float64s:
+    """The exact inverse of `to_rectified`: where points (n, 2) of a rectified image lie in the frame."""
+    polar, H = _maps(rectification, side)
+    if polar is None:
+        return apply_homography(np.asarray(np.linalg.inv(H), dtype=np.float64), x)
+    radius = polar.direction * (x[:, 0] + polar.start_px)
+    angle = _angle_of_row(polar, x[:, 1])
+    return np.asarray(polar.epipole + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def warp(rectification: Rectification, side: Side, image: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
+    """Resample an image (h, w) or (h, w, 3) of the frame, uint8 or float32, by linear interpolation; 0 outside the frame."""
+    return _resampled(image, _source_of_pixels(rectification, side))
+
+
+def warp_mask(rectification: Rectification, side: Side, mask: Bools) -> Bools:
+    """(h, w) bool of the rectified image: True where all the pixels that `warp` reads lie inside the frame and its mask."""
+    return _resampled_mask(mask, _source_of_pixels(rectification, side))
+
+
+def warp_with_mask(
+    rectification: Rectification, side: Side, image: npt.NDArray[Pixels], mask: Bools
+) -> tuple[npt.NDArray[Pixels], Bools]:
+    """`warp` and `warp_mask` at once."""
+    source = _source_of_pixels(rectification, side)
+    return _resampled(image, source), _resampled_mask(mask, source)
+
+
+def _resampled(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
+    return np.asarray(cv2.remap(image, *source, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=image.dtype)
+
+
+def _resampled_mask(mask: Bools, source: tuple[Float32s, Float32s]) -> Bools:
+    return np.asarray(_resampled(mask.astype(np.float32), source) > 0.9999)
+
+
+def resampling(rectification: Rectification, side: Side, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
+    """What happens to the pixels of a frame around points x (n, 2): the area that each takes in the rectified image, negative if
+    it is mirrored there, and the longer and the shorter side (n,): determinant and singular values of the Jacobian."""
+    polar, H = _maps(rectification, side)
+    if polar is None:
+        return _pixels_under(H, x)
+    away_x, away_y = (x - polar.epipole).T
+    k = np.floor(_row_of_angle(polar, np.arctan2(away_y, away_x))).astype(np.int64)
+    k = np.clip(k, 0, len(polar.angles) - 2)
+    # along its row a pixel keeps its length, and rows run at right angles to what crosses them
+    rows_per_px = polar.direction / (np.hypot(away_x, away_y) * (polar.angles[k + 1] - polar.angles[k]))
+    across = np.abs(rows_per_px)
+    return rows_per_px, np.maximum(across, 1), np.minimum(across, 1)
+
+
+@kernel
+def _pixels_under(H: Float64s, x: Float64s) -> tuple[Float64s, Float64s, Float64s]:
+    area, longer, shorter = np.empty(len(x)), np.empty(len(x)), np.empty(len(x))
+    for k in range(len(x)):
+        inverse = 1 / (H[2, 0] * x[k, 0] + H[2, 1] * x[k, 1] + H[2, 2])
+        u = (H[0, 0] * x[k, 0] + H[0, 1] * x[k, 1] + H[0, 2]) * inverse
+        v = (H[1, 0] * x[k, 0] + H[1, 1] * x[k, 1] + H[1, 2]) * inverse
+        a, b = (H[0, 0] - u * H[2, 0]) * inverse, (H[0, 1] - u * H[2, 1]) * inverse
+        c, d = (H[1, 0] - v * H[2, 0]) * inverse, (H[1, 1] - v * H[2, 1]) * inverse
+        together, apart = np.sqrt((a + d) ** 2 + (c - b) ** 2), np.sqrt((a - d) ** 2 + (c + b) ** 2)
+        area[k], longer[k], shorter[k] = a * d - b * c, 0.5 * (together + apart), 0.5 * abs(together - apart)
+    return area, longer, shorter
+
+
+def disparity_px(disparity: Disparity, side: Side) -> Float32s:
+    """(h, w) float32 disparity of one view in pixels, nan where unknown.  A pixel x of the left view lies at x - d in the right
+    one; a pixel x of the right view lies at x + d in the left one."""
+    stored = disparity.left if side == 1 else disparity.right
+    values = stored.astype(np.float32) / 16 + disparity.offset_px
+    return np.where(stored == INVALID, np.float32(np.nan), values).astype(np.float32)
+
+
+def _maps(rectification: Rectification, side: Side) -> tuple[PolarRows | None, Float64s]:
+    polar, H = (rectification.polar1, rectification.H1) if side == 1 else (rectification.polar2, rectification.H2)
+    if polar is None and H is None:
+        raise ValueError("a rectification needs a homography or polar rows for each image")
+    return polar, np.eye(3) if H is None else H
+
+
+def _row_of_angle(polar: PolarRows, angle: Float64s) -> Float64s:
+    """Fractional row of each angle; the circle is cut opposite to the middle of the rows' range."""
+    sense = 1.0 if polar.angles[-1] > polar.angles[0] else -1.0
+    table = sense * polar.angles
+    middle = 0.5 * (table[0] + table[-1])
+    unwrapped = middle + (sense * angle - middle + np.pi) % (2 * np.pi) - np.pi
+    k = np.clip(np.searchsorted(table, unwrapped) - 1, 0, len(table) - 2)  # the end segments extrapolate
+    return np.asarray(k + (unwrapped - table[k]) / (table[k + 1] - table[k]), dtype=np.float64)
+
+
+def _angle_of_row(polar: PolarRows, row: Float64s) -> Float64s:
+    k = np.clip(np.floor(row).astype(np.int64), 0, len(polar.angles) - 2)
+    return np.asarray(polar.angles[k] + (row - k) * (polar.angles[k + 1] - polar.angles[k]), dtype=np.float64)
+
+
+def _source_of_pixels(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
+    """Frame coordinates (h, w) of every pixel of the rectified image, float32; far outside the frame where there is none."""
+    width, height = rectified_size(rectification, side)
+    polar, H = _maps(rectification, side)
+    columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
+    if polar is None:
+        inverse = np.linalg.inv(H)
+        inverse = inverse * np.sign(np.median(inverse[2] @ _corners(width, height)))
+        x, y, z = (inverse[k, 0] * columns + (inverse[k, 1] * rows + inverse[k, 2])[:, None] for k in range(3))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            visible = z > 0
+            return _or_outside(x / z, visible), _or_outside(y / z, visible)
+    radius = polar.direction * (columns + polar.start_px)
+    angle = _angle_of_row(polar, rows)[:, None]
+    visible = np.broadcast_to(radius >= 0, (height, width))
+    x, y = polar.epipole[0] + radius * np.cos(angle), polar.epipole[1] + radius * np.sin(angle)
+    return _or_outside(x, visible), _or_outside(y, visible)
+
+
+def _corners(width: int, height: int) -> Float64s:
+    return np.array([[0.0, width - 1.0, width - 1.0, 0.0], [0.0, 0.0, height - 1.0, height - 1.0], [1.0, 1.0, 1.0, 1.0]])
+
+
+def _or_outside(x: Float64s, visible: Bools) -> Float32s:
+    return np.where(visible, np.clip(x, -1e4, 1e6), -1e4).astype(np.float32)

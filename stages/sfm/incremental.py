@@ -1,0 +1,350 @@
+"""Growing a set of cameras: two views first, then one after the other by the points it shares with those that are there.
+
+Every decision is by rank or by the noise of the residuals themselves: no length enters, since the scale is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import poselib
+
+from ..twoview.epipolar import backproject, project, triangulate_depth
+from ..types import Bools, Camera, Float64s, Geometry
+from .bundle import adjust
+from .tracks import Edge, Tracks, spread_tracks, straightened, without_distortion
+from .triangulation import angles, posed, residuals, triangulate
+
+LOOSE_PX = 4.0
+"""An observation farther from its point than this is wrong, whatever the noise; also the threshold of resection."""
+NOISES = 20.0
+"""In the end, an observation farther from its point than this many standard deviations of the noise is wrong.  So many, because
+the noise is that of the many small keypoints: those of large ones scatter more, and they are what ties wide views together."""
+COARSE_PX = 1.0
+"""Scale of the robust loss while views are still being added..."""
+FINE = 10.0
+"""...and in the end, in standard deviations of the noise."""
+MIN_ANGLE = np.radians(1.0)
+"""Rays that meet at less than this don't make a point."""
+MIN_POINTS = 12
+"""So many points at least must agree on the pose of a view."""
+MIN_SHARED = 5
+"""So many at least on how far it is from a view that it makes a pair with..."""
+SAME_LENGTH = 0.1
+"""...to this share of the distance; and at least half of those that could."""
+SETTLED = 1e-3
+"""Rounds end when no more than this share of the observations comes or goes."""
+ROUGH, EXACT = 1e-5, 1e-7
+"""An adjustment ends when a step lowers its cost by no more than this share: until all views are there, and then.  Exact is what
+a long row of cameras needs, whose bending costs next to nothing: with 1e-5, one of 100 cameras ended four times as far off."""
+GROWN = 1.25
+"""All cameras are adjusted again when there are so many times more than the last time..."""
+SKETCH, SKETCH_STEPS = 5, 10
+"""...with so many observations in each field of a view, in so many steps."""
+FOCALS_FROM = 3
+"""Focal lengths are solved once there are so many views: two leave them nearly free."""
+
+LENSES_DIFFER = 0.02
+"""Views don't share a lens if their own focal lengths spread by more than this share..."""
+OWN_LENS_GAIN = 0.85
+"""...and having their own brings the median error below this share of what it was."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """cameras: by number of the view; tracks: the observations, as they are in the frames; X: (count, 3) points of the tracks,
+    nan where there is none; use: (n,) which observations they rest on; lenses: views whose focal length and distortion are solved
+    too, each with the number of the lens that it may share with others."""
+
+    cameras: dict[int, Camera]
+    tracks: Tracks
+    X: Float64s
+    use: Bools
+    lenses: Mapping[int, int]
+
+    @property
+    def straight(self) -> Tracks:
+        """The observations as pinhole cameras would have them."""
+        return straightened(self.tracks, self.cameras)
+
+    def error_px(self) -> Float64s:
+        """(n,) distance of each observation to its projected point; nan or inf where there is none."""
+        return np.asarray(np.linalg.norm(residuals(self.cameras, self.straight, self.X), axis=1), dtype=np.float64)
+
+
+def grow(
+    cameras: Mapping[int, Camera],
+    tracks: Tracks,
+    geometries: Mapping[Edge, Geometry],
+    *,
+    lenses: Mapping[int, int] | None = None,
+) -> Model | None:
+    """Solve as many views as hang together with the best pair.
+
+    Parameters
+    ----------
+    cameras
+        Intrinsics of every view, known or guessed; R and C don't count.
+    tracks
+        Observations.
+    geometries
+        The pairs that are believed, with relative poses.
+    lenses
+        See `Model`.
+
+    Returns
+    -------
+    Model, or None when not even two views can be placed.
+    """
+    model = _from_best_pair(cameras, tracks, geometries, lenses or {})
+    if model is None:
+        return None
+    adjusted = len(model.cameras)
+    failed: dict[int, int] = {}
+    while following := _next_view(model, cameras, geometries, failed):
+        view, camera = following
+        model = replace_cameras(model, {**model.cameras, view: camera})
+        if len(model.cameras) >= GROWN * adjusted:
+            model, adjusted = _sketched(model), len(model.cameras)
+        else:
+            model = _fitted(model, view)
+    return _with_own_lenses(_sketched(model))
+
+
+def _next_view(
+    model: Model, cameras: Mapping[int, Camera], geometries: Mapping[Edge, Geometry], failed: dict[int, int]
+) -> tuple[int, Camera] | None:
+    """The view that sees most of the model's points among those that can be placed, and its camera.
+
+    failed: how many points a view saw that could not be placed: it is tried again only with more.
+    """
+    tracks = model.tracks
+    seen = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
+    waiting = [view for view in cameras if view not in model.cameras and seen[view] >= max(MIN_SHARED, failed.get(view, 0) + 1)]
+    for view in sorted(waiting, key=lambda v: (-seen[v], v)):
+        bare = _with_lens(cameras[view], view, model)
+        camera = _resect(bare, view, model) or _attached(bare, view, model, geometries)
+        if camera is not None:
+            return view, camera
+        failed[view] = int(seen[view])
+    return None
+
+
+def _sketched(model: Model) -> Model:
+    """The growing model after an adjustment that is good enough for views to come: of a part of the tracks, in a few steps."""
+    model = _retriangulated(model)
+    focals = _lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
+    args = model.cameras, model.tracks, model.X, _spread(model)
+    cameras, _ = adjust(*args, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+    return _retriangulated(replace(model, cameras=cameras))
+
+
+def _fitted(model: Model, view: int) -> Model:
+    """The model with this one camera fitted to the others, which stay; what the view doesn't see stays, too."""
+    tracks = model.tracks
+    seen = np.zeros(tracks.count, bool)
+    seen[tracks.track[tracks.view == view]] = True
+    rows = seen[tracks.track]
+    number = np.cumsum(seen, dtype=np.int32) - 1
+    theirs = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
+    around = {v: model.cameras[v] for v in np.unique(theirs.view).tolist() if v in model.cameras}
+    part = _retriangulated(Model(around, theirs, model.X[seen], model.use[rows], model.lenses))
+    if part.use.any():
+        lenses = _lenses(model)
+        own = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
+        args, held = (around, theirs, part.X, _spread(part)), [v for v in around if v != view]
+        cameras, _ = adjust(*args, held=held, focals=own, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+        part = _retriangulated(replace(part, cameras=cameras))
+    X, use = model.X.copy(), model.use.copy()
+    X[seen], use[rows] = part.X, part.use
+    return replace(model, cameras=model.cameras | part.cameras, X=X, use=use)
+
+
+def _spread(model: Model) -> Bools:
+    """(n,) observations of a part of the tracks that still covers every view."""
+    return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH)[model.tracks.track])
+
+
+def _lenses(model: Model) -> dict[int, int]:
+    """The lenses that are solved with the model as it is."""
+    return {view: lens for view, lens in model.lenses.items() if view in model.cameras}
+
+
+def refine(
+    model: Model,
+    known: Collection[int] = (),
+    rounds: int = 2,
+    rough: bool = False,
+    positions: Mapping[int, tuple[Float64s, float]] | None = None,
+) -> Model:
+    """The model after rounds of triangulation, adjustment and sorting out, until that settles; cameras in `known` stay.
+
+    rounds: at most; rough: with the loss and the tolerance of a model that still grows; positions: of three views or more, with
+    standard deviations, in the world where the model already stands.
+    """
+    free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known else {}
+    held = [view for view in known if view in model.cameras]
+    for _ in range(rounds):
+        before, model = model.use, _retriangulated(model)
+        if not model.use.any():
+            return model
+        noise = max(_noise(model.error_px()[model.use]), 4e-4)
+        weighed = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
+        loss, tolerance = (COARSE_PX, ROUGH) if rough else (FINE * noise, EXACT)
+        args = model.cameras, model.tracks, model.X, model.use
+        cameras, X = adjust(*args, held=held, focals=free, positions=weighed, loss_px=loss, tolerance=tolerance)
+        model = _filtered(replace(model, cameras=cameras, X=X))
+        if (model.use != before).sum() <= SETTLED * model.use.sum():
+            break
+    return model
+
+
+def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
+    """The model with other cameras, in the order of their numbers."""
+    return replace(model, cameras=dict(sorted(cameras.items())))
+
+
+def _from_best_pair(
+    cameras: Mapping[int, Camera], tracks: Tracks, geometries: Mapping[Edge, Geometry], lenses: Mapping[int, int]
+) -> Model | None:
+    """The pair with most points at a good angle; points that other views share count twice, since these are to follow."""
+    best: tuple[float, dict[int, Camera]] | None = None
+    lengths = np.bincount(tracks.track, minlength=tracks.count)
+    rows = {view: np.flatnonzero(tracks.view == view) for view in cameras}
+    for (i, j), geometry in geometries.items():
+        R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+        if R is None or t is None:
+            continue
+        pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
+        shared, a, b = np.intersect1d(tracks.track[rows[i]], tracks.track[rows[j]], return_indices=True)
+        wide = _angles_of_pair(pair[i], pair[j], tracks.xy[rows[i][a]], tracks.xy[rows[j][b]])
+        worth = float((np.minimum(wide / np.radians(15), 1) * (1 + (lengths[shared] > 2))).sum())
+        if best is None or worth > best[0]:
+            best = worth, pair
+    if best is None:
+        return None
+    nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
+    model = _retriangulated(Model(best[1], tracks, nowhere, unused, lenses))
+    if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
+        return None
+    return refine(model, rounds=2, rough=True)
+
+
+def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
+    """(n,) radians at which the rays of two cameras meet; 0 where they miss each other, or meet behind one of them."""
+    X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
+    projected, depth = project(right, X)
+    with np.errstate(invalid="ignore"):
+        meet = (np.linalg.norm(projected - x2, axis=1) < LOOSE_PX) & (depth > 0)
+        rays = [(X - camera.C) / np.linalg.norm(X - camera.C, axis=1, keepdims=True) for camera in (left, right)]
+        angle = np.arccos(np.clip(np.einsum("ni,ni->n", *rays), -1, 1))
+    return np.where(meet & np.isfinite(angle), angle, 0.0)
+
+
+def _with_lens(camera: Camera, view: int, model: Model) -> Camera:
+    """The camera with the focal length and distortion that views of the same lens have been found to have."""
+    for other, found in model.cameras.items():
+        if view in model.lenses and model.lenses.get(other) == model.lenses[view]:
+            return replace(camera, K=found.K, radial=found.radial)
+    return camera
+
+
+def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
+    """The view's pose from the points it shares with the model; None when too few agree."""
+    tracks = model.tracks
+    rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
+    x, X = without_distortion(camera, tracks.xy[rows]), model.X[tracks.track[rows]]
+    K = camera.K
+    pinhole = {
+        "model": "PINHOLE",
+        "width": camera.width,
+        "height": camera.height,
+        "params": [K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
+    }
+    options = {"max_reproj_error": LOOSE_PX, "max_iterations": 10000, "min_iterations": 200, "seed": 0}
+    pose, found = poselib.estimate_absolute_pose(x, X, pinhole, options, {})
+    if found["num_inliers"] < max(MIN_POINTS, 0.25 * len(rows)):
+        return None
+    R, t = np.asarray(pose.R), np.asarray(pose.t)
+    return replace(camera, R=R, C=-R.T @ t)
+
+
+def _attached(camera: Camera, view: int, model: Model, geometries: Mapping[Edge, Geometry]) -> Camera | None:
+    """The view's pose from that of a pair with a solved view; points that a third view sees tell only the length of the baseline.
+
+    For views so wide apart that too few points are seen by three of them.
+    """
+    best: tuple[int, Camera] | None = None
+    tracks = model.straight
+    mine = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
+    for edge, geometry in geometries.items():
+        other = edge[1] if edge[0] == view else edge[0]
+        R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+        if view not in edge or other not in model.cameras or R is None or t is None:
+            continue
+        base = model.cameras[other]
+        R, step = (R.T @ base.R, base.R.T @ t) if edge[0] == view else (R @ base.R, -base.R.T @ R.T @ t)
+        theirs = np.flatnonzero(tracks.view == other)
+        _, a, b = np.intersect1d(tracks.track[theirs], tracks.track[mine], return_indices=True)
+        x_base, x = tracks.xy[theirs[a]], without_distortion(camera, tracks.xy[mine[b]])
+        unit, _ = triangulate_depth(base, replace(camera, R=R, C=base.C + step), x_base, x)
+        lengths = ((model.X[tracks.track[mine[b]]] - base.C) @ base.R[2]) / unit
+        lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
+        if len(lengths) < MIN_SHARED:
+            continue
+        length = float(np.median(lengths))
+        agree = int((np.abs(lengths / length - 1) < SAME_LENGTH).sum())
+        if agree >= max(MIN_SHARED, 0.5 * len(x)) and (best is None or agree > best[0]):
+            best = agree, replace(camera, R=R, C=base.C + length * step)
+    return None if best is None else best[1]
+
+
+def _with_own_lenses(model: Model) -> Model:
+    """The model with a lens for each view instead of shared ones, where these turn out to differ and that explains the images."""
+    members: dict[int, list[int]] = {}
+    for view in model.cameras:
+        if view in model.lenses:
+            members.setdefault(model.lenses[view], []).append(view)
+    if all(len(views) == 1 for views in members.values()):
+        return model
+    model = refine(model, rounds=4, rough=True)
+    own = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, rough=True)
+    focal = {view: np.log(camera.K[0, 0]) for view, camera in own.cameras.items()}
+    spread = max(np.ptp([focal[view] for view in views]) for views in members.values())
+    gain = np.median(own.error_px()[own.use]) / np.median(model.error_px()[model.use])
+    return own if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN else model
+
+
+def _retriangulated(model: Model) -> Model:
+    """All points anew from all observations; then without those that don't fit."""
+    tracks = model.straight
+    everything = posed(model.cameras, tracks)
+    X = triangulate(model.cameras, tracks, everything, 1.0)
+    first = _filtered(replace(model, X=X, use=everything))
+    X = triangulate(model.cameras, tracks, first.use, 1.0)
+    return _filtered(replace(model, X=X, use=everything))
+
+
+def _filtered(model: Model) -> Model:
+    """Only observations that fit, and points that two of them see at an angle."""
+    tracks, error = model.tracks, model.error_px()
+    with np.errstate(invalid="ignore"):
+        use = model.use & (error < _limit(error[model.use]))
+    wide = angles(model.cameras, tracks, model.X, use) >= MIN_ANGLE
+    enough = np.bincount(tracks.track[use], minlength=tracks.count) >= 2
+    use &= (wide & enough)[tracks.track]
+    X = np.where((wide & enough)[:, None], model.X, np.nan)
+    return replace(model, X=X, use=use)
+
+
+def _limit(error: Float64s) -> float:
+    """Largest error of a right observation: `NOISES` standard deviations of their core (Rayleigh), at most `LOOSE_PX`."""
+    return min(LOOSE_PX, max(NOISES * _noise(error), 1e-9))
+
+
+def _noise(error: Float64s) -> float:
+    """Standard deviation of one coordinate, from the median of errors that can be right (Rayleigh)."""
+    fits = error[error < LOOSE_PX]
+    return float(np.median(fits)) / 1.1774 if len(fits) else LOOSE_PX

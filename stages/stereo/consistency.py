@@ -1,0 +1,121 @@
+"""What is kept of raw dense matches: both views must agree, specks go."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import Bools, Float32s
+
+
+@kernel
+def disagreement(one: Float32s, other: Float32s, sign: int) -> Float32s:
+    """(h, w) float32: how far the disparity of one view differs from that of the pixel it points to, inf where there is none.
+
+    sign: -1 when `one` belongs to the left view (x2 = x1 - d), 1 for the right view.
+    """
+    height, width = one.shape
+    difference = np.full((height, width), np.inf, dtype=np.float32)
+    for y in range(height):
+        for x in range(width):
+            column = np.rint(np.float32(x) + np.float32(sign) * one[y, x])
+            if 0 <= column < width:  # nor where it is nan
+                away = abs(other[y, int(column)] - one[y, x])
+                if not np.isnan(away):
+                    difference[y, x] = away
+    return difference
+
+
+def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, steep: float = 0.15) -> Bools:
+    """(h, w) bool: the other view agrees within `tolerance_px`, and more closely where disparity is steep or torn: the tolerance
+    is divided by 1 + `steep` times the range of disparities within 5x5 pixels.
+
+    There, errors are larger than the disagreement tells: both views stretch the same edge over what lies behind it.
+    """
+    difference = disagreement(one, other, sign)
+    known = difference <= tolerance_px
+    window = np.ones((5, 5), dtype=np.uint8)
+    highest = cv2.dilate(np.where(known, one, np.float32(-1e6)), window)
+    lowest = cv2.erode(np.where(known, one, np.float32(1e6)), window)
+    return np.asarray(known & (difference * (1 + steep * (highest - lowest)) <= tolerance_px))
+
+
+def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
+    """(h, w) bool: the pixel that each disparity points to may be matched."""
+    width = disparity.shape[1]
+    x = np.arange(width, dtype=np.float32) + sign * np.nan_to_num(disparity, nan=-1e6)
+    column = np.rint(np.clip(x, -1, width)).astype(np.int64)
+    inside = (column >= 0) & (column < width)
+    return np.asarray(inside & np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1), dtype=np.bool_)
+
+
+def without_specks(disparity: Float32s, smallest_px: int, step_x: float = 1.5, step_y: float = 4.0) -> Float32s:
+    """Disparity without connected pieces of fewer than `smallest_px` pixels.
+
+    Neighbours are connected if they differ by at most `step_x` in a row, `step_y` between rows: ground seen at a low angle
+    moves by several pixels from row to row, never along one.
+    """
+    kept = disparity.copy()
+    _drop_specks(kept, smallest_px, step_x, step_y)
+    return kept
+
+
+@kernel
+def _drop_specks(disparity: Float32s, smallest_px: int, step_x: float, step_y: float) -> None:
+    height, width = disparity.shape
+    seen = np.isnan(disparity)
+    piece = np.empty(height * width, dtype=np.int32)
+    for y0 in range(height):
+        for x0 in range(width):
+            if seen[y0, x0]:
+                continue
+            seen[y0, x0] = True
+            piece[0] = y0 * width + x0
+            count = 1
+            k = 0
+            while k < count:
+                y, x = divmod(piece[k], width)
+                k += 1
+                d = disparity[y, x]
+                for q in range(4):
+                    ny = y + (1 if q == 0 else -1 if q == 1 else 0)
+                    nx = x + (1 if q == 2 else -1 if q == 3 else 0)
+                    if not (0 <= ny < height and 0 <= nx < width) or seen[ny, nx]:
+                        continue
+                    if abs(disparity[ny, nx] - d) <= (step_y if q < 2 else step_x):
+                        seen[ny, nx] = True
+                        piece[count] = ny * width + nx
+                        count += 1
+            if count < smallest_px:
+                for k in range(count):
+                    y, x = divmod(piece[k], width)
+                    disparity[y, x] = np.nan
+
+
+def within_reach(valid: Bools, valid_other: Bools, disparity_min: int, disparity_max: int, sign: int) -> Bools:
+    """(h, w) bool: valid pixels that have at least one valid partner within the disparity range."""
+    height, width = valid.shape
+    count = np.zeros((height, width + 1), dtype=np.int32)
+    np.cumsum(valid_other, axis=1, out=count[:, 1:])
+    ends = sign * disparity_min, sign * disparity_max
+    first = np.clip(np.arange(width) + min(ends), 0, width)
+    last = np.clip(np.arange(width) + max(ends) + 1, 0, width)
+    return valid & (count[:, last] > count[:, first])
+
+
+def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
+    """Holes filled with the farther one of the disparities at their two ends in the row: what a foreground hides is background.
+
+    nearer: 1 where larger disparities are nearer, -1 where smaller ones are.  Rows without any value stay nan.
+    """
+    height, width = disparity.shape
+    known = ~np.isnan(disparity)
+    columns = np.arange(width)
+    before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
+    after = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
+    rows = np.arange(height)[:, None]
+    left = np.where(before >= 0, disparity[rows, np.maximum(before, 0)], np.float32(np.nan))
+    right = np.where(after < width, disparity[rows, np.minimum(after, width - 1)], np.float32(np.nan))
+    farther = np.fmin(left, right) if nearer > 0 else np.fmax(left, right)
+    return np.where(known, disparity, farther).astype(np.float32)

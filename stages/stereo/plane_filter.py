@@ -1,0 +1,220 @@
+"""What the planes around a pixel say of its disparity: a correction, a vote, and doubt.
+
+Whole pieces of a row are done at once, so that the compiler can do many columns with one instruction; scratch is flat, in rows of
+_BLOCK, so that it sees that none overlaps another.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..core.sorting import sorting_network
+from ..types import Float32s
+
+_LIKENESS = 8.0
+"""Grey levels at which a neighbour counts half."""
+
+_NEAR = 2
+"""How far away, in pixels, neighbours correct a plane, and raise doubts."""
+
+_VOTERS, _VOTER_STRIDE = 6, 3
+"""How far away, in pixels, and how densely neighbours are asked what a pixel's disparity should be."""
+
+_CONFIRMED_PX = 2.0
+"""Both views tell the same of a pixel if they differ by no more."""
+
+_UNCONFIRMED_PX = 3.0
+"""What a neighbour that the other view does not confirm, or that lies farther from the plane, adds to the doubt."""
+
+_BORDER = _VOTERS
+_BLOCK = 128
+
+
+def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
+    """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
+    neighbours, then the median of what neighbours farther away say.  A further round starts from what the one before said,
+    with slopes fitted to the voters.  spacing: of the pixels that were compared: voters stand as far apart."""
+    border = _BORDER * spacing
+    inner = slice(border, -border)
+    known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))
+    bordered = _bordered(border, known, planes[1], planes[2], image)
+    out = np.empty((3, *known.shape), dtype=np.float32)
+    _correct(bordered, border, 1, out)
+    bordered[0, inner, inner] = out[0]
+    for _ in range(rounds - 1):
+        bordered[0, inner, inner] = _voted(bordered, spacing)
+        _correct(bordered, border, _VOTER_STRIDE * spacing, out)
+        bordered[1:3, inner, inner] = out[1:]
+    out[0] = _voted(bordered, spacing)
+    out[1:] = bordered[1:3, inner, inner]
+    return out
+
+
+def doubt(planes: Float32s, difference: Float32s) -> Float32s:
+    """(h, w) doubt in each pixel's plane: how far its 5x5 neighbours lie from it on average, the more where disparity is torn.
+
+    Neighbours that the other view does not confirm (`difference` in pixels) count as if far away: where one is wrong, those
+    beside it are suspect.  Infinite where the pixel itself is not confirmed."""
+    confirmed = np.where(difference <= np.float32(_CONFIRMED_PX), planes[0], np.float32(np.nan))
+    return _doubt(_bordered(_BORDER, confirmed)[0], planes, _neighbours_inside(difference.shape))
+
+
+def _bordered(border: int, *layers: Float32s) -> Float32s:
+    """Layers (h, w) on top of each other, with a border of nan."""
+    height, width = layers[0].shape
+    whole = np.full((len(layers), height + 2 * border, width + 2 * border), np.nan, dtype=np.float32)
+    for layer, values in zip(whole, layers, strict=True):
+        layer[border:-border, border:-border] = values
+    return whole
+
+
+def _neighbours_inside(shape: tuple[int, ...]) -> Float32s:
+    """(h, w) how many pixels of the window around each pixel lie in the image."""
+    rows, columns = (np.convolve(np.ones(n), np.ones(2 * _NEAR + 1), mode="same")[:n] for n in shape)
+    return (rows[:, None] * columns).astype(np.float32)
+
+
+@kernel
+def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> None:
+    """Planes (3, h, w) into `out`: the pixels' own, corrected by a least-squares plane through what 5x5 neighbours, `stride`
+    apart, say.
+
+    They must nearly agree, and weigh by likeness.  `bordered` are disparity, its slopes and grey (4, h, w) with a border."""
+    known, image = bordered[0], bordered[3]
+    height, width = known.shape[0] - 2 * border, known.shape[1] - 2 * border
+    soft = np.float32(1.0 / _LIKENESS)
+    s = np.empty(9 * _BLOCK, dtype=np.float32)
+    none = np.float32(0.0)
+    for y in range(height):
+        for x0 in range(0, width, _BLOCK):
+            n = min(_BLOCK, width - x0)
+            row, column = y + border, x0 + border
+            d, a, b, grey = known[row, column:], bordered[1, row, column:], bordered[2, row, column:], image[row, column:]
+            s[:] = none
+            s[3 * _BLOCK : 5 * _BLOCK] = np.float32(2.0)  # slopes stay the plane's own where little speaks
+            for j in range(-_NEAR, _NEAR + 1):
+                for i in range(-_NEAR, _NEAR + 1):
+                    dx, dy = i * stride, j * stride
+                    disparity, likeness = known[row + dy, column + dx :], image[row + dy, column + dx :]
+                    fx, fy = np.float32(dx), np.float32(dy)
+                    for x in range(n):
+                        e = disparity[x] - (d[x] + a[x] * fx + b[x] * fy)
+                        # errors between the rows shift a steep plane the more
+                        heard = abs(e) <= np.float32(1.5) + np.float32(0.7) * (abs(a[x]) + abs(b[x]))
+                        unlike = (likeness[x] - grey[x]) * soft
+                        w = np.float32(1.0) / (np.float32(1.0) + unlike * unlike)
+                        w = w if heard else none
+                        v = w * (e if heard else none)
+                        s[x] += w
+                        s[_BLOCK + x] += w * fx
+                        s[2 * _BLOCK + x] += w * fy
+                        s[3 * _BLOCK + x] += w * fx * fx
+                        s[4 * _BLOCK + x] += w * fy * fy
+                        s[5 * _BLOCK + x] += w * fx * fy
+                        s[6 * _BLOCK + x] += v
+                        s[7 * _BLOCK + x] += v * fx
+                        s[8 * _BLOCK + x] += v * fy
+            for x in range(n):
+                w, wx, wy = s[x], s[_BLOCK + x], s[2 * _BLOCK + x]
+                xx, yy, xy = s[3 * _BLOCK + x], s[4 * _BLOCK + x], s[5 * _BLOCK + x]
+                v, vx, vy = s[6 * _BLOCK + x], s[7 * _BLOCK + x], s[8 * _BLOCK + x]
+                minor = xx * yy - xy * xy
+                det = w * minor - wx * (wx * yy - xy * wy) + wy * (wx * xy - xx * wy)
+                out[0, y, x0 + x] = d[x] + (v * minor - wx * (vx * yy - xy * vy) + wy * (vx * xy - xx * vy)) / det
+                out[1, y, x0 + x] = a[x] + (w * (vx * yy - xy * vy) - v * (wx * yy - xy * wy) + wy * (wx * vy - vx * wy)) / det
+                out[2, y, x0 + x] = b[x] + (w * (xx * vy - vx * xy) - wx * (wx * vy - vx * wy) + v * (wx * xy - xx * wy)) / det
+
+
+_VOTES = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
+_NETWORK = sorting_network(_VOTES)
+"""No branch depends on the values, so that whole rows of pixels are sorted at once."""
+
+
+@kernel
+def _voted(bordered: Float32s, spacing: int) -> Float32s:
+    """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
+
+    A wrong plane, or one of the other side of an edge, is outvoted; slanted surfaces keep their slant.  `bordered` as in
+    `_correct`."""
+    border = _BORDER * spacing
+    height, width = bordered.shape[1] - 2 * border, bordered.shape[2] - 2 * border
+    out = np.empty((height, width), dtype=np.float32)
+    votes = np.zeros((_VOTES, _BLOCK), dtype=np.float32)
+    weights = np.zeros((_VOTES, _BLOCK), dtype=np.float32)
+    half = np.empty(_BLOCK, dtype=np.float32)
+    soft = np.float32(1.0 / _LIKENESS)
+    for y in range(height):
+        for x0 in range(0, width, _BLOCK):
+            n = min(_BLOCK, width - x0)
+            row, column = y + border, x0 + border
+            own, grey = bordered[0, row, column:], bordered[3, row, column:]
+            half[:] = np.float32(0.0)
+            k = 0
+            for j in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                for i in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+                    dx, dy = i * spacing, j * spacing
+                    fx, fy = np.float32(dx), np.float32(dy)
+                    d, likeness = bordered[0, row + dy, column + dx :], bordered[3, row + dy, column + dx :]
+                    a, b = bordered[1, row + dy, column + dx :], bordered[2, row + dy, column + dx :]
+                    vote, weight = votes[k], weights[k]
+                    for x in range(n):
+                        v = d[x] - a[x] * fx - b[x] * fy
+                        vote[x] = np.float32(0.0) if np.isnan(v) else v
+                        unlike = (likeness[x] - grey[x]) * soft
+                        w = np.float32(0.5) / (np.float32(1.0) + unlike * unlike)
+                        weight[x] = np.float32(0.0) if np.isnan(v) else w
+                    for x in range(n):
+                        half[x] += weight[x]
+                    k += 1
+            for q in range(_NETWORK.shape[0]):
+                low, high = _NETWORK[q]
+                vote1, vote2, weight1, weight2 = votes[low], votes[high], weights[low], weights[high]
+                for x in range(_BLOCK):
+                    v1, v2, w1, w2 = vote1[x], vote2[x], weight1[x], weight2[x]
+                    swap = v1 > v2
+                    vote1[x], vote2[x] = v2 if swap else v1, v1 if swap else v2
+                    weight1[x], weight2[x] = w2 if swap else w1, w1 if swap else w2
+            for x in range(n):
+                out[y, x0 + x] = np.float32(np.nan)
+            for k in range(_VOTES):
+                vote, weight = votes[k], weights[k]
+                # `half` is what is still missing to half of all weight; it turns negative, or 0, once
+                for x in range(n):
+                    before = half[x]
+                    half[x] = before - np.float32(2.0) * weight[x]
+                    if before > np.float32(0.0) and half[x] <= np.float32(0.0) and not np.isnan(own[x]):
+                        out[y, x0 + x] = vote[x]
+    return out
+
+
+@kernel
+def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
+    height, width = inside.shape
+    doubt = np.empty((height, width), dtype=np.float32)
+    s = np.empty(3 * _BLOCK, dtype=np.float32)
+    far = np.float32(_UNCONFIRMED_PX)
+    for y in range(height):
+        for x0 in range(0, width, _BLOCK):
+            n = min(_BLOCK, width - x0)
+            row, column = y + _BORDER, x0 + _BORDER
+            d, a, b = confirmed[row, column:], planes[1, y, x0:], planes[2, y, x0:]
+            s[:_BLOCK] = np.float32(0.0)  # how far away
+            s[_BLOCK : 2 * _BLOCK] = np.float32(np.inf)  # the lowest disparity
+            s[2 * _BLOCK :] = np.float32(-np.inf)  # the highest
+            for dy in range(-_NEAR, _NEAR + 1):
+                for dx in range(-_NEAR, _NEAR + 1):
+                    other = confirmed[row + dy, column + dx :]
+                    fx, fy = np.float32(dx), np.float32(dy)
+                    for x in range(n):
+                        v = other[x]
+                        away = abs(v - d[x] - a[x] * fx - b[x] * fy)
+                        s[x] += away if away < far else far  # far for nan, too
+                        s[_BLOCK + x] = v if v < s[_BLOCK + x] else s[_BLOCK + x]
+                        s[2 * _BLOCK + x] = v if v > s[2 * _BLOCK + x] else s[2 * _BLOCK + x]
+            for x in range(n):
+                count = inside[y, x0 + x]
+                away = (s[x] - (np.float32((2 * _NEAR + 1) ** 2) - count) * far) / count
+                torn = np.float32(1.0) + np.float32(0.15) * (s[2 * _BLOCK + x] - s[_BLOCK + x])
+                doubt[y, x0 + x] = np.float32(np.inf) if np.isnan(d[x]) else away * torn
+    return doubt

@@ -1,0 +1,1 @@
+"""The geometry of two views: F and E, estimated, refined, judged."""

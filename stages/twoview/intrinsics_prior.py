@@ -1,0 +1,241 @@
+"""F of two views whose lenses nobody knows: unknown, but not arbitrary.
+
+A bare F has seven degrees of freedom, and wrong matches that agree with each other bend it where the right ones say little.
+Cameras have square pixels, a principal point near the centre, some focal length, and mostly the same in both views.  So F is
+taken as that of two cameras with such lenses, as far as the matches do not say otherwise; and where they do, F is more likely
+wrong than the lenses odd.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ..types import Float64s, View
+from .epipolar import skew
+from .refinement import CAUCHY, normal_equations
+from .robust import pose_of_fundamental
+
+FOCAL_SIGMA, GUESS_SIGMA, KNOWN_SIGMA = 0.7, 0.2, 0.01
+"""Of the logarithm of a focal length: when nothing is known (around one long side), when there is a guess, when it is known."""
+RATIO_SIGMA = 0.1
+"""Of the logarithm of the two focal lengths' ratio, with Cauchy's long tails: mostly one lens, sometimes two."""
+CENTRE_SIGMA = 0.01
+"""Of the principal point, in long sides."""
+TOGETHER = 2.5
+"""Matches err together, not each on its own: their noise counts as so many times what the residuals tell (the factor by which
+true errors exceed those of independent matches, on photographs)."""
+ODDEST = 4.0
+"""Lenses two standard deviations off: then F is more likely bent by wrong matches."""
+MOST_POSED = 500
+"""Matches that are asked which of four poses a focal length means."""
+STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Focal lengths, in long sides (or in guesses), at which the search starts."""
+FIRST_STEPS, LAST_STEPS = 5, 30
+
+
+@dataclass(frozen=True)
+class TwoCameras:
+    """F of unit norm; K1, K2 (3, 3) that go with it; oddness: of these lenses, in squared standard deviations."""
+
+    F: Float64s
+    K1: Float64s
+    K2: Float64s
+    oddness: float
+
+
+@dataclass(frozen=True)
+class _State:
+    """R, t: `cam2_R_cam1`, unit `cam2_t_cam1`; lens: log f1, log f2, c1 (2), c2 (2), in units of the first long side around each
+    image's centre."""
+
+    R: Float64s
+    t: Float64s
+    lens: Float64s
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """x1, x2: (n, 2) matches in units of the first long side around each image's centre; scale: (n,) what makes a distance one
+    unit of the loss; mean, sigma: (6,) what is expected of the lens."""
+
+    x1: Float64s
+    x2: Float64s
+    scale: Float64s
+    mean: Float64s
+    sigma: Float64s
+
+
+def refine_with_plausible_lenses(
+    candidates: Sequence[Float64s], x1: Float64s, x2: Float64s, noise: Float64s, view1: View, view2: View
+) -> TwoCameras | None:
+    """The two cameras near one of the candidates for F that explain matches x1, x2 (n, 2) of known noise (n,), pixels, best;
+    None where none has a pose.
+
+    Most probable pose and lenses, by Levenberg-Marquardt over 11 parameters from several focal lengths.
+    """
+    unit = float(max(view1.width, view1.height))
+    T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
+    mean, sigma = _expected_of_both(view1, view2, unit)
+    problem = _Problem((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
+    every = -(-len(x1) // MOST_POSED)
+    best: tuple[float, _State] | None = None
+    for F, factor in product(candidates, STARTS):
+        lens = mean + np.array([np.log(factor), np.log(factor), 0, 0, 0, 0])
+        K1, K2 = _intrinsics(lens)
+        pose = pose_of_fundamental(F, x1[::every], x2[::every], _with(view1, T1 @ K1), _with(view2, T2 @ K2))
+        if pose is not None:
+            found = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), problem, FIRST_STEPS)
+            best = found if best is None or found[0] < best[0] else best
+    if best is None:
+        return None
+    _, state = _descend(best[1], problem, LAST_STEPS)
+    K1, K2 = _intrinsics(state.lens)
+    inside = np.linalg.inv(T2).T @ _fundamental(state) @ np.linalg.inv(T1)
+    return TwoCameras(inside / np.linalg.norm(inside), T1 @ K1, T2 @ K2, _information(state.lens, mean, sigma)[2])
+
+
+def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s]:
+    """Directions (9, 12) in which F = K2^-T E K1^-1 may change: turns of either camera (6), and lenses; and the information
+    (12, 12), in units of that of the matches, that is known of them beforehand."""
+    unit = float(max(view1.width, view1.height))
+    T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
+    mean, sigma = _expected_of_both(view1, view2, unit)
+    L1, L2 = np.linalg.inv(T1) @ K1, np.linalg.inv(T2) @ K2
+    lens = np.array([np.log(L1[0, 0]), np.log(L2[0, 0]), L1[0, 2], L1[1, 2], L2[0, 2], L2[1, 2]])
+    left, right = np.linalg.inv(L2).T, np.linalg.inv(L1)
+    E = L2.T @ (T2.T @ F @ T1) @ L1
+    first, second = _lens_changes(L1), _lens_changes(L2)
+    one, two = [left @ E @ d for d in first], [d.T @ E @ right for d in second]
+    turns = [left @ M @ right for axis in np.eye(3) for M in (skew(axis) @ E, E @ skew(axis))]
+    inside = np.stack([*turns, one[0], two[0], one[1], one[2], two[1], two[2]])
+    directions = np.linalg.inv(T2).T @ inside @ np.linalg.inv(T1)
+    information = np.zeros((12, 12))
+    information[6:, 6:] = TOGETHER**2 * _information(lens, mean, sigma)[0]
+    return directions.reshape(12, 9).T, information
+
+
+def _frame_of(view: View, unit: float) -> Float64s:
+    """(3, 3) pixels of coordinates in units around the image's centre."""
+    return np.array([[unit, 0.0, (view.width - 1) / 2], [0.0, unit, (view.height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def _with(view: View, K: Float64s) -> View:
+    return View(view.width, view.height, K)
+
+
+def _expected_of_both(view1: View, view2: View, unit: float) -> tuple[Float64s, Float64s]:
+    """Mean and standard deviation (6,) of the lens of a `_State`."""
+    mean1, sigma1 = _expected(view1, unit)
+    mean2, sigma2 = _expected(view2, unit)
+    return np.concatenate([[mean1[0], mean2[0]], mean1[1:], mean2[1:]]), np.concatenate(
+        [[sigma1[0], sigma2[0]], sigma1[1:], sigma2[1:]]
+    )
+
+
+def _expected(view: View, unit: float) -> tuple[Float64s, Float64s]:
+    """Mean and standard deviation of log f, cx, cy."""
+    side = max(view.width, view.height)
+    if view.K is None:
+        return np.array([np.log(side / unit), 0.0, 0.0]), np.array([FOCAL_SIGMA, *[CENTRE_SIGMA * side / unit] * 2])
+    K = np.linalg.inv(_frame_of(view, unit)) @ view.K
+    known = view.focal_known
+    sigma = [KNOWN_SIGMA if known else GUESS_SIGMA, *[(0.1 if known else 1.0) * CENTRE_SIGMA * side / unit] * 2]
+    return np.array([np.log(K[0, 0]), K[0, 2], K[1, 2]]), np.array(sigma)
+
+
+def _intrinsics(lens: Float64s) -> tuple[Float64s, Float64s]:
+    f1, f2 = np.exp(lens[:2])
+    return (
+        np.array([[f1, 0.0, lens[2]], [0.0, f1, lens[3]], [0.0, 0.0, 1.0]]),
+        np.array([[f2, 0.0, lens[4]], [0.0, f2, lens[5]], [0.0, 0.0, 1.0]]),
+    )
+
+
+def _fundamental(state: _State) -> Float64s:
+    K1, K2 = _intrinsics(state.lens)
+    return np.asarray(np.linalg.inv(K2).T @ skew(state.t) @ state.R @ np.linalg.inv(K1), dtype=np.float64)
+
+
+def _across(t: Float64s) -> Float64s:
+    """(3, 2) directions in which the unit vector t may move."""
+    return np.asarray(np.linalg.svd(t[None])[2][1:].T, dtype=np.float64)
+
+
+def _directions(state: _State) -> Float64s:
+    """(9, 11) how F changes with a turn of the second camera (3), with t (2), and with the lenses (6)."""
+    K1, K2 = _intrinsics(state.lens)
+    right, left = np.linalg.inv(K1), np.linalg.inv(K2).T
+    E = skew(state.t) @ state.R
+    changes = [left @ skew(state.t) @ skew(axis) @ state.R @ right for axis in np.eye(3)]
+    changes += [left @ skew(axis) @ state.R @ right for axis in _across(state.t).T]
+    first, second = _lens_changes(K1), _lens_changes(K2)
+    one, two = [left @ E @ d for d in first], [d.T @ E @ right for d in second]
+    changes += [one[0], two[0], one[1], one[2], two[1], two[2]]
+    return np.stack([c.ravel() for c in changes], axis=1)
+
+
+def _lens_changes(K: Float64s) -> list[Float64s]:
+    """How K^-1 changes with log f, cx and cy."""
+    f, cx, cy = K[0, 0], K[0, 2], K[1, 2]
+    by_f = np.array([[-1.0, 0.0, cx], [0.0, -1.0, cy], [0.0, 0.0, 0.0]]) / f
+    by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
+    by_x[0, 2] = by_y[1, 2] = -1 / f
+    return [by_f, by_x, by_y]
+
+
+def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float64s, Float64s, float]:
+    """What is expected of the lenses as normal equations (6, 6), (6,), and how odd they are: squared standard deviations."""
+    off = (lens - mean) / sigma
+    ratio = (lens[0] - mean[0] - lens[1] + mean[1]) / RATIO_SIGMA
+    along = np.array([1.0, -1.0, 0, 0, 0, 0]) / RATIO_SIGMA
+    weight = 1 / (1 + ratio**2)
+    normal = np.diag(sigma**-2.0) + weight * np.outer(along, along)
+    return normal, off / sigma + weight * ratio * along, float(off @ off + np.log1p(ratio**2))
+
+
+def _equations(state: _State, problem: _Problem) -> tuple[float, Float64s, Float64s]:
+    """Cost, normal matrix (11, 11) and right side (11,) of matches and lenses together."""
+    cost, normal, right = normal_equations(_fundamental(state), problem.x1, problem.x2, problem.scale, _directions(state))
+    share = (CAUCHY / TOGETHER) ** 2
+    odd_normal, odd_right, odd = _information(state.lens, problem.mean, problem.sigma)
+    normal, right = share * normal, share * right
+    normal[5:, 5:] += odd_normal
+    right[5:] += odd_right
+    return share * cost + odd, normal, right
+
+
+def _descend(state: _State, problem: _Problem, steps: int) -> tuple[float, _State]:
+    damping = 1e-3
+    cost, normal, right = _equations(state, problem)
+    for _ in range(steps):
+        moved = _moved(state, np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -right), dtype=np.float64))
+        new_cost, new_normal, new_right = _equations(moved, problem)
+        if not new_cost < cost:
+            damping *= 10
+            if damping > 1e4:
+                break
+            continue
+        gain = cost - new_cost
+        state, cost, normal, right = moved, new_cost, new_normal, new_right
+        damping = max(damping / 10, 1e-9)
+        if gain < 1e-5:
+            break
+    return cost, state
+
+
+def _moved(state: _State, step: Float64s) -> _State:
+    t = state.t + _across(state.t) @ step[3:5]
+    return _State(_rotation(step[:3]) @ state.R, t / np.linalg.norm(t), state.lens + step[5:])
+
+
+def _rotation(w: Float64s) -> Float64s:
+    """Rodrigues' formula."""
+    angle = float(np.linalg.norm(w))
+    if angle < 1e-12:
+        return np.eye(3) + skew(w)
+    k = skew(w / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k, dtype=np.float64)

@@ -1,0 +1,205 @@
+"""F, E and homographies from correspondences with outliers, seeded, refined to the last tenth of a pixel.
+
+F: normalised 7- and 8-point algorithms inside MAGSAC++ (Barath et al., CVPR 2020; OpenCV's USAC), then Cauchy-weighted least
+squares on the Sampson distance over F of rank 2 (poselib).  MAGSAC alone leaves up to twice the error.  E: the 5-point algorithm
+(Nister, PAMI 2004) inside LO-RANSAC with the same refinement (poselib).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import poselib
+
+from ..types import Bools, Float64s, View
+from .epipolar import apply_homography, essential_to_fundamental, homogeneous, sampson_distance
+
+CONFIDENCE = 0.9999
+MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
+"""Of random samples; between the two, as many as the share of inliers asks for."""
+INLIER_FACTOR = 1.5
+"""An inlier of the refined model lies within this times the threshold, in Sampson distance."""
+
+
+@dataclass(frozen=True)
+class TwoView:
+    """F (3, 3) of unit norm; inliers: (n,) bool; R, t: `cam2_R_cam1` and unit `cam2_t_cam1`, None for a bare F."""
+
+    F: Float64s
+    inliers: Bools
+    R: Float64s | None = None
+    t: Float64s | None = None
+
+
+def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> TwoView | None:
+    """F of (n, 2) correspondences; None when nothing with 8 inliers is found."""
+    if len(x1) < 8:
+        return None
+    F = _magsac_fundamental(x1, x2, threshold_px, seed)
+    if F is None:
+        return None
+    for _ in range(2):
+        inliers = supporters(F, x1, x2, threshold_px)
+        if inliers.sum() < 8:
+            return None
+        F = refine_fundamental(F, x1[inliers], x2[inliers], threshold_px)
+    inliers = supporters(F, x1, x2, threshold_px)
+    return TwoView(F, inliers) if inliers.sum() >= 8 else None
+
+
+def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
+    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances."""
+    loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
+    return _unit(poselib.refine_fundamental(x1, x2, F, loss)[0])
+
+
+def estimate_essential(
+    x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int, max_iterations: int = MAX_ITERATIONS
+) -> TwoView | None:
+    """Relative pose and its F where both K are known; None when nothing with 8 inliers is found."""
+    if len(x1) < 8 or view1.K is None or view2.K is None:
+        return None
+    options = {
+        "max_epipolar_error": INLIER_FACTOR * threshold_px,
+        "max_iterations": max_iterations,
+        "min_iterations": min(MIN_ITERATIONS, max_iterations),
+        "seed": seed,
+    }
+    pose, _ = poselib.estimate_relative_pose(x1, x2, pinhole(view1), pinhole(view2), options, {})
+    t = np.asarray(pose.t, dtype=np.float64)
+    if not np.isfinite(t).all() or np.linalg.norm(t) < 1e-12:
+        return None
+    R, t = np.asarray(pose.R, dtype=np.float64), t / np.linalg.norm(t)
+    F = essential_to_fundamental(R, t, view1.K, view2.K)
+    inliers = supporters(F, x1, x2, threshold_px)
+    return TwoView(F, inliers, R, t) if inliers.sum() >= 8 else None
+
+
+def estimate_with_one_lens(
+    x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int
+) -> TwoView | None:
+    """F of two views with one unknown lens, whose centre is theirs (six points inside LO-RANSAC, poselib); None when nothing with
+    8 inliers is found.  It has one freedom less than a bare F, by which wrong matches that agree can bend it."""
+    if len(x1) < 8:
+        return None
+    unit1, unit2 = (float(max(view.width, view.height)) for view in (view1, view2))
+    T1, T2 = (
+        np.array([[side / unit1, 0, (view.width - 1) / 2], [0, side / unit1, (view.height - 1) / 2], [0, 0, 1]])
+        for view, side in ((view1, unit1), (view2, unit2))
+    )
+    centred1, centred2 = ((x - T[:2, 2]) / T[0, 0] for x, T in ((x1, T1), (x2, T2)))
+    options = {
+        "max_epipolar_error": INLIER_FACTOR * threshold_px,
+        "max_iterations": MAX_ITERATIONS,
+        "min_iterations": MIN_ITERATIONS,
+        "seed": seed,
+    }
+    found, _ = poselib.estimate_shared_focal_relative_pose(centred1, centred2, np.zeros(2), options, {})
+    f, R, t = float(found.camera1.focal()), np.asarray(found.pose.R), np.asarray(found.pose.t)
+    if not np.isfinite([f, *t]).all() or f <= 0 or np.linalg.norm(t) < 1e-12:
+        return None
+    K = np.diag([f, f, 1.0])
+    F = _unit(np.linalg.inv(T2).T @ essential_to_fundamental(R, t, K, K) @ np.linalg.inv(T1))
+    inliers = supporters(F, x1, x2, threshold_px)
+    return TwoView(F, inliers) if inliers.sum() >= 8 else None
+
+
+def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s] | None:
+    """`cam2_R_cam1`, `cam2_t_cam1` nearest to F: of the four decompositions of K2^T F K1 the one with the points in front."""
+    if view1.K is None or view2.K is None:
+        return None
+    n1 = (homogeneous(x1) @ np.linalg.inv(view1.K).T)[:, :2]
+    n2 = (homogeneous(x2) @ np.linalg.inv(view2.K).T)[:, :2]
+    front, R, t, _ = cv2.recoverPose(view2.K.T @ F @ view1.K, n1, n2, np.eye(3))
+    return (np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).ravel()) if front >= 8 else None
+
+
+def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, threshold_px: float) -> float:
+    """Share of the correspondences that a turn of the camera alone explains; R is where the search for the turn starts."""
+    if view1.K is None or view2.K is None:
+        return 0.0
+    ray1 = _unit_rows(homogeneous(x1) @ np.linalg.inv(view1.K).T)
+    ray2 = _unit_rows(homogeneous(x2) @ np.linalg.inv(view2.K).T)
+    tolerance = threshold_px / view2.K[0, 0]
+    share = 0.0
+    for _ in range(10):
+        error = np.linalg.norm(ray2 - ray1 @ R.T, axis=1)
+        share = float((error < tolerance).mean())
+        weight = 1 / (1 + (error / max(tolerance, float(np.median(error)))) ** 2)
+        U, _, Vt = np.linalg.svd((ray2 * weight[:, None]).T @ ray1)
+        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return share
+
+
+def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> Bools:
+    """(n,) which correspondences the best homography explains, to `INLIER_FACTOR` thresholds both ways."""
+    none = np.zeros(len(x1), dtype=bool)
+    if len(x1) < 8:
+        return none
+    try:
+        found, _ = cv2.findHomography(x1, x2, _usac(threshold_px, seed, 2000))
+    except cv2.error:
+        return none
+    H = np.zeros((0, 0)) if found is None else np.array(found, dtype=np.float64)
+    if H.shape != (3, 3) or abs(np.linalg.det(H)) < 1e-15:
+        return none
+    residual = np.maximum(_transfer(H, x1, x2), _transfer(np.linalg.inv(H).astype(np.float64), x2, x1))
+    return np.asarray(residual < INLIER_FACTOR * threshold_px)
+
+
+def _magsac_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> Float64s | None:
+    try:
+        F, _ = cv2.findFundamentalMat(x1, x2, _usac(threshold_px, seed, MAX_ITERATIONS))
+    except cv2.error:  # degenerate input: repeated or collinear points
+        return None
+    if F is None or F.shape != (3, 3) or not np.isfinite(F).all():
+        return None
+    return _unit(F)
+
+
+def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
+    """MAGSAC with its own generator: `cv2.setRNGSeed` does not reach USAC."""
+    params = cv2.UsacParams()
+    params.randomGeneratorState = seed
+    params.threshold = threshold_px
+    params.confidence = CONFIDENCE
+    params.maxIterations = iterations
+    params.score = cv2.SCORE_METHOD_MAGSAC
+    params.sampler = cv2.SAMPLING_UNIFORM
+    params.loMethod = cv2.LOCAL_OPTIM_SIGMA
+    params.loIterations = 10
+    params.loSampleSize = 14
+    params.final_polisher = cv2.LSQ_POLISHER
+    params.isParallel = False
+    return params
+
+
+def pinhole(view: View) -> dict[str, Any]:
+    """A view with known K as poselib wants it."""
+    assert view.K is not None
+    K = view.K
+    params = [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
+    return {"model": "PINHOLE", "width": view.width, "height": view.height, "params": params}
+
+
+def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Bools:
+    """(n,) which correspondences lie within `INLIER_FACTOR` thresholds of F, in Sampson distance."""
+    return np.asarray(np.abs(sampson_distance(F, x1, x2)) < INLIER_FACTOR * threshold_px)
+
+
+def _transfer(H: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(np.linalg.norm(apply_homography(H, x1) - x2, axis=1), nan=np.inf), dtype=np.float64)
+
+
+def _unit_rows(v: Float64s) -> Float64s:
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True), dtype=np.float64)
+
+
+def _unit(F: npt.ArrayLike) -> Float64s:
+    F = np.asarray(F, dtype=np.float64)
+    return np.asarray(F / np.linalg.norm(F), dtype=np.float64)

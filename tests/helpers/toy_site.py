@@ -1,0 +1,103 @@
+"""A toy site whose stages take no time, for tests of the engine."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+HELPERS = Path(__file__).resolve().parent
+STAGES = {
+    "frames": "clean_frame",
+    "features": "detect",
+    "overlap": "estimate_overlap",
+    "matches": "match",
+    "geometry": "estimate_geometry",
+    "poses": "solve_poses",
+    "rectify": "rectify",
+    "disparity": "match_dense",
+    "depth": "view_depth",
+    "fuse": "fuse",
+}
+
+
+@dataclass
+class ToySite:
+    """A site in a folder: captures `<camera>.txt`, site.yaml, and `parameters` by stage that the YAML sets."""
+
+    folder: Path
+    cameras: list[str]
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        (self.folder / "captures").mkdir(parents=True)
+        (self.folder / "faults").mkdir()
+        for camera in self.cameras:
+            self.capture(camera).write_text(f"a view from {camera}")
+        self.write()
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "site.yaml"
+
+    @property
+    def work(self) -> Path:
+        return self.folder / ".wbflow" / "toy"
+
+    @property
+    def cloud(self) -> bytes:
+        return (self.work / "runs" / "latest" / "cloud.ply").read_bytes()
+
+    def capture(self, camera: str) -> Path:
+        return self.folder / "captures" / f"{camera}.txt"
+
+    def fault(self, name: str, text: str) -> None:
+        (self.folder / "faults" / name).write_text(text)
+
+    def write(self) -> None:
+        stages: dict[str, Any] = {
+            stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
+        }
+        stages["refine"] = False
+        site = {
+            "site": "toy",
+            "captures": {"root": "captures", "pattern": "{camera}.txt"},
+            "cameras": self.cameras,
+            "stages": stages,
+        }
+        self.file.write_text(json.dumps(site, indent=1))  # JSON is YAML
+
+    def command(self, *arguments: str) -> list[str]:
+        return [sys.executable, "-m", "wbflow", *arguments]
+
+    def env(self) -> dict[str, str]:
+        path = os.pathsep.join([str(HELPERS), os.environ.get("PYTHONPATH", "")])
+        return {**os.environ, "PYTHONPATH": path, "TOY_FAULTS": str(self.folder / "faults"), **self.environment}
+
+    def wbflow(self, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run a wbflow command on the site in a process of its own."""
+        full = self.command(command, str(self.file), *arguments)
+        return subprocess.run(full, env=self.env(), capture_output=True, text=True, timeout=120, check=False)
+
+    def run(self, *arguments: str, code: int = 0) -> dict[str, Any]:
+        """`wbflow run --json` in this process (quick); the record, after checking the exit code."""
+        from click.testing import CliRunner
+
+        from wbflow.cli import main
+
+        jobs = [] if "--jobs" in arguments else ["--jobs", "1"]
+        result = CliRunner().invoke(main, ["run", str(self.file), "--json", *jobs, *arguments], env=self.env())
+        assert result.exit_code == code, result.output
+        record: dict[str, Any] = json.loads(result.stdout)
+        return record
+
+    def ran(self) -> set[str]:
+        """Tasks that ran in the newest run."""
+        newest = max(p for p in (self.work / "runs").iterdir() if not p.is_symlink())
+        events = [json.loads(line) for line in (newest / "log.jsonl").read_text().splitlines()]
+        return {event["task"] for event in events if event["outcome"] in {"ran", "rejected"} and event["fresh"]}

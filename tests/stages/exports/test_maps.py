@@ -1,0 +1,147 @@
+"""Maps of heights and depths, clouds on the map: read back with other libraries."""
+
+from __future__ import annotations
+
+import datetime
+import io
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.stages.exports.test_colmap import cloud_of
+from wbflow_stages.exports.depthmaps import depth_files
+from wbflow_stages.exports.heights import geotiff, height_map, plain_files
+from wbflow_stages.io.rasters import stepped
+from wbflow_stages.types import DepthMap
+
+LOCAL = "+proj=topocentric +ellps=WGS84 +lat_0=53.541 +lon_0=9.966 +h_0=52.0"
+DAY = datetime.date(2026, 3, 1)
+
+
+def read_pfm(data: bytes, shape: tuple[int, int]) -> np.ndarray:
+    assert data.startswith(f"Pf\n{shape[1]} {shape[0]}\n-1.0\n".encode())
+    return np.frombuffer(data[-4 * shape[0] * shape[1] :], "<f4").reshape(shape)[::-1]
+
+
+def hill(seed: int = 0, count: int = 40_000) -> np.ndarray:
+    """A ramp that rises to the east by 0.1, 20 by 10, with a pole of 3 at (15, 8)."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, 20, count), rng.uniform(0, 10, count)
+    pole = np.column_stack([np.full(50, 15.05), np.full(50, 8.05), np.linspace(1.5, 3.0, 50)])
+    return np.vstack([np.column_stack([x, y, 0.1 * x]), pole])
+
+
+def test_a_height_map_shows_the_ramp_and_the_pole_with_north_up() -> None:
+    found = height_map(hill(), cell=0.5)
+    assert found.heights.shape == (20, 40)
+    assert (found.left, found.top, found.left_out) == (0.0, 10.0, 0)
+    middles = 0.25 + 0.5 * np.arange(40)
+    assert np.nanmax(np.abs(found.heights[5:] - 0.1 * middles)) < 0.03
+    row, column = np.unravel_index(np.nanargmax(found.heights), found.heights.shape)
+    assert (found.left + 0.5 * column, found.top - 0.5 * row) == (15.0, 8.5), "the corner above the pole"
+
+
+def test_cells_lie_on_each_other_from_night_to_night_and_points_on_the_horizon_do_not_stretch_the_map() -> None:
+    one, other = height_map(hill()), height_map(np.vstack([hill(1)[500:], [[1e5, 0.0, 0.0]]]))
+    assert one.cell == other.cell
+    assert math.isclose((one.left - other.left) / one.cell % 1, 0, abs_tol=1e-6)
+    assert other.left_out == 1
+    assert other.heights.shape[0] == one.heights.shape[0]
+    assert other.heights.shape[1] < 1.2 * one.heights.shape[1]
+
+
+def test_png_and_pfm_tell_the_same_heights() -> None:
+    found = height_map(hill(count=500), cell=0.5)
+    files, told = plain_files(found)
+    values = read_pfm(files["heights.pfm"], found.heights.shape)
+    png = cv2.imdecode(np.frombuffer(files["heights.png"], np.uint8), cv2.IMREAD_UNCHANGED)
+    known = png > 0
+    assert 0 < known.sum() < known.size
+    assert np.array_equal(known, np.isfinite(values))
+    read = (png[known] - 1.0) / told["png_steps_per_unit"] + told["png_lowest"]
+    assert np.abs(read - values[known]).max() <= 0.51 / told["png_steps_per_unit"]
+
+
+@pytest.mark.parametrize("span", [1e-3, 0.7, 65.0, 66.0, 12_345.0])
+def test_steps_use_the_range_and_never_exceed_it(span: float) -> None:
+    values, steps = stepped(np.array([[3.0, 3.0 + span, np.nan]]), 3.0)
+    assert values[0, 0] == 1
+    assert 65_535 / 2.6 < values[0, 1] <= 65_535
+    assert values[0, 2] == 0
+    assert values[0, 1] - 1 == pytest.approx(span * steps, abs=0.51)
+
+
+def test_depth_of_which_a_view_alone_is_not_sure_is_left_out() -> None:
+    depth = np.linspace(2, 40, 12, dtype=np.float32).reshape(3, 4)
+    sure = np.ones((3, 4), bool)
+    sure[1, 2] = False
+    files, steps = depth_files(DepthMap(depth, depth, depth, depth, np.ones((3, 4), np.uint32), ("roof",), sure))
+    png = cv2.imdecode(np.frombuffer(files[".png"], np.uint8), cv2.IMREAD_UNCHANGED)
+    assert steps == 1000
+    assert np.array_equal(png > 0, sure)
+    assert np.abs((png[sure] - 1.0) / steps - depth[sure]).max() <= 0.51e-3
+    pfm = read_pfm(files[".pfm"], (3, 4))
+    assert np.array_equal(pfm[sure], depth[sure])
+    assert np.isinf(pfm[~sure]).all()
+
+
+def test_the_origin_of_a_local_frame_is_where_it_was_said_to_be_and_lengths_stay() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    from wbflow_stages.exports.world import georeference
+
+    found = georeference(LOCAL)
+    X = np.array([[0.0, 0, 0], [0, 100, 0], [0, 0, 25]])
+    moved = found.points(X)
+    back = pyproj.Transformer.from_crs(found.epsg, 4326, always_xy=True).transform(*moved[0, :2])
+    assert found.epsg == 32632
+    assert back == pytest.approx((9.966, 53.541), abs=1e-8)
+    assert moved[:, 2] == pytest.approx([52.0, 52.0, 77.0], abs=1e-3)
+    grid_scale = np.linalg.norm(moved[1] - moved[0]) / 100
+    assert abs(grid_scale - 1) < 5e-4, "a UTM zone's scale is off by 0.4 per mille at most here"
+    up = found.directions(X, np.tile([0.0, 0, 1], (3, 1)))
+    assert np.abs(up - [0, 0, 1]).max() < 1e-4
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832", LOCAL.replace("53.541", "88.0")])
+def test_what_utm_cannot_show_is_refused(crs: str) -> None:
+    pytest.importorskip("pyproj")
+    from wbflow_stages.exports.world import georeference
+
+    with pytest.raises(ValueError, match=r"local frame|latitude 88"):
+        georeference(crs)
+
+
+@pytest.mark.parametrize("crs", ["", LOCAL])
+def test_laspy_reads_the_cloud_back(crs: str) -> None:
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    from wbflow_stages.exports.las import laz_bytes
+    from wbflow_stages.exports.world import georeference
+
+    cloud = cloud_of(hill(count=2000))
+    on_map = georeference(crs) if crs else None
+    data = laz_bytes(cloud, DAY, on_map)
+    las = laspy.read(io.BytesIO(data))
+    expected = on_map.points(cloud.points.astype(float)) if on_map else cloud.points
+    assert np.abs(las.xyz - expected).max() < 1e-5
+    assert np.array_equal(np.column_stack([las.red, las.green, las.blue]) // 257, cloud.colors)
+    assert np.array_equal(las.views, cloud.views)
+    assert np.abs(np.asarray(las.nz) - 1).max() < 1e-4
+    found = las.header.parse_crs()
+    assert (found.to_epsg() if found else None) == (32632 if crs else None)
+    assert las.header.creation_date == DAY
+    assert laz_bytes(cloud, DAY, on_map) == data
+
+
+def test_rasterio_reads_the_geotiff_back() -> None:
+    rasterio = pytest.importorskip("rasterio")
+    found = height_map(hill(count=3000) + np.array([565_000.0, 5_933_000.0, 0.0]), cell=0.5)
+    data = geotiff(found, 32632)
+    with rasterio.MemoryFile(data) as memory, memory.open() as file:
+        assert file.crs.to_epsg() == 32632
+        assert np.array_equal(file.read(1), found.heights, equal_nan=True)
+        assert file.xy(0, 0) == pytest.approx((found.left + 0.25, found.top - 0.25))
+        assert math.isnan(file.nodata)
+    assert geotiff(found, 32632) == data

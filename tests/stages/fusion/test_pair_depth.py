@@ -1,0 +1,34 @@
+"""Reading a disparity map between its pixels, where depth of a frame's pixels comes from."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wbflow_stages.fusion.pair_depth import sample_disparity
+
+
+@settings(deadline=None)  # the first example waits for the compiler
+@given(st.floats(-6, 6), st.floats(-1, 1), st.integers(0, 2**32 - 1))
+def test_ground_seen_at_a_low_angle_is_read_exactly_between_rows(per_row: float, per_column: float, seed: int) -> None:
+    """It moves by several pixels from row to row: the nearest row alone would be off by up to half of that."""
+    y, x = np.mgrid[0:24, 0:30].astype(np.float32)
+    ground = (40 + per_row * y + per_column * x).astype(np.float32)
+    at = np.random.default_rng(seed).uniform([0, 0], [28.9, 22.9], (50, 2))
+    truth = 40 + per_row * at[:, 1] + per_column * at[:, 0]
+    np.testing.assert_allclose(sample_disparity(ground, at), truth, atol=1e-3)
+
+
+@pytest.mark.parametrize("edge", ["across rows", "along rows"])
+def test_edges_are_not_smeared(edge: str) -> None:
+    y, x = np.mgrid[0:20, 0:20]
+    step = np.where((y if edge == "across rows" else x) < 10, np.float32(5), np.float32(25)).astype(np.float32)
+    at = np.random.default_rng(1).uniform(8, 11, (200, 2))
+    assert set(sample_disparity(step, at)) == {5.0, 25.0}
+
+
+def test_nothing_is_read_outside_and_beside_holes_only_what_is_known() -> None:
+    flat = np.full((8, 8), 3, dtype=np.float32)
+    flat[4, 4] = np.nan
+    read = sample_disparity(flat, np.array([[-0.1, 3.0], [3.0, 7.5], [4.2, 4.2], [4.7, 4.2]]))
+    np.testing.assert_array_equal(np.isnan(read), [True, True, True, False])

@@ -1,0 +1,83 @@
+"""Small pictures for the report."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from tests.helpers.exact_scene import make_yard
+from wbflow_stages.fuse import fuse
+from wbflow_stages.io.previews import cloud_preview, disparity_preview, frame_preview, matches_preview, rectified_preview
+from wbflow_stages.types import Cloud, Disparity, Frame, Matches, View
+
+
+def picture(data: np.ndarray) -> np.ndarray:
+    assert data.dtype == np.uint8 and data.ndim == 1
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert image is not None and image.shape[1] <= 480
+    return image[..., ::-1]
+
+
+def frame(width: int = 960, height: int = 640, level: int = 200) -> Frame:
+    return Frame(np.full((height, width, 3), level, np.uint8), np.ones((height, width), bool), View(width, height))
+
+
+def matches(x1: np.ndarray, x2: np.ndarray) -> Matches:
+    n = len(x1)
+    index, view = np.arange(n, dtype=np.int32), View(960, 640)
+    return Matches(x1, x2, index, index, np.ones(n, np.float32), np.tile(np.eye(2), (n, 1, 1)), view, view)
+
+
+def test_a_frame_keeps_its_shape_and_shows_its_mask():
+    masked = frame()
+    masked.mask[:, :480] = False
+    shown = picture(frame_preview(masked))
+    assert shown.shape == (320, 480, 3)
+    assert shown[:, 250:].mean() > 190 and shown[:, :230].mean() < 100
+
+
+def test_a_match_is_a_line_between_its_points():
+    x = np.array([[480.0, 320.0]])
+    plain = picture(matches_preview(matches(x[:0], x[:0]), frame(), frame()))
+    drawn = picture(matches_preview(matches(x, x), frame(), frame()))
+    rows, columns = np.nonzero(np.abs(drawn.astype(int) - plain).max(axis=2) > 60)
+    assert abs(columns.min() - 119) < 5 and abs(columns.max() - (119 + 242)) < 5 and abs(np.median(rows) - 79) < 3
+
+
+def test_disparity_is_black_where_unknown_and_coloured_by_nearness():
+    left = np.full((100, 200), -32768, np.int16)
+    left[:, 100:] = 16 * np.linspace(5, 60, 100).astype(np.int16)
+    confidence = np.zeros((100, 200), np.uint8)
+    shown = picture(disparity_preview(Disparity(left, left, confidence, confidence, 0, 0.5)))
+    assert shown.shape[1] == 404 and shown[:, :95].max() < 40
+    far, near = shown[50, 105].astype(int), shown[50, 195].astype(int)
+    assert far[2] > far[0] and near[0] > near[2]
+
+
+def test_the_cloud_is_seen_from_above_with_its_cameras():
+    yard = make_yard()
+    cloud = fuse(yard.frames, yard.cameras, yard.depths())
+    assert isinstance(cloud, Cloud)
+    shown = picture(cloud_preview(cloud, yard.cameras)).astype(int)
+    red = (shown[..., 0] > 150) & (shown[..., 1] < 120) & (shown[..., 2] < 120)
+    covered = np.abs(shown - 24).max(axis=2) > 30
+    assert red[-shown.shape[0] // 5 :].sum() > 60  # three cameras at the lower edge, where there are no points
+    assert covered.mean() > 0.1
+    assert cloud_preview(cloud, yard.cameras).tobytes() == cloud_preview(cloud, yard.cameras).tobytes()
+
+
+def test_a_rectified_pair_fits():
+    yard = make_yard()
+    pair, rectification = next(iter(yard.rectifications.items()))
+    left, right = (yard.frames[name] for name in pair)
+    rows = picture(rectified_preview(rectification, left, right))
+    both = picture(disparity_preview(yard.disparities[pair], left=left, right=right, rectification=rectification))
+    assert rows.std() > 20 and abs(both.shape[0] - 2 * rows.shape[0] - 4) <= 1
+
+
+def test_nothing_is_no_reason_to_fail():
+    empty = Cloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), *[np.zeros(0)] * 3)
+    picture(cloud_preview(empty, {}))
+    nothing = np.full((10, 10), -32768, np.int16)
+    confidence = np.zeros((10, 10), np.uint8)
+    assert picture(disparity_preview(Disparity(nothing, nothing, confidence, confidence, 0, 0.0))).max() < 40

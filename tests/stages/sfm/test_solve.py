@@ -1,0 +1,244 @@
+"""Cameras solved from the geometries of their pairs, against exact truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, pair_geometry, turned_wrong
+from wbflow_stages.poses import solve_poses
+from wbflow_stages.sfm.rotation_averaging import rotation_matrix
+from wbflow_stages.twoview.epipolar import project
+from wbflow_stages.types import Placement, Poses, Rejected, Survey
+
+
+def solve(site: PairSite, placements: dict[str, Placement] | None = None, survey: Survey | None = None) -> Poses:
+    poses = solve_poses(site.views, placements or {}, site.geometries, survey)
+    assert isinstance(poses, Poses), poses
+    return poses
+
+
+def true_placement(site: PairSite, name: str, sigma_m: float = 0.0) -> Placement:
+    return Placement(site.cameras[name].R, site.cameras[name].C, sigma_m)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(count=st.integers(2, 7), seed=st.integers(0, 1000), degrees=st.floats(6, 25), focal=st.floats(500, 1500))
+def test_exact_matches_give_exact_cameras(count: int, seed: int, degrees: float, focal: float) -> None:
+    site = make_pair_site(count, seed=seed, degrees=degrees, focal=focal, radius=8 * focal / 700)
+    poses = solve(site)
+    assert set(poses.cameras) == set(site.cameras)
+    centre, rotation = aligned_errors(poses, site.cameras) if count > 2 else (0.0, aligned_errors(poses, site.cameras)[1])
+    assert centre < 1e-6
+    assert rotation < 1e-6
+
+
+def test_errors_grow_with_the_noise_and_no_faster() -> None:
+    noises = (0.1, 0.2, 0.4, 0.8)
+    errors = [
+        np.mean(
+            [aligned_errors(solve(make_pair_site(5, seed=s, noise_px=n)), make_pair_site(5, seed=s).cameras)[0] for s in range(3)]
+        )
+        for n in noises
+    ]
+    assert errors[0] < 1e-3
+    for noise, error in zip(noises, errors, strict=True):
+        assert error < 3 * noise / noises[0] * errors[0]
+    assert errors[-1] > errors[0]
+
+
+def test_many_cameras_are_solved_as_well_as_few() -> None:
+    site = make_pair_site(24, noise_px=0.2, degrees=10, points=200)
+    poses = solve(site)
+    assert len(poses.cameras) == 24
+    assert aligned_errors(poses, site.cameras)[0] < 1e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_wrong_pair_is_found_and_costs_nothing(seed: int) -> None:
+    site = make_pair_site(8, seed=seed, noise_px=0.2, degrees=8)
+    rng = np.random.default_rng(seed)
+    pairs = list(site.geometries)
+    wrong = {pairs[k] for k in rng.permutation(len(pairs))[: int(0.3 * len(pairs))]}
+    geometries = {p: turned_wrong(site, p, k) if p in wrong else g for k, (p, g) in enumerate(site.geometries.items())}
+    poses = solve(replace(site, geometries=geometries))
+    assert set(poses.dropped) == {"--".join(pair) for pair in wrong}
+    assert len(poses.cameras) == 8
+    assert aligned_errors(poses, site.cameras)[0] < 2e-3
+
+
+@pytest.mark.parametrize("know", ["hfov", "nothing"])
+def test_unknown_focal_lengths_are_solved(know: str) -> None:
+    site = make_pair_site(6, know=know, noise_px=0.1, seed=3, focal=900)
+    poses = solve(site)
+    assert set(poses.focals) == set(site.cameras)
+    for camera in poses.cameras.values():
+        assert camera.K[0, 0] == pytest.approx(900, rel=0.005)
+
+
+def test_lenses_that_differ_are_told_apart() -> None:
+    site = make_pair_site(6, know="K", noise_px=0.1, seed=3, degrees=12)
+    zoomed = make_pair_site(6, know="K", noise_px=0.1, seed=3, degrees=12, focal=900)
+    cameras = {name: (zoomed if k % 2 else site).cameras[name] for k, name in enumerate(site.cameras)}
+    unknown = {name: replace(view, K=None, focal_known=False) for name, view in site.views.items()}
+    rng = np.random.default_rng(0)
+    pixels = {name: project(camera, site.X)[0] + 0.1 * rng.normal(size=(len(site.X), 2)) for name, camera in cameras.items()}
+    geometries = {pair: pair_geometry(cameras, unknown, pixels, pair, 0.1) for pair in site.geometries}
+    poses = solve(PairSite(cameras, unknown, geometries, site.X))
+    for name, camera in poses.cameras.items():
+        assert camera.K[0, 0] == pytest.approx(cameras[name].K[0, 0], rel=0.01)
+
+
+def test_distortion_of_unknown_lenses_is_solved_and_said() -> None:
+    site = make_pair_site(6, know="hfov", seed=3, degrees=12)
+    k1, rng = -0.03, np.random.default_rng(0)
+    pixels = {}
+    for name, camera in site.cameras.items():
+        x = (project(camera, site.X)[0] - camera.K[:2, 2]) / camera.K[0, 0]
+        x *= 1 + k1 * (x**2).sum(axis=1, keepdims=True)
+        pixels[name] = camera.K[0, 0] * x + camera.K[:2, 2] + 0.1 * rng.normal(size=x.shape)
+    geometries = {pair: pair_geometry(site.cameras, site.views, pixels, pair, 0.1) for pair in site.geometries}
+    poses = solve(replace(site, geometries=geometries))
+    for camera in poses.cameras.values():
+        assert camera.radial[0] == pytest.approx(k1, rel=0.2)
+        assert camera.K[0, 0] == pytest.approx(800, rel=0.005)
+    (note,) = (note for note in poses.notes if "bend straight lines" in note)
+    assert "c0, c1, c2, c3, c4, c5" in note and "once these solved cameras are the calibration" in note
+
+
+def test_two_known_poses_stay_and_give_frame_and_scale() -> None:
+    site = make_pair_site(6, noise_px=0.2)
+    known = {name: true_placement(site, name) for name in ("c1", "c4")}
+    poses = solve(site, known)
+    assert poses.metric and poses.scale == "2 known positions" and poses.source == "mixed"
+    for name, placement in known.items():
+        assert np.array_equal(poses.cameras[name].C, placement.C)
+        assert np.array_equal(poses.cameras[name].R, placement.R)
+    for name, camera in poses.cameras.items():
+        assert np.linalg.norm(camera.C - site.cameras[name].C) < 0.02
+
+
+def test_a_wrong_known_pose_is_named_and_bends_nothing() -> None:
+    site = make_pair_site(6, noise_px=0.2)
+    good = {name: true_placement(site, name) for name in ("c0", "c5")}
+    wrong = Placement(
+        rotation_matrix(np.radians([3.0, 4.0, 0.0])) @ site.cameras["c2"].R, site.cameras["c2"].C + np.array([0.6, 0.0, 0.8])
+    )
+    poses = solve(site, good | {"c2": wrong})
+    assert list(poses.suspects) == ["c2"]
+    assert poses.checks["c2"].off_m == pytest.approx(1.0, abs=0.02)
+    assert poses.checks["c2"].off_deg == pytest.approx(5.0, abs=0.1)
+    without = solve(site, good)
+    for name, camera in poses.cameras.items():
+        assert np.allclose(camera.C, without.cameras[name].C, atol=1e-6)
+
+
+def test_positions_with_a_standard_deviation_place_the_model_but_do_not_bend_it() -> None:
+    site = make_pair_site(6, noise_px=0.1)
+    rng = np.random.default_rng(1)
+    rough = {name: Placement(None, camera.C + rng.normal(size=3) * 0.05, 0.05) for name, camera in site.cameras.items()}
+    poses = solve(site, rough)
+    assert poses.metric and not poses.suspects
+    assert aligned_errors(poses, site.cameras)[0] < 2e-3
+    assert max(np.linalg.norm(camera.C - site.cameras[name].C) for name, camera in poses.cameras.items()) < 0.2
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.001])
+def test_positions_that_are_known_better_than_the_images_tell_pull_the_cameras_there(sigma: float) -> None:
+    site = make_pair_site(5, noise_px=0.8)
+    rng = np.random.default_rng(0)
+    measured = {name: Placement(None, c.C + sigma * rng.normal(size=3), sigma) for name, c in site.cameras.items()}
+    poses = solve(site, measured)
+    off = [np.linalg.norm(poses.cameras[name].C - camera.C) for name, camera in site.cameras.items()]
+    assert np.mean(off) < 0.8 * _mean_error_of_similarity(solve(site), site)
+    assert np.mean(off) < max(2 * sigma, 0.001)
+
+
+def _mean_error_of_similarity(poses: Poses, site: PairSite) -> float:
+    """Mean error of the centres, metres, after the similarity that fits them best."""
+    a = np.array([poses.cameras[name].C for name in site.cameras])
+    b = np.array([camera.C for camera in site.cameras.values()])
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, S, Vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1, 1, np.linalg.det(U @ Vt)])
+    fitted = (S @ signs) / (a * a).sum() * a @ (U * signs @ Vt).T
+    return float(np.linalg.norm(fitted - b, axis=1).mean())
+
+
+def test_a_known_distance_gives_the_scale() -> None:
+    site = make_pair_site(5)
+    metres = float(np.linalg.norm(site.cameras["c0"].C - site.cameras["c4"].C))
+    poses = solve(site, None, Survey(tuple(site.cameras), np.array([[0, 4, metres]])))
+    assert poses.metric and poses.scale == "known distances"
+    got = np.linalg.norm(poses.cameras["c1"].C - poses.cameras["c3"].C)
+    assert got == pytest.approx(np.linalg.norm(site.cameras["c1"].C - site.cameras["c3"].C), rel=1e-6)
+
+
+def test_control_points_give_frame_and_scale_and_a_wrong_one_is_named() -> None:
+    site = make_pair_site(5)
+    rows = [[k, i, *project(camera, site.X[k : k + 1])[0][0]] for k in range(5) for i, camera in enumerate(site.cameras.values())]
+    points = site.X[:5].copy()
+    points[3] += [0.0, 0.0, 1.0]
+    poses = solve(site, None, Survey(tuple(site.cameras), points=points, observations=np.array(rows), crs="here"))
+    assert poses.metric and poses.crs == "here"
+    assert list(poses.suspects) == ["control point 4"]
+    for name, camera in poses.cameras.items():
+        assert np.allclose(camera.C, site.cameras[name].C, atol=1e-5)
+
+
+def test_without_a_hint_of_scale_the_median_baseline_is_one_and_up_is_up() -> None:
+    site = make_pair_site(5)
+    poses = solve(site)
+    assert not poses.metric and "not metric" in poses.scale
+    baselines = [np.linalg.norm(poses.cameras[a].C - poses.cameras[b].C) for a, b in site.geometries]
+    assert np.median(baselines) == pytest.approx(1)
+    assert all(camera.R[1] @ [0, 0, 1] < -0.8 for camera in poses.cameras.values()), "y axes point down"
+
+
+def test_parts_that_do_not_hang_together_are_worlds_of_their_own() -> None:
+    site = make_pair_site(7)
+    first, second = {"c0", "c1", "c2", "c3"}, {"c4", "c5", "c6"}
+    pairs = {pair: g for pair, g in site.geometries.items() if set(pair) <= first or set(pair) <= second}
+    poses = solve(replace(site, geometries=pairs), {name: true_placement(site, name) for name in ("c5", "c6")})
+    assert poses.components == (("c4", "c5", "c6"), ("c0", "c1", "c2", "c3")), "the one in the known frame comes first"
+    assert poses.cameras["c4"].component == 0 and poses.cameras["c0"].component == 1
+    (join,) = poses.joins
+    assert set(join.split("--")) & first and set(join.split("--")) & second
+
+
+def test_a_camera_without_any_geometry_costs_only_itself() -> None:
+    site = make_pair_site(5)
+    pairs = {pair: g for pair, g in site.geometries.items() if "c2" not in pair}
+    poses = solve(replace(site, geometries=pairs))
+    assert set(poses.cameras) == {"c0", "c1", "c3", "c4"}
+    assert poses.unsolved == {"c2": "no pair with it has a geometry"}
+
+
+def test_two_cameras_are_enough_and_one_is_not() -> None:
+    site = make_pair_site(3)
+    assert len(solve(only(site, "c0", "c1")).cameras) == 2
+    alone = solve_poses({"c0": site.views["c0"]}, {}, {})
+    assert isinstance(alone, Rejected) and "one camera makes no cloud" in alone.reason
+
+
+def test_the_same_input_gives_the_same_bytes() -> None:
+    site = make_pair_site(6, noise_px=0.3, know="nothing")
+    first, second = solve(site), solve(site)
+    for name, camera in first.cameras.items():
+        again = second.cameras[name]
+        assert camera.C.tobytes() == again.C.tobytes() and camera.R.tobytes() == again.R.tobytes()
+        assert camera.K.tobytes() == again.K.tobytes()
+
+
+def test_pairs_that_fare_worse_with_the_adjusted_cameras_are_flagged() -> None:
+    site = make_pair_site(5, noise_px=0.2)
+    assert not any(verdict.flagged for verdict in solve(site).verdicts.values())
+    # a known pose that is off by less than would be doubted is held, and its pairs pay for it
+    known = {name: true_placement(site, name) for name in ("c0", "c2")}
+    turned = Placement(rotation_matrix(np.radians([0.06, 0.0, 0.0])) @ site.cameras["c1"].R, site.cameras["c1"].C)
+    verdict = solve(only(site, "c0", "c1", "c2", "c3"), known | {"c1": turned}).verdicts["c0--c1"]
+    assert verdict.flagged and verdict.adjusted_px > 2 * verdict.estimated_px

@@ -1,0 +1,79 @@
+"""Which pairs are matched: connected first, then robust, then the best; and every decision has a reason."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Any
+
+import networkx as nx
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wbflow.graph.pairs import PairGraph, select_pairs
+from wbflow_stages.types import Overlap
+
+
+def overlap(n: int, shared: dict[tuple[int, int], float], angles: dict[tuple[int, int], float] | None = None) -> Overlap:
+    pairs = list(combinations(range(n), 2))
+    names = tuple(f"c{i}" for i in range(n))
+    angle = np.array([(angles or {}).get(p, math.nan) for p in pairs])
+    return Overlap(names, np.array(pairs, np.int32), angle, np.array([shared.get(p, 0.0) for p in pairs]), "appearance")
+
+
+def graph(result: PairGraph) -> Any:
+    g = nx.Graph(list(result.pairs))
+    g.add_nodes_from(camera for component in result.components for camera in component)
+    return g
+
+
+@given(st.integers(2, 12), st.integers(1, 5), st.randoms(use_true_random=False))
+def test_whatever_the_evidence_all_that_can_be_connected_is(n: int, degree: int, random: Any) -> None:
+    shared = {p: random.uniform(0.01, 1.0) for p in combinations(range(n), 2) if random.random() < 0.6}
+    candidates = nx.Graph()
+    candidates.add_nodes_from(range(n))
+    candidates.add_edges_from(shared)
+    result = select_pairs(overlap(n, shared), degree=degree)
+    assert nx.number_connected_components(graph(result)) == nx.number_connected_components(candidates)
+    assert len(result.edges) == n * (n - 1) // 2
+    assert all(edge.reason for edge in result.edges)
+    tree = sum(edge.reason == "in the spanning tree" for edge in result.edges)
+    assert tree == n - nx.number_connected_components(candidates)
+
+
+def test_a_weak_cut_is_covered_before_strong_neighbours_are_added() -> None:
+    """Two groups of four, strongly tied inside; two weak edges between them: both are needed for safety."""
+    shared = {p: 0.9 for p in combinations(range(8), 2) if (p[0] < 4) == (p[1] < 4)}
+    shared |= {(0, 4): 0.10, (1, 5): 0.09}
+    result = select_pairs(overlap(8, shared), degree=3)
+    assert not list(nx.bridges(graph(result)))
+    reasons = {(e.left, e.right): e.reason for e in result.edges}
+    assert reasons["c0", "c4"] == "in the spanning tree"
+    assert reasons["c1", "c5"] == "covers the weak cut c0--c4"
+
+
+def test_angles_outside_of_the_bounds_are_dropped_with_the_figure() -> None:
+    full = dict.fromkeys(combinations(range(3), 2), 0.5)
+    result = select_pairs(overlap(3, full, {(0, 1): 2.0, (0, 2): 71.0, (1, 2): 20.0}), min_angle=4.0, max_angle=60.0)
+    reasons = {(e.left, e.right): e.reason for e in result.edges}
+    assert result.pairs == (("c1", "c2"),)
+    assert reasons["c0", "c1"] == "views 2 degrees apart, below 4"
+    assert reasons["c0", "c2"] == "views 71 degrees apart, above 60"
+    assert result.components == (("c1", "c2"), ("c0",))
+
+
+def test_include_and_exclude_have_the_last_word() -> None:
+    full = dict.fromkeys(combinations(range(4), 2), 0.5)
+    result = select_pairs(overlap(4, full, {(0, 3): 100.0}), include=[["c3", "c0"]], exclude=[["c0", "c1"]])
+    reasons = {(e.left, e.right): (e.kept, e.reason) for e in result.edges}
+    assert reasons["c0", "c3"] == (True, "included by the site file")
+    assert reasons["c0", "c1"] == (False, "excluded by the site file")
+
+
+def test_degree_bounds_what_is_added_beyond_the_tree() -> None:
+    full = {p: 0.5 + 0.01 * p[0] for p in combinations(range(10), 2)}
+    result = select_pairs(overlap(10, full), degree=4)
+    needed = nx.Graph([(e.left, e.right) for e in result.edges if e.kept and ("tree" in e.reason or "weak cut" in e.reason)])
+    assert all(d <= max(4, needed.degree[c]) for c, d in dict(graph(result).degree).items())
+    assert any("have better pairs" in e.reason for e in result.edges if not e.kept)

@@ -1,0 +1,77 @@
+"""Which files are tonight's, and when their bytes are read again."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from pathlib import Path
+
+import pytest
+
+from wbflow.config.load import Site, load_site
+from wbflow.night.captures import Digests, find_captures, night
+
+
+def site(folder: Path, pattern: str, files: list[str], cameras: str = "[gate, roof]") -> Site:
+    for name in files:
+        file = folder / "in" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(name)
+    (folder / "in").mkdir(exist_ok=True)
+    (folder / "site.yaml").write_text(f"site: s\ncaptures: {{root: in, pattern: '{pattern}'}}\ncameras: {cameras}\n")
+    return load_site(folder)
+
+
+def names(s: Site, date: datetime.date | None = None) -> dict[str, list[str]]:
+    found = find_captures(s, night(s, date), Digests(None))
+    return {camera: [file.name for file in files] for camera, files in found.items()}
+
+
+def test_one_file_a_camera(tmp_path: Path) -> None:
+    assert names(site(tmp_path, "{camera}.jpg", ["gate.jpg", "other.jpg"])) == {"gate": ["gate.jpg"], "roof": []}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "old", "new"),
+    [
+        ("{camera}/{date:%Y-%m-%d}*.jpg", "gate/2026-11-18_1.jpg", "gate/2026-11-19_1.jpg"),
+        ("{date:%Y/%m/%d}/{camera}.jpg", "2026/11/18/gate.jpg", "2026/11/19/gate.jpg"),
+        ("{camera}-{date}.jpg", "gate-2026-11-18.jpg", "gate-2026-11-19.jpg"),
+        ("**/{camera}_{date:%Y%m%d}T*.jpg", "a/b/gate_20261118T0300.jpg", "c/gate_20261119T0300.jpg"),
+    ],
+)
+def test_the_newest_night_is_tonight_and_another_can_be_asked_for(tmp_path: Path, pattern: str, old: str, new: str) -> None:
+    s = site(tmp_path, pattern, [old, new])
+    assert night(s, None) == datetime.date(2026, 11, 19)
+    assert names(s)["gate"] == [new]
+    assert names(s, datetime.date(2026, 11, 18))["gate"] == [old]
+
+
+def test_several_frames_of_a_night_in_the_order_of_their_names(tmp_path: Path) -> None:
+    files = [f"gate/2026-11-19_{i}.jpg" for i in (3, 1, 2)]
+    assert names(site(tmp_path, "{camera}/{date}_*.jpg", files))["gate"] == sorted(files)
+
+
+def test_special_characters_of_a_shell_in_a_path_mean_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "odd [1] *"
+    folder.mkdir()
+    assert names(site(folder, "{camera}.jpg", ["gate.jpg"]))["gate"] == ["gate.jpg"]
+
+
+def test_listed_images_are_taken_as_they_are(tmp_path: Path) -> None:
+    s = site(tmp_path, "x", ["a.jpg"], "[{id: gate, images: [a.jpg, none.jpg]}]")
+    (found,) = find_captures(s, night(s, None), Digests(None)).values()
+    assert [bool(file.digest) for file in found] == [True, False]
+
+
+def test_digests_are_remembered_for_settled_files_only(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_text("one")
+    digests = Digests(tmp_path / "memo.json")
+    first = digests.of(file)
+    stamp = file.stat()
+    file.write_text("two")
+    os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert digests.of(file) != first, "changed within the resolution of its time stamp"
+    digests.save()
+    assert not (tmp_path / "memo.json").exists(), "too young to be remembered"

@@ -1,0 +1,165 @@
+"""What a person at the terminal meets: help at once, plain errors, exit codes, no tracebacks."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+
+COMMANDS = ["run", "status", "check", "report", "history", "clean", "demo", "compare"]
+
+
+def wbflow(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "wbflow", *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_help_names_every_command_and_loads_nothing_heavy() -> None:
+    result = wbflow("--help")
+    assert result.returncode == 0
+    assert all(command in result.stdout for command in COMMANDS)
+    code = "import sys, wbflow.cli; print([m for m in ('numpy', 'yaml', 'pydantic', 'joblib', 'networkx') if m in sys.modules])"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"
+
+
+def test_a_run_that_finds_everything_cached_loads_no_vision(toy: ToySite) -> None:
+    toy.run()
+    code = (
+        "import sys; from wbflow.cli import main\n"
+        f"try: main(['run', {str(toy.file)!r}])\n"
+        "except SystemExit as e:\n"
+        "    print(e.code, [m for m in ('cv2', 'scipy', 'numba', 'open3d', 'joblib', 'networkx') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], env=toy.env(), capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "0 []"
+
+
+def test_a_site_file_with_errors_ends_with_2_and_writes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "site.yaml").write_text("site: s\ncaptures: {pattern: x}\ncameras: [a, a]\nstages: {mtches: {}}\n")
+    result = wbflow("run", str(tmp_path))
+    assert result.returncode == 2
+    assert "site.yaml:3:14: cameras[1]: camera 'a' is named twice" in result.stderr
+    assert "did you mean 'matches'?" in result.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["site.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("run", "nowhere.yaml"), "cannot be read"),
+        (("run",), "Missing argument"),
+        (("run", "SITE", "--until", "coffee"), "there is no such stage"),
+        (("run", "SITE", "--force", "coffee"), "name a stage"),
+        (("run", "SITE", "--date", "yesterday"), "does not match the format"),
+        (("run", "SITE", "--backend", "dask"), "needs --scheduler"),
+        (("report", "SITE", "19990101T000000Z"), "no run"),
+        (("compare", "nowhere", "nowhere"), "is not the folder of a run"),
+        (("fly",), "No such command"),
+    ],
+)
+def test_wrong_usage_ends_with_2_and_no_traceback(toy: ToySite, arguments: tuple[str, ...], said: str) -> None:
+    full = [str(toy.file) if a == "SITE" else a for a in arguments]
+    result = subprocess.run(toy.command(*full), env=toy.env(), capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert said in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_json_prints_the_record_and_nothing_else(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    result = toy.wbflow("run", "--json", "--jobs", "1")
+    record = json.loads(result.stdout)
+    assert result.returncode == record["exit_code"] == 3
+    assert json.loads((toy.work / "runs" / record["run"] / "run.json").read_text()) == record
+
+
+def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
+    process = subprocess.Popen(
+        toy.command("run", str(toy.file), "--jobs", "1", "-v"),
+        env=toy.env(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout and process.stderr
+    process.stdout.close()  # as `| head` does after its lines
+    assert process.stderr.read() == ""
+    assert process.wait(timeout=60) == 0
+    assert (toy.work / "runs" / "latest" / "cloud.ply").exists()
+
+
+def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    plain = toy.wbflow("run", "--jobs", "1")
+    assert "roof.txt is not an image" in plain.stderr
+    assert "Traceback" not in plain.stderr + plain.stdout
+    assert "Traceback" in toy.wbflow("run", "--jobs", "1", "-v").stderr
+
+
+def test_nothing_to_do_costs_little(toy: ToySite) -> None:
+    toy.run()
+    import resource
+
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert toy.wbflow("run").returncode == 0
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert (after.ru_utime + after.ru_stime) - (before.ru_utime + before.ru_stime) < 1.0
+
+
+def test_an_unwritable_work_folder_is_told_plainly(toy: ToySite) -> None:
+    (toy.folder / "file").write_text("")
+    result = toy.wbflow("run", "--work", str(toy.folder / "file" / "work"))
+    assert result.returncode == 1
+    assert "Traceback" not in result.stderr
+    assert "Not a directory" in result.stderr
+
+
+def test_check_finds_what_is_wrong_with_captures_and_where(tmp_path: Path) -> None:
+    import cv2
+    import numpy as np
+
+    folder = tmp_path / "images"
+    folder.mkdir()
+    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    for name in ("good", "small"):
+        cv2.imwrite(str(folder / f"{name}.png"), noise if name == "good" else noise[:24])
+    (folder / "text.png").write_text("hello")
+    size = "fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0, width: 64, height: 48"
+    cameras = "".join(f"  - {{id: {name}, intrinsics: {{{size}}}}}\n" for name in ("good", "small", "text", "gone"))
+    (tmp_path / "site.yaml").write_text(f"site: s\ncaptures: {{root: images, pattern: '{{camera}}.png'}}\ncameras:\n{cameras}")
+    result = wbflow("check", str(tmp_path))
+    assert result.returncode == 3
+    assert "site.yaml:5:5: camera small: small.png is 64x24, its intrinsics are for 64x48" in result.stdout
+    assert "camera text: text.png" in result.stdout
+    assert "camera gone: there is no capture" in result.stdout
+    assert "good" not in result.stdout
+
+
+def test_report_is_one_file_that_shows_every_camera_and_pair(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    record = toy.run(code=3)
+    page = (toy.work / "runs" / record["run"] / "report.html").read_text()
+    assert "roof.txt is not an image" in page
+    assert "gate--mast-1" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    (toy.work / "runs" / record["run"] / "report.html").unlink()
+    assert toy.wbflow("report").returncode == 0
+    assert (toy.work / "runs" / record["run"] / "report.html").exists()
+
+
+def test_wait_waits_for_the_other_run(toy: ToySite) -> None:
+    toy.fault("slow", "0.1")
+    first = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "1"), env=toy.env(), stdout=subprocess.DEVNULL)
+    end = time.monotonic() + 20
+    while not (toy.work / "cache" / "frames").exists():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    second = toy.wbflow("run", "--wait", "--json", "--jobs", "1")
+    assert first.wait() == 0
+    assert json.loads(second.stdout)["tasks"]["ran"] == 0

@@ -1,0 +1,1 @@
+"""One night: its captures, its plan, and how it is done."""

@@ -1,0 +1,146 @@
+"""Which files are tonight's, and what is in them (by digest, remembered as long as a file does not change)."""
+
+from __future__ import annotations
+
+import datetime
+import glob
+import json
+import re
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..config.load import Site, SiteCamera
+from ..store.artifact import file_digest
+from ..store.atomic import write_atomic
+
+_DIRECTIVES = {
+    "Y": r"\d{4}",
+    "m": r"\d{2}",
+    "d": r"\d{2}",
+    "H": r"\d{2}",
+    "M": r"\d{2}",
+    "S": r"\d{2}",
+    "j": r"\d{3}",
+    "y": r"\d{2}",
+}
+_DATE = re.compile(r"\{date(?::([^}]*))?\}")
+_SETTLED_NS = 2_000_000_000  # a file younger than this may change again within its time stamp's resolution
+
+
+@dataclass(frozen=True)
+class CaptureFile:
+    """name: relative to the captures' root; digest: of its bytes, "" where it cannot be read."""
+
+    name: str
+    path: Path
+    digest: str
+
+
+@dataclass
+class Digests:
+    """Digests of files by path, size, time stamp and inode, kept in a JSON file between runs."""
+
+    memo: Path | None
+    _known: dict[str, list[int | str]] = field(default_factory=dict)
+    _changed: bool = False
+
+    def __post_init__(self) -> None:
+        try:
+            self._known = json.loads(self.memo.read_bytes()) if self.memo else {}
+        except (OSError, ValueError):
+            self._known = {}
+
+    def of(self, path: Path) -> str:
+        """The content digest of a file.  Raises OSError."""
+        status = path.stat()
+        stamp: list[int | str] = [status.st_size, status.st_mtime_ns, status.st_ino]
+        known = self._known.get(str(path))
+        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
+        if known and known[:3] == stamp and settled:
+            return str(known[3])
+        digest = file_digest(path)
+        if settled:
+            self._known[str(path)] = [*stamp, digest]
+            self._changed = True
+        return digest
+
+    def save(self) -> None:
+        """Keep what was learnt."""
+        if self.memo and self._changed:
+            write_atomic(self.memo, json.dumps(self._known).encode())
+            self._changed = False
+
+
+def night(site: Site, date: datetime.date | None) -> datetime.date:
+    """The night to work on: `date`, else the newest for which any camera has a capture, else today."""
+    if date is not None or not _DATE.search(site.pattern):
+        return date or datetime.date.today()
+    dates = [found for camera in site.cameras for found in _dates(site, camera)]
+    return max(dates, default=datetime.date.today())
+
+
+def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str, list[CaptureFile]]:
+    """Tonight's files of each camera, in the order of their names; an empty list where there are none."""
+    found = {}
+    for camera in site.cameras:
+        if camera.images is not None:
+            paths = [site.root / name for name in camera.images]
+        else:
+            paths = sorted(p for p in map(Path, glob.glob(str(_pattern(site, camera, date)), recursive=True)) if p.is_file())
+        found[camera.id] = [_file(site, path, digests) for path in paths]
+    return found
+
+
+def expected(site: Site, camera: SiteCamera, date: datetime.date) -> str:
+    """What a camera's captures would be called tonight, for messages."""
+    return ", ".join(camera.images) if camera.images else str(_pattern(site, camera, date, escape=False))
+
+
+def _file(site: Site, path: Path, digests: Digests) -> CaptureFile:
+    name = str(path.relative_to(site.root)) if path.is_relative_to(site.root) else str(path)
+    try:
+        return CaptureFile(name, path, digests.of(path))
+    except OSError:
+        return CaptureFile(name, path, "")
+
+
+def _pattern(site: Site, camera: SiteCamera, date: datetime.date, escape: bool = True) -> Path:
+    moment = datetime.datetime.combine(date, datetime.time())
+    name = _DATE.sub(lambda m: moment.strftime(m.group(1) or "%Y-%m-%d"), site.pattern)
+    name = name.replace("{camera}", glob.escape(camera.id) if escape else camera.id)
+    return (Path(glob.escape(str(site.root))) if escape else site.root) / name
+
+
+def _dates(site: Site, camera: SiteCamera) -> list[datetime.date]:
+    """Every date for which a camera has a file, read from the names."""
+    formats = [m.group(1) or "%Y-%m-%d" for m in _DATE.finditer(site.pattern)]
+    wild = _DATE.sub(lambda m: re.sub(r"%[a-zA-Z]", "*", m.group(1) or "%Y-%m-%d"), site.pattern)
+    wild = str(Path(glob.escape(str(site.root))) / wild.replace("{camera}", glob.escape(camera.id)))
+    expression = re.compile(_expression(str(site.root / site.pattern), camera.id))
+    found = []
+    for name in glob.iglob(wild, recursive=True):
+        if match := expression.fullmatch(name):
+            try:
+                found.append(datetime.datetime.strptime("|".join(match.groups()), "|".join(formats)).date())
+            except ValueError:
+                continue
+    return found
+
+
+def _expression(pattern: str, camera: str) -> str:
+    """A regular expression for a capture's path with one group for each {date}."""
+    parts = re.split(r"(\{date(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)", pattern)
+    out = []
+    for part in parts:
+        if date := _DATE.fullmatch(part):
+            directives = re.split(r"(%[a-zA-Z])", date.group(1) or "%Y-%m-%d")
+            inner = "".join(_DIRECTIVES.get(d[1:], ".+?") if d.startswith("%") else re.escape(d) for d in directives)
+            out.append(f"({inner})")
+        elif part == "{camera}":
+            out.append(re.escape(camera))
+        elif part.startswith("**"):
+            out.append("(?:.*/)?" if part.endswith("/") else ".*")
+        else:
+            out.append("[^/]*" if part == "*" else re.escape(part))
+    return "".join(out)

@@ -1,0 +1,33 @@
+"""One night of a site made ready: captures found, work folder known, plan made.  What `run`, `status` and `check` start from."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config.load import Site
+from ..store.cache import Cache
+from .captures import CaptureFile, Digests, find_captures, night
+from .plan import Plan, make_plan
+
+
+@dataclass
+class Night:
+    """date: the captures' date; digests: to be saved by a run."""
+
+    site: Site
+    date: datetime.date
+    captures: dict[str, list[CaptureFile]]
+    digests: Digests
+    plan: Plan
+
+
+def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:
+    """Find a night's captures and plan its work; nothing is written."""
+    digests = Digests(site.work / "cache" / "captures.json")
+    date = night(site, date)
+    captures = find_captures(site, date, digests)
+    masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
+    plan = make_plan(site, captures, date, Cache(Path(site.work) / "cache"), masks, until, force)
+    return Night(site, date, captures, digests, plan)

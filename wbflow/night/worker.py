@@ -1,0 +1,206 @@
+"""What happens inside a worker process: a lane of tasks is done one after the other, each from its inputs to its receipt."""
+
+from __future__ import annotations
+
+import datetime
+import importlib
+import os
+import resource
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..store import artifact
+from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
+from ..store.ply import cloud_bytes, cloud_figures
+from .plan import Absent, Files, Input, Joined, Stored, Task, TaskSpec, Value
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a task ended in a worker.  outcome: ran, cached (someone had done it), rejected, failed, or damaged: an input's bytes
+    were wrong and `damaged` has to be made again."""
+
+    task: Task
+    outcome: str
+    receipt: Receipt | None = None
+    reason: str | None = None
+    trace: str | None = None
+    damaged: Task | None = None
+
+
+@dataclass
+class _Lane:
+    """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
+
+    cache: Cache
+    receipts: dict[Task, Receipt] = field(default_factory=dict)
+    results: dict[Task, Any] = field(default_factory=dict)
+
+
+def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
+    """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
+
+    parent: process id of the run; in another process Ctrl-C is left to the parent, which decides what becomes of its workers.
+    """
+    if os.getpid() != parent and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    lane = _Lane(cache)
+    finished: list[Done] = []
+    for spec in specs:
+        done = _attempt(spec, lane)
+        finished.append(done)
+        if done.receipt is None or done.receipt.outcome == "rejected":
+            break
+        lane.receipts[spec.task] = done.receipt
+    return finished
+
+
+def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
+    """The one broad `except`: whatever a stage does wrong costs that task only."""
+    try:
+        inputs = {name: _resolve(value, lane) for name, value in spec.inputs.items()}
+        resolved = TaskSpec(**{**spec.__dict__, "inputs": inputs})
+        preimage = resolved.preimage()
+        key = preimage.key()
+        if not spec.force and (receipt := lane.cache.find(preimage, key)):
+            return Done(spec.task, "rejected" if receipt.outcome == "rejected" else "cached", receipt, receipt.reason)
+        receipt = _do(resolved, preimage, key, lane)
+        return Done(spec.task, receipt.outcome, receipt, receipt.reason)
+    except DamagedArtifact as damage:
+        upstream = next(t for t in _upstreams(spec) if str(t) == damage.task)
+        return Done(spec.task, "damaged", reason=str(damage), damaged=upstream)
+    except MemoryError:
+        return Done(spec.task, "failed", reason="ran out of memory: lower `resolution`, or run with fewer --jobs")
+    except Exception as error:
+        words = str(error) or type(error).__name__
+        plain = isinstance(error, ValueError | OSError)
+        return Done(
+            spec.task, "failed", reason=words if plain else f"{type(error).__name__}: {words}", trace=traceback.format_exc()
+        )
+
+
+def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
+    wall, cpu = time.perf_counter(), time.process_time()
+    arguments = {name: _load(value, lane) for name, value in spec.inputs.items()}
+    result = _function(spec.function)(**arguments, **spec.parameters)
+    rejected = type(result).__name__ == "Rejected"
+    cloud = spec.suffix == ".ply" and not rejected
+    data = None if rejected else cloud_bytes(result) if cloud else artifact.encode(result)
+    picture = None if rejected or not spec.picture else _picture(spec, result, arguments, lane)
+    receipt = Receipt(
+        task=str(spec.task),
+        key=key,
+        outcome="rejected" if rejected else "ran",
+        preimage=preimage,
+        digest="" if data is None else artifact.digest(data),
+        parts={} if data is None else artifact.parts(result),
+        file=None if data is None else f"{key}{spec.suffix}",
+        bytes=len(data or b""),
+        picture=f"{key}.jpg" if picture else None,
+        reason=result.reason if rejected else None,
+        figures=dict(result.figures) if rejected else {**artifact.figures(result), **(cloud_figures(result) if cloud else {})},
+        wall=time.perf_counter() - wall,
+        cpu=time.process_time() - cpu,
+        peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        finished=datetime.datetime.now(datetime.UTC).isoformat(),
+    )
+    lane.cache.write(receipt, data, picture)
+    lane.results[spec.task] = result
+    return receipt
+
+
+def _function(dotted: str) -> Callable[..., Any]:
+    module, _, name = dotted.partition(":")
+    function: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return function
+
+
+def _picture(spec: TaskSpec, result: Any, arguments: dict[str, Any], lane: _Lane) -> bytes | None:
+    """A picture is for people: when it cannot be drawn, the task has succeeded all the same."""
+    assert spec.picture
+    try:
+        drawn = {name: _load(value, lane) for name, value in spec.picture_inputs.items()}
+        return bytes(_function(spec.picture)(result, **(arguments | drawn)))
+    except Exception:
+        return None
+
+
+def _resolve(value: Input, lane: _Lane) -> Input:
+    """Give inputs made earlier in this lane their place in the cache."""
+    if isinstance(value, Stored) and value.path is None:
+        return value.resolved(lane.cache, lane.receipts[value.task])
+    return value
+
+
+def _upstreams(spec: TaskSpec) -> Iterator[Task]:
+    for value in spec.inputs.values():
+        for item in value.items.values() if isinstance(value, Joined) else [value]:
+            if isinstance(item, Stored):
+                yield item.task
+
+
+class _OnDemand(Mapping[Any, Any]):
+    """A mapping whose values are read when they are asked for, so that a night is never in memory at once."""
+
+    def __init__(self, items: dict[Any, Any], load: Callable[[Any], Any]) -> None:
+        self._items = items
+        self._load = load
+
+    def __getitem__(self, key: Any) -> Any:
+        return self._load(self._items[key])
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._items  # without reading it
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+
+def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
+    if isinstance(value, Absent):
+        return None
+    if isinstance(value, Joined):
+        items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
+        return _OnDemand(items, lambda item: _load(item, lane, keep=False))
+    if isinstance(value, Value):
+        return _from_plain(value)
+    if isinstance(value, Files):
+        captures = [_capture(value.kind, file) for file in value.files]
+        return captures[0] if value.single else captures
+    result = lane.results.get(value.task)
+    if result is None:
+        assert value.path is not None
+        result = artifact.decode(lane.cache.read(str(value.task), value.path, value.file_digest))
+        if keep:
+            lane.results[value.task] = result
+    return _part(result, value.part)
+
+
+def _part(result: Any, part: str) -> Any:
+    """`view` is a field; `cameras[gate]` an entry of a mapping field."""
+    if not part:
+        return result
+    name, _, key = part.partition("[")
+    field = getattr(result, name)
+    return field[key.removesuffix("]")] if key else field
+
+
+def _from_plain(value: Value) -> Any:
+    import numpy as np
+
+    fields = {name: np.asarray(v, dtype=np.float64) if isinstance(v, list) else v for name, v in value.plain.items()}
+    return _function(value.kind)(**fields)
+
+
+def _capture(kind: str, file: Any) -> Any:
+    import numpy as np
+
+    return _function(kind)(name=file.name, data=np.fromfile(file.path, dtype=np.uint8))

@@ -1,0 +1,114 @@
+"""A site, its captures and this machine examined without running anything; every finding at once, with its remedy."""
+
+from __future__ import annotations
+
+import datetime
+import importlib
+import re
+import shutil
+from dataclasses import dataclass
+from typing import Literal
+
+from ..config.load import Site
+from ..night.captures import CaptureFile, expected
+from ..night.night import Night, open_night
+
+Severity = Literal["error", "warning"]
+
+DEBIAN_PACKAGES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libudev.so.1": "libudev1",
+    "libgomp.so.1": "libgomp1",
+}
+"""Shared libraries that open3d needs and the Debian packages that hold them."""
+
+BYTES_PER_PIXEL = 40
+"""Disk that a night takes in the cache, for each pixel of each camera at working resolution (measured, generous)."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found.  what: where and what; remedy: what to do; code: the exit code that a run would end with for it."""
+
+    severity: Severity
+    what: str
+    remedy: str
+    code: int
+
+
+def check(site: Site, date: datetime.date | None) -> list[Finding]:
+    """Everything that would spoil a run, or part of one."""
+    machine = check_machine()
+    if any(finding.severity == "error" for finding in machine):
+        return machine + _disk(site)
+    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site)]
+
+
+def check_captures(site: Site, night: Night) -> list[Finding]:
+    """Is every capture there, whole, and of the size that its intrinsics are for?"""
+    found = []
+    for camera in site.cameras:
+        place = site.document.problem(camera.place, "")
+        where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
+        files = night.captures[camera.id]
+        if not files:
+            what = f"{where}: there is no capture {expected(site, camera, night.date)}"
+            found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", 3))
+        for file in files:
+            size, problem = _look_at(file)
+            stated = (camera.lens["width"], camera.lens["height"])
+            if problem:
+                found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", 3))
+            elif stated[0] and size != stated:
+                what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
+                found.append(Finding("error", what, "calibrate for this size, or correct width and height", 3))
+    return found
+
+
+def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
+    """(width, height) of a capture as it would be used, or what is wrong with it."""
+    import numpy as np
+
+    frames, types = (importlib.import_module(f"wbflow_stages.{name}") for name in ("frames", "types"))
+    if not file.digest:
+        return (0, 0), f"{file.name} cannot be read"
+    try:
+        image = frames.decode(types.Capture(file.name, np.fromfile(file.path, dtype=np.uint8)))
+    except ValueError as error:
+        return (0, 0), str(error)
+    return (image.shape[1], image.shape[0]), None
+
+
+def check_machine() -> list[Finding]:
+    """Can every library be imported?"""
+    found = []
+    for name in ("numpy", "cv2", "scipy", "numba", "networkx", "poselib", "open3d"):
+        try:
+            importlib.import_module(name)
+        except (ImportError, OSError) as error:
+            found.append(Finding("error", f"{name} cannot be imported: {error}", _remedy(str(error)), 1))
+    return found
+
+
+def _remedy(message: str) -> str:
+    library = re.search(r"lib[\w.+-]+\.so[.\d]*", message)
+    package = DEBIAN_PACKAGES.get(library.group(0)) if library else None
+    return (
+        f"as root: apt-get install {package}" if package else "reinstall wbflow: python -m pip install --force-reinstall wbflow"
+    )
+
+
+def _disk(site: Site) -> list[Finding]:
+    folder = site.work
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    width = site.resolution or 4000
+    need = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
+    if free > need:
+        return []
+    what = f"{folder} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
+    return [Finding("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", 1)]

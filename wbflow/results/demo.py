@@ -1,0 +1,171 @@
+"""The demo site on disk: captures, a site file that works as it is, and the truth beside them."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from ..store.atomic import write_atomic
+from ..store.ply import ply_bytes
+
+if TYPE_CHECKING:
+    from wbflow_stages.synthetic.yard import Yard, YardCamera
+
+MANIFEST = "demo.json"
+EDITABLE = ("site.yaml", "cameras.json")
+
+
+def write_demo(folder: Path, *, small: bool = False, light: str = "day", captures: int = 3, seed: int = 0) -> None:
+    """Render the demo yard into `folder`; the same arguments write the same bytes.
+
+    small: 4 cameras at 320x180 instead of 8 at 1280x720; light: "day", "dusk" or "night"; captures: of each camera; seed: of
+    everything that is drawn at random.
+
+    Raises
+    ------
+    FileExistsError
+        The folder holds something else than a demo, or a demo whose site file or calibration was edited.
+    ValueError
+        An unknown light, or no captures.
+    """
+    known = _claim(folder)
+    from wbflow_stages.synthetic.yard import Daytime, yard
+
+    if small:
+        site = yard(4, (320, 180), captures, seed, cast(Daytime, light))
+    else:
+        site = yard(8, (1280, 720), captures, seed, cast(Daytime, light))
+    # an interrupted demo can be written again: the manifest comes first, its digests last
+    write_atomic(folder / MANIFEST, _json({"files": known}))
+    digests = {}
+    for name, data in _files(site, light):
+        write_atomic(folder / name, data)
+        digests[name] = hashlib.sha256(data).hexdigest()
+    for name in known.keys() - digests.keys():
+        (folder / name).unlink(missing_ok=True)
+    write_atomic(folder / MANIFEST, _json({"light": light, "small": small, "captures": captures, "seed": seed, "files": digests}))
+
+
+def _claim(folder: Path) -> dict[str, str]:
+    """The files, with digests, of the demo that `folder` holds already."""
+    if not folder.exists():
+        return {}
+    if not folder.is_dir():
+        raise FileExistsError(f"{folder} is a file; name a new or an empty folder")
+    manifest = folder / MANIFEST
+    if not manifest.is_file():
+        if any(folder.iterdir()):
+            raise FileExistsError(f"{folder} holds other files; name a new or an empty folder")
+        return {}
+    try:
+        known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise FileExistsError(f"{manifest} isn't what a demo leaves there; name a new or an empty folder") from None
+    for name in EDITABLE:
+        file = folder / name
+        if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
+            raise FileExistsError(f"{file} was edited since the demo was written; move it away, or name another folder")
+    return known
+
+
+def _files(site: Yard, light: str) -> Iterator[tuple[str, bytes]]:
+    """Name and content of every file of the demo."""
+    from wbflow_stages.synthetic.encode import jpeg, png
+
+    for camera in site.cameras:
+        for k, image in enumerate(camera.captures):
+            yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
+        yield f"masks/{camera.name}.png", png(camera.mask)
+        yield f"truth/depth/{camera.name}.npz", _npz(depth=camera.depth)
+    calibration = _json({camera.name: _calibration(camera) for camera in site.cameras})
+    yield "cameras.json", calibration
+    yield "truth/cameras.json", calibration
+    yield "truth/reference.ply", _reference(site)
+    summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
+    yield "truth/reference.json", _json(summary)
+    yield "README.txt", _README.encode()
+    yield "site.yaml", _site_file(site).encode()
+
+
+def _calibration(camera: YardCamera) -> dict[str, Any]:
+    assert camera.lens.K is not None
+    return {
+        "width": camera.lens.width,
+        "height": camera.lens.height,
+        "K": camera.lens.K.tolist(),
+        "distortion": camera.lens.distortion.tolist(),
+        "R": camera.camera.R.tolist(),
+        "C": camera.camera.C.tolist(),
+    }
+
+
+def _reference(site: Yard) -> bytes:
+    cloud = site.reference
+    columns = {
+        **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True)),
+        **dict(zip(("red", "green", "blue"), cloud.colors.T, strict=True)),
+        "views": cloud.views,
+    }
+    return bytes(ply_bytes(columns, comments=(f"surfaces that at least two cameras see, one point per {site.voxel_m:g} m",)))
+
+
+def _npz(**arrays: Any) -> bytes:
+    import numpy as np
+
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=1) + "\n").encode()
+
+
+def _site_file(site: Yard) -> str:
+    cameras = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in site.cameras)
+    return _SITE.format(cameras=cameras, night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
+
+
+_SITE = """\
+# The demo yard.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
+site: yard
+
+# One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed.
+captures:
+  root: captures
+  pattern: "{{camera}}/{{date:%Y-%m-%d}}_*.jpg"
+
+# Every camera burns a clock into its picture; the masks (black: ignore) keep it out.
+cameras:
+{cameras}
+
+# Intrinsics, lens distortion and poses in metres.  Without R and C in it, poses are solved.
+calibration: cameras.json
+
+# Long side in pixels that stages work at; null: as captured.
+resolution: null
+
+# Which pairs are worth matching: angles in degrees between the views.
+pairs: {{degree: 4, min_angle: 8, max_angle: 50}}
+"""
+
+_README = """\
+The demo site of wbflow: a harbour yard, rendered with exact truth.
+
+site.yaml           the site description: wbflow run site.yaml
+captures/           what the cameras wrote: lens distortion, sensor noise, a burned-in clock, people and vehicles
+masks/              black where the clock is
+cameras.json        intrinsics, distortion (k1 k2 p1 p2 k3) and poses: x ~ K R (X - C), metres, z up
+truth/depth/        key 'depth': float32, metres along the optical axis, of the empty yard in the undistorted view with
+                    the same K; 0: sky or water
+truth/cameras.json  the same as cameras.json, for when you change that one
+truth/reference.ply surfaces that at least two cameras see; truth/reference.json says how finely
+demo.json           what was rendered, and the digest of every file
+
+Delete R and C in cameras.json to see the poses solved; compare with truth/cameras.json.
+"""

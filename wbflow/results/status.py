@@ -1,0 +1,71 @@
+"""What would run, and why: the plan, compared with the last receipts of each task."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..night.plan import Plan, Task, TaskSpec
+from ..store.cache import Preimage, Receipt
+
+
+@dataclass(frozen=True)
+class Line:
+    """task: its name; state: cached, rejected, failed, skipped, would run, or waits; why: in words."""
+
+    task: str
+    state: str
+    why: str
+
+
+def explain(plan: Plan) -> list[Line]:
+    """A line for every task that is known of, in the order of the pipeline."""
+    lines = {}
+    for task, state in plan.states.items():
+        lines[task] = Line(str(task), state.outcome, state.reason or "")
+    for task, spec in plan.ready.items():
+        lines[task] = Line(str(task), "would run", _why(plan, spec))
+    for task in plan.waiting:
+        lines[task] = Line(str(task), "would run", _pending(plan, task))
+    order = {stage.name: i for i, stage in enumerate(plan.stages())}
+    return [lines[task] for task in sorted(lines, key=lambda t: order[t.stage])]
+
+
+def _why(plan: Plan, spec: TaskSpec) -> str:
+    if spec.force:
+        return "forced"
+    last = plan.cache.newest(spec.task.stage, spec.task.subject)
+    if last is None:
+        return "never run"
+    return difference(last, spec.preimage()) or "its artifact is gone"
+
+
+def _pending(plan: Plan, task: Task) -> str:
+    """How much of a waiting task's input is to be made anew (the same bytes may come out of it: then the task is not run)."""
+    last = plan.cache.newest(task.stage, task.subject)
+    upstreams = plan.upstreams(task)
+    pending = sum(upstream not in plan.states for upstream in upstreams)
+    if last is None or not pending:
+        return "never run" if last is None else "once the pair graph is known"
+    return f"{pending} of {len(upstreams)} inputs will change" if pending > 1 else "an input may change"
+
+
+def difference(last: Receipt, now: Preimage) -> str:
+    """What changed since a receipt, in words."""
+    before = last.preimage
+    found = []
+    if before.function != now.function:
+        found.append(f"function {before.function} → {now.function}")
+    elif before.code != now.code:
+        found.append("its code, or a library's version, changed")
+    for name in sorted(before.parameters.keys() | now.parameters.keys()):
+        old, new = before.parameters.get(name), now.parameters.get(name)
+        if old != new:
+            found.append(f"parameter {now.stage}.{name} {old} → {new}")
+    changed = [
+        name for name in sorted(before.inputs.keys() | now.inputs.keys()) if before.inputs.get(name) != now.inputs.get(name)
+    ]
+    if len(changed) == 1:
+        found.append(f"input {changed[0]} changed")
+    elif changed:
+        found.append(f"{len(changed)} of {len(now.inputs)} inputs changed")
+    return "; ".join(found)
