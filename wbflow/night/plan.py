@@ -18,21 +18,10 @@ from ..graph.functions import FunctionInfo
 from ..graph.pipeline import STAGES, Need, Stage, ancestors, stage_named
 from ..store import artifact
 from ..store.cache import Cache, Preimage, Receipt
+from ..task import Subject, Task
 from .captures import CaptureFile, expected
 
 Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
-Subject = tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Task:
-    """A stage applied to one subject: () for the site, (camera,) or (left, right)."""
-
-    stage: str
-    subject: Subject
-
-    def __str__(self) -> str:
-        return f"{self.stage} {'--'.join(self.subject)}".strip()
 
 
 @dataclass(frozen=True)

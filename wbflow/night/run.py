@@ -21,9 +21,10 @@ from ..results.record import Measures, run_record
 from ..store.cache import DamagedArtifact
 from ..store.ledger import Ledger
 from ..store.lock import hold
+from ..task import Task
 from .executor import Executor
 from .night import Night, open_night
-from .plan import Plan, State, Task
+from .plan import Plan, State
 from .worker import Done
 
 MOST_REPAIRS = 3

@@ -17,7 +17,8 @@ from typing import Any
 from ..store import artifact
 from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
 from ..store.ply import cloud_bytes, cloud_figures
-from .plan import Absent, Files, Input, Joined, Stored, Task, TaskSpec, Value
+from ..task import Task
+from .plan import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 
 
 @dataclass(frozen=True)

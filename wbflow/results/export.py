@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..night.plan import Task
 from ..store import artifact
 from ..store.atomic import write_atomic
 from ..store.cache import Cache, Receipt
 from ..store.ply import read_ply
+from ..task import Task
 
 FORMS = ("laz", "heights", "depth", "mesh", "colmap")
 """What can be asked for; the names of the command's options."""

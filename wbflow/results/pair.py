@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ..config.load import Site, load_site
-from ..night.plan import Task
 from ..night.run import Listener, Options, run
 from ..store import artifact
 from ..store.atomic import write_atomic
 from ..store.cache import Cache
+from ..task import Task
 
 PAIR = ("left", "right")
 

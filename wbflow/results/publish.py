@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from ..night.night import Night
-from ..night.plan import Plan, Task
+from ..night.plan import Plan
 from ..store import artifact
 from ..store.atomic import sync_folder, write_atomic
 from ..store.ply import with_comments
+from ..task import Task
 
 
 @dataclass(frozen=True)

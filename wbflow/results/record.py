@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .. import __version__
-from ..night.plan import Plan, State, Task
+from ..night.plan import Plan, State
+from ..task import Task
 from .publish import cloud_file
 
 STAMP = "%Y-%m-%dT%H:%M:%SZ"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..night.plan import Plan, Task, TaskSpec
+from ..night.plan import Plan, TaskSpec
 from ..store.cache import Preimage, Receipt
+from ..task import Task
 
 
 @dataclass(frozen=True)

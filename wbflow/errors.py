@@ -1,0 +1,49 @@
+"""How wbflow ends, and how it says that something is wrong: the exit codes, and the base of all its exceptions."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """The exit codes of every command."""
+
+    GOOD = 0
+    """Nothing to look at."""
+    FAILED = 1
+    """No cloud could be made."""
+    USAGE = 2
+    """Wrong usage or site file; nothing was done."""
+    DEGRADED = 3
+    """A cloud was made, but something failed or is poorer than it should be."""
+    LOCKED = 4
+    """Another run holds the work folder."""
+    INTERRUPTED = 130
+    """Stopped from outside; everything finished is kept."""
+
+
+class WbflowError(Exception):
+    """The base of all errors that wbflow raises on purpose.
+
+    Parameters
+    ----------
+    what : str
+        What is wrong, in one line.
+    where : str
+        The place: a file (with line and column), a task, a folder; "" where there is none.
+    remedy : str
+        What to do about it; "" where nothing can be.
+    """
+
+    exit_code: ExitCode = ExitCode.FAILED
+    """What the command line ends with when nobody catches it."""
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{head}\n  {self.remedy}" if self.remedy else head
