@@ -477,12 +477,12 @@ def _stage(
     except FunctionError as error:
         problems.append(document.problem((*place, "use"), str(error), "write package.module:function, importable from here"))
         return StageSettings()
-    fed = {"pairs": set(info.parameters), "resolution": {"resolution"}}.get(stage.settings, set())
+    fed = set(info.parameters) if stage.pair_settings else {stage.resolution_parameter}
     for key, value in values.items():
         parameter = info.parameters.get(key)
         allowed = [p for p in info.parameters if p not in fed]
         if key in fed and parameter:
-            remedy = f"set {key} in the section pairs" if stage.settings == "pairs" else f"set {key} at the top of the file"
+            remedy = f"set {key} in the section pairs" if stage.pair_settings else f"set {key} at the top of the file"
             problems.append(document.problem((*place, key), f"{key!r} is not set here", remedy, key=True))
         elif parameter is None:
             close = difflib.get_close_matches(key, allowed, 1)
