@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..config.load import Site, SiteCamera
-from ..graph.functions import FunctionInfo
+from ..graph.binding import Binding, bind
 from ..graph.pipeline import (
     STAGES,
     FromSite,
@@ -80,7 +80,7 @@ class Plan:
     states: dict[Task, State] = field(default_factory=dict)
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
     waiting: dict[Task, Task | None] = field(default_factory=dict)
-    _infos: dict[str, FunctionInfo] = field(default_factory=dict)
+    _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -125,7 +125,7 @@ class Plan:
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found = []
-        for need in self._needs(stage_named(task.stage)).values():
+        for need in self._bound(stage_named(task.stage)).needs.values():
             if isinstance(need, FromSite) or (need.unless_posed and self.site.posed):
                 continue
             origin = stage_named(need.stage)
@@ -184,36 +184,55 @@ class Plan:
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved."""
-        info = self._info(stage)
-        inputs = {name: self._input(stage, task, need, among or set()) for name, need in self._needs(stage).items()}
-        forced = bool(self.force & {task.stage, str(task)})
-        parameters = self._parameters(stage, info, task)
-        picture = None
-        if stage.picture:
-            drawn = {name: self._input(stage, task, need, set()) for name, need in stage.picture.needs.items()}
-            picture = PictureSpec(stage.picture.function, "", "", drawn)
-        return TaskSpec(task, info.dotted, info.code, parameters, inputs, stage.table, picture, forced)
+        bound = self._bound(stage)
+        inputs = {name: self._input(stage, task, need, among or set()) for name, need in bound.needs.items()}
+        stated = self._stated_parameters(stage, task)
+        return TaskSpec(
+            task,
+            bound.function.dotted,
+            bound.code,
+            bound.defaults() | stated,
+            inputs,
+            stage.table,
+            self._picture(stage, task, inputs, among or set()),
+            bool(self.force & {task.stage, str(task)}),
+            {name: text for name, text in bound.left_to_function().items() if name not in stated},
+            folder=self.site.file.resolve().parent,
+        )
 
-    def _needs(self, stage: Stage) -> dict[str, Need]:
-        return dict(stage.needs)
+    def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
+        """How a task's result is shown: with those of its inputs that the function asks for."""
+        if not stage.picture:
+            return None
+        info = self.site.reader.read(stage.picture.function)
+        result, *asked = (argument.name for argument in info.signature.arguments)
+        drawn: dict[str, Input] = {}
+        for name in asked:
+            if name in stage.picture.needs:
+                try:
+                    drawn[name] = self._input(stage, task, stage.picture.needs[name], among)
+                except (_Waiting, _Impossible):
+                    drawn[name] = Absent()
+            elif name in inputs:
+                drawn[name] = inputs[name]
+        return PictureSpec(info.dotted, info.code, result, drawn)
 
-    def _info(self, stage: Stage) -> FunctionInfo:
-        if stage.name not in self._infos:
+    def _bound(self, stage: Stage) -> Binding:
+        if stage.name not in self._bindings:
             settings = self.site.stages.get(stage.name)
-            self._infos[stage.name] = self.site.reader.read((settings and settings.use) or stage.function)
-        return self._infos[stage.name]
+            use, values = (settings.use, settings.parameters) if settings else (None, {})
+            self._bindings[stage.name] = bind(stage, use, values, self.site.reader)
+        return self._bindings[stage.name]
 
-    def _parameters(self, stage: Stage, info: FunctionInfo, task: Task) -> dict[str, Any]:
-        values = {name: parameter.default for name, parameter in info.parameters.items()}
-        if stage.pair_settings:
-            values |= self.site.pairs
-        if stage.resolution_parameter:
-            values[stage.resolution_parameter] = self.site.resolution
-        if stage.component_parameter in values:
-            numbers = range(1, self._components())
-            values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+    def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
+        """Parameters that the site file sets, in the stage's section or elsewhere."""
+        values: dict[str, Any] = dict(self.site.pairs) if stage.pair_settings else {}
+        values[stage.resolution_parameter] = self.site.resolution
+        numbers = range(1, self._components())
+        values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+        known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
-        return values | (settings.parameters if settings else {})
+        return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
 
     def _input(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
         if isinstance(need, FromSite):
