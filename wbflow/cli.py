@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     import datetime
 
     from .config.load import Site
-    from .night.plan import State
     from .night.run import Finished, Listener, Options
+    from .night.state import State
 
 USAGE = 2
 FAILED = 1

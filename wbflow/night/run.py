@@ -24,7 +24,8 @@ from ..store.lock import hold
 from ..task import Task
 from .executor import Executor
 from .night import Night, open_night
-from .plan import Plan, State
+from .plan import Plan
+from .state import State
 from .worker import Done
 
 MOST_REPAIRS = 3

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .. import __version__
-from ..night.plan import Plan, State
+from ..night.plan import Plan
+from ..night.state import State
 from ..task import Task
 from .publish import cloud_file
 

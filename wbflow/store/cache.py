@@ -42,8 +42,9 @@ class Preimage:
     inputs: dict[str, str]
 
     def key(self) -> str:
-        """32 hexadecimal digits."""
-        return artifact.digest(json.dumps(asdict(self), sort_keys=True, separators=(",", ":")).encode())
+        """32 hexadecimal digits.  The function counts by its code, not by its name."""
+        determines = {name: value for name, value in asdict(self).items() if name != "function"}
+        return artifact.digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
 
 
 @dataclass(frozen=True)
