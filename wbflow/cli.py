@@ -307,7 +307,10 @@ def _load(path: Path, work: Path | None) -> Site:
     from .config.positions import SiteError
 
     try:
-        return load_site(path, work.resolve() if work else None)
+        site = load_site(path, work.resolve() if work else None)
+        for note in site.notes:
+            _say(f"note: {note}", err=True)
+        return site
     except SiteError as error:
         count = len(error.problems)
         _stop(USAGE, f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done")

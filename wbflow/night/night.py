@@ -6,7 +6,7 @@ import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..config.load import Site
+from ..config.site import Site
 from ..store.cache import Cache
 from .captures import CaptureFile, Digests, find_captures, night
 from .plan import Plan, make_plan

@@ -59,7 +59,7 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
             found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", 3))
         for file in files:
             size, problem = _look_at(file)
-            stated = (camera.lens["width"], camera.lens["height"])
+            stated = (camera.lens.width, camera.lens.height)
             if problem:
                 found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", 3))
             elif stated[0] and size != stated:
