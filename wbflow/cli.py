@@ -298,6 +298,22 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
         _stop(FAILED, f"{damage} by the next  wbflow run {site}")
 
 
+@main.command()
+@click.argument("stage", metavar="[STAGE]", required=False)
+def stages(stage: str | None) -> None:
+    """Every parameter of every stage, with default, unit and meaning; of one stage, if it is named."""
+    from .graph.describe import describe, describe_all, lines
+    from .graph.functions import FunctionReader
+    from .graph.pipeline import STAGES
+
+    chosen = [row for row in STAGES if row.name == stage]
+    if stage and not chosen:
+        _stop(USAGE, f"there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+    reader = FunctionReader()
+    rows = [describe(row, reader) for row in chosen] or describe_all(reader)
+    _say("\n\n".join("\n".join(lines(row)) for row in rows))
+
+
 def _day(date: datetime.datetime | None) -> datetime.date | None:
     return date.date() if date else None
 
