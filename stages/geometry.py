@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 
 from .matching.structural import Correspondences, ViewPair, guided_matches, view_pairs
+from .reasons import Reason, Rejected
 from .twoview.epipolar import homogeneous, symmetric_epipolar_distance
 from .twoview.intrinsics_prior import ODDEST, TwoCameras, refine_with_plausible_lenses
-from .twoview.pair_score import pair_evidence, pair_score, probability
+from .twoview.pair_score import GRID_COLUMNS, GRID_ROWS, pair_evidence, pair_score, probability
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (
     INLIER_FACTOR,
@@ -23,7 +24,7 @@ from .twoview.robust import (
     rotation_support,
     supporters,
 )
-from .types import Features, Float64s, Geometry, Matches, Rejected, View
+from .types import Features, Float64s, Geometry, Matches, View
 
 ESSENTIAL_SUPPORT = 0.7
 """E is kept when it has at least this share of the inliers of F.  F has two freedoms more: enough to take in, besides the truth,
@@ -81,13 +82,12 @@ def estimate_geometry(
     found, noise, lenses = _weighted(matches, found, size, threshold_px, use_intrinsics)
     count = 0 if found is None else int(found.inliers.sum())
     if found is None or count < min_inliers:
-        figures = {"matches": float(before), "inliers": float(count)}
-        return Rejected(f"too few: {count} inliers of {before} matches, {min_inliers} needed", figures)
+        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": before, "inliers": count, "needed": min_inliers})
     support = _support(matches, found, threshold_px, seed)
     figures = {"matches": float(before), **support.figures()}
     degenerate = _degenerate(support, min_area, min_inliers)
     if degenerate is not None:
-        return Rejected(degenerate, figures)
+        return Rejected(degenerate, figures | {"needed_share": min_area})
 
     i1, i2 = matches.i1[found.inliers], matches.i2[found.inliers]
     contradicted = found.R is None and use_intrinsics and _known(matches.view1) and _known(matches.view2)
@@ -95,11 +95,7 @@ def estimate_geometry(
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
     if score < min_score:
-        reason = (
-            f"wrong: {count} inliers agree with each other, but only {evidence.distinct_cells} of 96 cells hold distinctive "
-            f"ones and {100 * evidence.agreement:.0f} % of the clear matches agree with them"
-        )
-        return Rejected(reason, figures)
+        return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
     R, t = _pose(found, support.x1, support.x2, matches.view1, matches.view2)
     return Geometry(
         F=found.F,
@@ -163,18 +159,13 @@ def _support(matches: Matches, found: TwoView, threshold_px: float, seed: int) -
     return _Support(x1, x2, min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
 
 
-def _degenerate(support: _Support, min_area: float, min_inliers: int) -> str | None:
-    """The name of what makes F meaningless, with its figures."""
-    count = len(support.x1)
+def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
+    """What makes F meaningless."""
     if support.area < min_area:
-        return f"too clustered: {count} inliers on {100 * support.area:.2f} % of the image, {100 * min_area:.2f} needed"
+        return Reason.CLUSTERED
     if support.turned_share is not None:
-        if support.explained(support.turned_share, min_inliers):
-            return f"pure rotation: {100 * support.turned_share:.0f} % of the inliers need no baseline"
-    elif support.explained(support.plane_share, min_inliers):
-        share = 100 * support.plane_share
-        return f"planar scene or pure rotation: a homography explains {share:.0f} % of the inliers, and no E is known"
-    return None
+        return Reason.PURE_ROTATION if support.explained(support.turned_share, min_inliers) else None
+    return Reason.PLANAR_OR_ROTATION if support.explained(support.plane_share, min_inliers) else None
 
 
 def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int) -> tuple[str, ...]:

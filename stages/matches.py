@@ -11,7 +11,8 @@ from .matching.kdtree import kdtree_matches
 from .matching.mutual import mutual_matches
 from .matching.procrustes import feature_matrix, literal_dominance, nearest_dominance, procrustes
 from .matching.structural import structural_matches
-from .types import Features, Float64s, Int32s, Matches, Rejected
+from .reasons import Reason, Rejected
+from .types import Features, Float64s, Int32s, Matches
 
 Matcher = Literal["structural", "dominant", "literal", "mutual", "kdtree"]
 Tilt = Literal["auto", "never", "always"]
@@ -63,7 +64,7 @@ def match(
     else:
         i1, i2, probability = _plain(left, right, matcher, dominance, ratio, seed)
     if len(i1) < min_matches:
-        return Rejected(f"too few: {len(i1)} matches, {min_matches} needed", {"matches": float(len(i1))})
+        return Rejected(Reason.TOO_FEW_MATCHES, {"matches": len(i1), "needed": min_matches})
     affine = right.frames[i2] @ np.linalg.inv(left.frames[i1])
     p = probability.astype(np.float32)
     return Matches(left.xy[i1], right.xy[i2], i1, i2, p, affine, left.view, right.view, matcher, tilted)

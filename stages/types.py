@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from .reasons import Reason as Reason
+from .reasons import Rejected as Rejected
+
 Float64s = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
@@ -20,14 +23,6 @@ Bools = npt.NDArray[np.bool_]
 
 Pair = tuple[str, str]
 """Ids of two cameras, in the order of the site file."""
-
-
-@dataclass(frozen=True)
-class Rejected:
-    """A stage worked, and found nothing usable.  `figures` are the numbers behind `reason`."""
-
-    reason: str
-    figures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
