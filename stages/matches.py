@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from .core.methods import apply
-from .types import Features, Frame, Matches, Rejected
+from .reasons import Reason, Rejected
+from .types import Features, Frame, Matches
 
 MATCHERS = {
     "structural": "wbflow_stages.matching.structural:match_structural",
@@ -58,7 +59,6 @@ def match(
     found: Matches | Rejected = apply(MATCHERS, matcher, inputs, options)
     if isinstance(found, Rejected):
         return found
-    count = len(found.x1)
-    if count < min_matches:
-        return Rejected(f"too few: {count} matches, {min_matches} needed", {"matches": float(count)})
+    if len(found.x1) < min_matches:
+        return Rejected(Reason.TOO_FEW_MATCHES, {"matches": len(found.x1), "needed": min_matches})
     return replace(found, matcher=matcher)

@@ -1,7 +1,8 @@
 """Methods: where a stage can be done in several ways, a table names the functions that do it, and anybody's function may join.
 
-A table is a dictionary of names to `package.module:function`, so that it can be read without importing anything.  A stage function
-takes the name of the method, or a dotted function that stands in no table, and hands all parameters that are not its own to it.
+A table is a dictionary of names to `package.module:function`, so that it can be read without importing anything.  A stage
+function takes the name of the method, or a dotted function that stands in no table, and hands all parameters that are not its own
+to it.
 
 A method asks for its inputs *by argument name*, among those that the stage has; its parameters are keyword-only with defaults.
 A parameter that the method does not have is an error, in which the methods that have it are named.
@@ -27,7 +28,9 @@ def method(table: Table, name: str) -> Callable[..., Any]:
         The name is not in the table, or the dotted name leads nowhere; the names that are known are listed.
     """
     if name not in table and ":" not in name:
-        raise ValueError(f"there is no method {name!r}: choose {', '.join(table)}, or a function of your own as package.module:function")
+        raise ValueError(
+            f"there is no method {name!r}: choose {', '.join(table)}, or a function of your own as package.module:function"
+        )
     module, _, function = table.get(name, name).partition(":")
     try:
         found = getattr(importlib.import_module(module), function, None)
@@ -36,7 +39,9 @@ def method(table: Table, name: str) -> Callable[..., Any]:
             raise  # the module is there, and lacks something itself
         found = None
     if not callable(found):
-        raise ValueError(f"method {name!r}: there is no function {function!r} in a module {module!r}; known are {', '.join(table)}")
+        raise ValueError(
+            f"method {name!r}: there is no function {function!r} in a module {module!r}; known are {', '.join(table)}"
+        )
     return found  # type: ignore[no-any-return]
 
 

@@ -1,4 +1,4 @@
-"""The first matches of a pair: mutual nearest neighbours that their own neighbours confirm, each through its local affine frame."""
+"""The first matches of a pair: mutual nearest neighbours that their own neighbours confirm, each by its local affine frame."""
 
 from __future__ import annotations
 

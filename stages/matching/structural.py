@@ -106,7 +106,9 @@ def match_structural(
     return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=True, searched=pairs)
 
 
-def match_guided(matches: Matches, left: Features, right: Features, F: Float64s, *, dominance: float = 0.8, rounds: int = 3) -> Matches:
+def match_guided(
+    matches: Matches, left: Features, right: Features, F: Float64s, *, dominance: float = 0.8, rounds: int = 3
+) -> Matches:
     """Match again around the inliers of F, with the distance to the epipolar lines as evidence.
 
     Parameters
