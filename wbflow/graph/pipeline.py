@@ -237,8 +237,8 @@ class Stage:
     picture: Picture | None = None
     reports: Reports | None = None
     world_reports: WorldReports | None = None
-    publishes: Mapping[str, str] = field(default_factory=dict)
-    """Files of a run's folder: name -> dotted function that makes JSON data of the result."""
+    calibration: str = ""
+    """Dotted function: the result -> the cameras that a run publishes, in the form of a calibration (JSON data)."""
     comments: str = ""
     """Dotted function: the result -> lines for the header of the product."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)
@@ -346,7 +346,7 @@ STAGES: tuple[Stage, ...] = (
             camera_notes="suspects",
             lost_cameras="unsolved",
         ),
-        publishes={"cameras.json": "wbflow_stages.io.cameras:calibration"},
+        calibration="wbflow_stages.io.cameras:calibration",
         comments="wbflow_stages.io.cameras:place_comments",
     ),
     Stage(

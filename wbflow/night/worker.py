@@ -33,6 +33,7 @@ class Done:
     reason: str | None = None
     trace: str | None = None
     damaged: Task | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass
@@ -74,8 +75,7 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         receipt = _do(resolved, preimage, key, lane)
         return Done(spec.task, receipt.outcome, receipt, receipt.reason)
     except DamagedArtifact as damage:
-        upstream = next(t for t in _upstreams(spec) if str(t) == damage.task)
-        return Done(spec.task, "damaged", reason=str(damage), damaged=upstream)
+        return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
     except MemoryError:
         return Done(spec.task, "failed", reason="ran out of memory: lower `resolution`, or run with fewer --jobs")
     except Exception as error:
@@ -149,13 +149,6 @@ def _resolve(value: Input, lane: _Lane) -> Input:
     return value
 
 
-def _upstreams(spec: TaskSpec) -> Iterator[Task]:
-    for value in spec.inputs.values():
-        for item in value.items.values() if isinstance(value, Joined) else [value]:
-            if isinstance(item, Stored):
-                yield item.task
-
-
 class _OnDemand(Mapping[Any, Any]):
     """A mapping whose values are read when they are asked for, so that a night is never in memory at once."""
 
@@ -190,7 +183,7 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     result = lane.results.get(value.task)
     if result is None:
         assert value.path is not None
-        result = artifact.decode(lane.cache.read(str(value.task), value.path, value.file_digest))
+        result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
             lane.results[value.task] = result
     return value.part.of(result) if value.part else result
