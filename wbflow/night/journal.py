@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from ..store.events import Event, Listener, TaskEvent, WarningEvent, now
 from ..store.record import Seconds, StageSeconds
 from ..task import Task
-from .plan import Plan, State
+from .plan import Plan
+from .state import State
 from .worker import Done
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from ..config.load import Site, SiteCamera
-from ..graph.functions import FunctionInfo
+from ..graph.binding import Binding, bind
 from ..graph.pipeline import (
+    SITE_TYPES,
     STAGES,
     FromSite,
     FromStage,
@@ -28,25 +29,11 @@ from ..graph.pipeline import (
     stage_with,
 )
 from ..store.cache import Cache, Receipt
+from ..store.pictures import read_drawing
 from ..task import Subject, Task
 from .captures import CaptureFile, expected
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
-
-Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
-
-
-@dataclass(frozen=True)
-class State:
-    """How a settled task ended.  reason: why, for all but cached and ran."""
-
-    outcome: Outcome
-    reason: str | None = None
-    receipt: Receipt | None = None
-
-    @property
-    def usable(self) -> bool:
-        """Did it leave an artifact?"""
-        return self.outcome in {"cached", "ran"}
+from .state import State, cached_state
 
 
 class _Waiting(Exception):
@@ -63,11 +50,7 @@ class _Impossible(Exception):
 
 @dataclass
 class Plan:
-    """The tasks of one night.
-
-    states: settled tasks; ready: tasks whose inputs are all there, with their specs; waiting: the rest, with what they wait for
-    (None: for the pair graph).  `refresh` derives all of it from the cache.
-    """
+    """The tasks of one night.  `refresh` derives all of it from the cache."""
 
     site: Site
     captures: dict[str, list[CaptureFile]]
@@ -78,9 +61,14 @@ class Plan:
     until: str | None = None
     force: frozenset[str] = frozenset()
     states: dict[Task, State] = field(default_factory=dict)
+    """Settled tasks."""
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
+    """Tasks whose inputs are all there."""
     waiting: dict[Task, Task | None] = field(default_factory=dict)
-    _infos: dict[str, FunctionInfo] = field(default_factory=dict)
+    """The rest, with what they wait for (None: for the pair graph)."""
+    undrawn: dict[Task, TaskSpec] = field(default_factory=dict)
+    """Settled tasks whose picture is missing, or out of date."""
+    _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -99,13 +87,15 @@ class Plan:
     def settle(self, task: Task, state: State) -> None:
         """Record how a task of this run ended."""
         self.states[task] = state
+        self.undrawn.pop(task, None)
 
     def forget(self, task: Task) -> None:
         """Take a settled task back (its artifact turned out damaged)."""
         self.states.pop(task, None)
 
     def lanes(self) -> Iterator[list[TaskSpec]]:
-        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
+        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call; when there are none,
+        pictures that are missing or were drawn by another function than the present one."""
         for task, spec in self.ready.items():
             lane = [spec]
             if task.subject:
@@ -117,6 +107,8 @@ class Plan:
                         except (_Waiting, _Impossible):
                             continue
             yield lane
+        if not self.ready:
+            yield from ([spec] for spec in self.undrawn.values())
 
     def pairs_known(self) -> bool:
         """Is the pair graph there (so that every pair's tasks are listed)?"""
@@ -125,7 +117,7 @@ class Plan:
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found = []
-        for need in self._needs(stage_named(task.stage)).values():
+        for need in self._bound(stage_named(task.stage)).needs.values():
             if isinstance(need, FromSite) or (need.unless_posed and self.site.posed):
                 continue
             origin = stage_named(need.stage)
@@ -179,41 +171,67 @@ class Plan:
         receipt = None if spec.force else self.cache.find(preimage, preimage.key())
         if receipt is None:
             self.ready[task] = spec
-        else:
-            self.states[task] = cached_state(receipt)
+            return
+        self.states[task] = cached_state(receipt)
+        if spec.picture and receipt.file and not self._is_drawn(task, receipt, spec.picture):
+            self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
+
+    def _is_drawn(self, task: Task, receipt: Receipt, picture: PictureSpec) -> bool:
+        """Has the picture of a cached result been drawn (or tried) by the function that is here now?"""
+        drawing = read_drawing(self.cache.work, task, receipt.key)
+        return drawing is not None and drawing.digest == picture.digest(receipt.key)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved."""
-        info = self._info(stage)
-        inputs = {name: self._input(stage, task, need, among or set()) for name, need in self._needs(stage).items()}
-        forced = bool(self.force & {task.stage, str(task)})
-        parameters = self._parameters(stage, info, task)
-        picture = None
-        if stage.picture:
-            drawn = {name: self._input(stage, task, need, set()) for name, need in stage.picture.needs.items()}
-            picture = PictureSpec(stage.picture.function, "", "", drawn)
-        return TaskSpec(task, info.dotted, info.code, parameters, inputs, stage.table, picture, forced)
+        bound = self._bound(stage)
+        inputs = {name: self._input(stage, task, need, among or set()) for name, need in bound.needs.items()}
+        stated = self._stated_parameters(stage, task)
+        return TaskSpec(
+            task,
+            bound.function.dotted,
+            bound.code,
+            bound.defaults() | stated,
+            inputs,
+            stage.table,
+            self._picture(stage, task, inputs, among or set()),
+            bool(self.force & {task.stage, str(task)}),
+            {name: text for name, text in bound.left_to_function().items() if name not in stated},
+            folder=self.site.file.resolve().parent,
+        )
 
-    def _needs(self, stage: Stage) -> dict[str, Need]:
-        return dict(stage.needs)
+    def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
+        """How a task's result is shown: with those of its inputs that the function asks for."""
+        if not stage.picture:
+            return None
+        info = self.site.reader.read(stage.picture.function)
+        result, *asked = (argument.name for argument in info.signature.arguments)
+        drawn: dict[str, Input] = {}
+        for name in asked:
+            if name in stage.picture.needs:
+                try:
+                    drawn[name] = self._input(stage, task, stage.picture.needs[name], among)
+                except (_Waiting, _Impossible):
+                    drawn[name] = Absent()
+            elif name in inputs:
+                drawn[name] = inputs[name]
+        return PictureSpec(info.dotted, info.code, result, drawn)
 
-    def _info(self, stage: Stage) -> FunctionInfo:
-        if stage.name not in self._infos:
+    def _bound(self, stage: Stage) -> Binding:
+        if stage.name not in self._bindings:
             settings = self.site.stages.get(stage.name)
-            self._infos[stage.name] = self.site.reader.read((settings and settings.use) or stage.function)
-        return self._infos[stage.name]
+            use, values = (settings.use, settings.parameters) if settings else (None, {})
+            self._bindings[stage.name] = bind(stage, use, values, self.site.reader)
+        return self._bindings[stage.name]
 
-    def _parameters(self, stage: Stage, info: FunctionInfo, task: Task) -> dict[str, Any]:
-        values = {name: parameter.default for name, parameter in info.parameters.items()}
-        if stage.pair_settings:
-            values |= self.site.pairs
-        if stage.resolution_parameter:
-            values[stage.resolution_parameter] = self.site.resolution
-        if stage.component_parameter in values:
-            numbers = range(1, self._components())
-            values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+    def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
+        """Parameters that the site file sets, in the stage's section or elsewhere."""
+        values: dict[str, Any] = dict(self.site.pairs) if stage.pair_settings else {}
+        values[stage.resolution_parameter] = self.site.resolution
+        numbers = range(1, self._components())
+        values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+        known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
-        return values | (settings.parameters if settings else {})
+        return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
 
     def _input(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
         if isinstance(need, FromSite):
@@ -321,21 +339,21 @@ class Plan:
     def _from_site(self, need: FromSite, task: Task) -> Input:
         what = need.value
         if what is SiteValue.SURVEY:
-            return Value(what.kind, self.site.survey)
+            return Value(SITE_TYPES[what], self.site.survey)
         if need.which is Which.ALL:
             return Joined({(camera.id,): self._stated(camera, what) for camera in self.site.cameras})
         camera = self._camera(task.subject[0])
         if what is SiteValue.MASK:
             file = self.masks.get(camera.id)
-            return Files(what.kind, (file,), single=True) if file else Absent()
+            return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
         if what is SiteValue.CAPTURES:
-            return Files(what.kind, self._captured(camera))
+            return Files(SITE_TYPES[what], self._captured(camera))
         return self._stated(camera, what)
 
     @staticmethod
     def _stated(camera: SiteCamera, what: SiteValue) -> Value:
         """What the site file says of a camera."""
-        return Value(what.kind, camera.lens if what is SiteValue.LENS else camera.placement)
+        return Value(SITE_TYPES[what], camera.lens if what is SiteValue.LENS else camera.placement)
 
     def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""
@@ -368,11 +386,6 @@ def make_plan(
 def component_name(number: int) -> str:
     """What a component of cameras other than the main one is called: component-2 is the second."""
     return f"component-{number + 1}"
-
-
-def cached_state(receipt: Receipt) -> State:
-    """The state of a task whose receipt was found."""
-    return State("rejected" if receipt.outcome == "rejected" else "cached", receipt.reason, receipt)
 
 
 def _because(task: Task, state: State) -> str:

@@ -19,7 +19,8 @@ from ..task import Task
 from .executor import Executor
 from .journal import Costs, Journal
 from .night import Night
-from .plan import Plan, State
+from .plan import Plan
+from .state import State
 
 MOST_REPAIRS = 3
 """How often one task's damaged artifact is made again in one run, before its disk is given up."""

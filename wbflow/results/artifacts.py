@@ -12,7 +12,7 @@ from ..graph.pipeline import Role, stage_named, stage_with
 from ..store.cache import Cache, Receipt
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
-from ..store.ply import columns_of
+from ..store.ply import columns_of, read_ply
 from ..store.record import CloudRecord, RunRecord
 from ..store.run_folder import RunFolder
 from ..task import Subject, Task
@@ -68,7 +68,7 @@ class FinishedRun:
         if table is None:
             return Cache(self.work).load(task, receipt)
         path = Cache(self.work).path(receipt)
-        return function(table.restore)(columns_of(Cache(self.work).read(task, path, receipt.digest), str(path)))
+        return function(table.restore)(columns_of(Cache(self.work).read(task, path, receipt.digest)))
 
     def by_role(self, role: Role, subject: Subject = ()) -> Any:
         """What the stage with a role made of a subject, or None."""
@@ -93,7 +93,7 @@ class FinishedRun:
         table = stage_with(Role.PRODUCT).table
         assert table is not None
         try:
-            return function(table.restore)(columns_of(path.read_bytes(), str(path)))
+            return function(table.restore)(read_ply(path))
         except ValueError as error:
             raise Gone(str(error), remedy="run the night again") from None
 

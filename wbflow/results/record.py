@@ -11,7 +11,8 @@ from typing import Any
 from .. import __version__
 from ..errors import ExitCode
 from ..graph.pipeline import STAGES, Reports, Role, Stage, WorldReports, stage_with
-from ..night.plan import Plan, State
+from ..night.plan import Plan
+from ..night.state import State
 from ..store.layout import cloud_name
 from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
 from ..task import Task

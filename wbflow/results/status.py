@@ -61,10 +61,9 @@ def difference(last: Receipt, now: Preimage) -> str:
     """What changed since a receipt, in words."""
     before = last.preimage
     found = []
-    if before.function != now.function:
-        found.append(f"function {before.function} → {now.function}")
-    elif before.code != now.code:
-        found.append("its code, or a library's version, changed")
+    if before.code != now.code:
+        renamed = before.function != now.function
+        found.append(f"function {before.function} → {now.function}" if renamed else "its code, or a library's version, changed")
     for name in sorted(before.parameters.keys() | now.parameters.keys()):
         old, new = before.parameters.get(name), now.parameters.get(name)
         if old != new:

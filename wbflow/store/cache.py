@@ -1,4 +1,4 @@
-"""The cache: one artifact, one receipt and perhaps one picture for each task and key.  No receipt, not done.
+"""The cache: one artifact and one receipt for each task and key.  No receipt, not done.
 
 A key is the hash of all that determines an artifact; inputs enter by the digest of their content, so that an upstream task
 that runs again and gives the same bytes stops there.
@@ -49,8 +49,9 @@ class Preimage:
         return Task(self.stage, self.subject)
 
     def key(self) -> str:
-        """32 hexadecimal digits."""
-        return artifact.digest(json.dumps(asdict(self), sort_keys=True, separators=(",", ":")).encode())
+        """32 hexadecimal digits.  The function counts by its code, not by its name."""
+        determines = {name: value for name, value in asdict(self).items() if name != "function"}
+        return artifact.digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,6 @@ class Receipt:
     file: str | None = None
     """The artifact's name beside the receipt."""
     bytes: int = 0
-    picture: str | None = None
-    """The picture's name beside the receipt."""
     reason: str | None = None
     code: str | None = None
     """The reason as one word that can be counted."""
@@ -117,11 +116,6 @@ class Cache:
             raise ValueError(f"{receipt.task} left no artifact")
         return self._beside(receipt, receipt.file)
 
-    def picture(self, receipt: Receipt) -> Path | None:
-        """The picture of an artifact, if one was made and is still there."""
-        path = self._beside(receipt, receipt.picture) if receipt.picture else None
-        return path if path and path.is_file() else None
-
     def read(self, task: Task, path: Path, digest: str) -> bytes:
         """The bytes of an artifact.
 
@@ -143,12 +137,10 @@ class Cache:
         """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
         return artifact.decode(self.read(task, self.path(receipt), receipt.digest))
 
-    def write(self, receipt: Receipt, data: bytes | bytearray | None, picture: bytes | None = None) -> None:
+    def write(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
         """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
         if data is not None and receipt.file:
             write_atomic(self._beside(receipt, receipt.file), data, settle=False)
-        if picture is not None and receipt.picture:
-            write_atomic(self._beside(receipt, receipt.picture), picture, settle=False)
         place = self.work.receipt(receipt.preimage.task, receipt.key)
         write_atomic(place, json.dumps(asdict(receipt), separators=(",", ":")).encode())
 

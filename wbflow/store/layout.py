@@ -96,6 +96,10 @@ class WorkFolder:
         """A picture of an artifact, for the report."""
         return self.artifact(task, key, ".jpg")
 
+    def drawing(self, task: Task, key: str) -> Path:
+        """What the picture was drawn by, and why there is none."""
+        return self.artifact(task, key, ".drawn")
+
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""
         return self.artifact(task, key, ".json")
