@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..graph.functions import FunctionReader
+from ..store.layout import WorkFolder
 from .cameras import ID, beside, read_cameras
 from .explain import explained, without_faults
 from .geodesy import Position, local_frame
@@ -56,8 +57,8 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     ids = [camera.id for camera in model.cameras]
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
     if work is None:
-        work = beside(path, model.work) if model.work else path.resolve().parent / ".wbflow" / model.site
-    reader = FunctionReader(work / "cache" / "functions.json", path.resolve().parent)
+        work = beside(path, model.work) if model.work else WorkFolder.beside(path, model.site).root
+    reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
     root = beside(path, model.captures.root)

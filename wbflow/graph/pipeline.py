@@ -165,7 +165,7 @@ STAGES: tuple[Stage, ...] = (
             camera_notes="suspects",
             lost_cameras="unsolved",
         ),
-        publishes={"cameras.json": "wbflow_stages.io.cameras:calibration"},
+        calibration="wbflow_stages.io.cameras:calibration",
         comments="wbflow_stages.io.cameras:place_comments",
     ),
     Stage(

@@ -225,8 +225,8 @@ class Stage:
     picture: Picture | None = None
     reports: Reports | None = None
     world_reports: WorldReports | None = None
-    publishes: Mapping[str, str] = field(default_factory=dict)
-    """Files of a run's folder: name -> dotted function that makes JSON data of the result."""
+    calibration: str = ""
+    """Dotted function: the result -> the cameras that a run publishes, in the form of a calibration (JSON data)."""
     comments: str = ""
     """Dotted function: the result -> lines for the header of the product."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)

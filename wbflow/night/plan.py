@@ -178,7 +178,7 @@ class Plan:
 
     def _is_drawn(self, task: Task, receipt: Receipt, picture: PictureSpec) -> bool:
         """Has the picture of a cached result been drawn (or tried) by the function that is here now?"""
-        drawing = read_drawing(self.cache.folder(task.stage, task.subject), receipt.key)
+        drawing = read_drawing(self.cache.work, task, receipt.key)
         return drawing is not None and drawing.digest == picture.digest(receipt.key)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:

@@ -81,8 +81,7 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
             return Done(spec.task, "rejected" if receipt.outcome == "rejected" else "cached", receipt, receipt.reason)
         return _do(resolved, preimage, key, lane)
     except DamagedArtifact as damage:
-        upstream = next(t for t in (spec.task, *_upstreams(spec)) if str(t) == str(damage.task))
-        return Done(spec.task, "damaged", reason=str(damage), damaged=upstream)
+        return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
     except MemoryError:
         return Done(spec.task, "failed", reason="ran out of memory: lower `resolution`, or run with fewer --jobs")
     except Exception as error:
@@ -111,6 +110,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         file=None if data is None else f"{key}{spec.suffix}",
         bytes=len(data or b""),
         reason=result.reason if rejected else None,
+        code=_code(result) if rejected else None,
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
         cpu=time.process_time() - cpu,
@@ -120,6 +120,12 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
     lane.cache.write(receipt, data)
     lane.results[spec.task] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, warnings=warnings)
+
+
+def _code(rejection: Any) -> str | None:
+    """The reason as one word, where a function gives one."""
+    code = getattr(rejection, "code", None)
+    return None if code is None else str(code)
 
 
 def _bytes(spec: TaskSpec, result: Any) -> bytes | bytearray:
@@ -135,7 +141,7 @@ def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
 
 def _redraw(spec: TaskSpec, receipt: Receipt, lane: _Lane) -> Done:
     """Draw the picture of a result that is in the cache."""
-    data = lane.cache.read(str(spec.task), lane.cache.path(receipt), receipt.digest)
+    data = lane.cache.read(spec.task, lane.cache.path(receipt), receipt.digest)
     result = load(spec.table.restore)(columns_of(data)) if spec.table else artifact.decode(data)
     warnings = _draw(spec, receipt.key, result, lane, {})
     return Done(spec.task, "cached", receipt, receipt.reason, warnings=warnings)
@@ -149,7 +155,6 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
     """
     if spec.picture is None:
         return ()
-    folder = lane.cache.folder(spec.task.stage, spec.task.subject)
     inputs = {name: _resolve(value, lane) for name, value in spec.picture.inputs.items()}
     digest = dataclasses.replace(spec.picture, inputs=inputs).digest(key)
     try:
@@ -157,12 +162,12 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
         asked = {name: loaded[name] if name in own else _load(value, lane) for name, value in inputs.items()}
         picture = bytes(load(spec.picture.function)(**{spec.picture.result: result}, **asked))
     except DamagedArtifact as damage:
-        return (f"its picture has to wait: {damage}",)  # and is drawn by the next run, when that is made again
+        return (f"its picture has to wait: {damage.what}",)  # and is drawn by the next run, when that is made again
     except Exception as error:
         failure = f"its picture could not be drawn: {type(error).__name__}: {error}"
-        write_drawing(folder, key, Drawing(digest, failure), None)
+        write_drawing(lane.cache.work, spec.task, key, Drawing(digest, failure), None)
         return (failure,)
-    write_drawing(folder, key, Drawing(digest), picture)
+    write_drawing(lane.cache.work, spec.task, key, Drawing(digest), picture)
     return ()
 
 
@@ -171,13 +176,6 @@ def _resolve(value: Input, lane: _Lane) -> Input:
     if isinstance(value, Stored) and value.path is None:
         return value.resolved(lane.cache, lane.receipts[value.task])
     return value
-
-
-def _upstreams(spec: TaskSpec) -> Iterator[Task]:
-    for value in spec.inputs.values():
-        for item in value.items.values() if isinstance(value, Joined) else [value]:
-            if isinstance(item, Stored):
-                yield item.task
 
 
 class _OnDemand(Mapping[Any, Any]):
@@ -214,7 +212,7 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     result = lane.results.get(value.task)
     if result is None:
         assert value.path is not None
-        result = artifact.decode(lane.cache.read(str(value.task), value.path, value.file_digest))
+        result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
             lane.results[value.task] = result
     return value.part.of(result) if value.part else result
