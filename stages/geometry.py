@@ -10,7 +10,7 @@ import numpy as np
 from .matching.structural import Correspondences, ViewPair, guided_matches, view_pairs
 from .reasons import Reason, Rejected
 from .twoview.epipolar import homogeneous, symmetric_epipolar_distance
-from .twoview.intrinsics_prior import ODDEST, TwoCameras, refine_with_plausible_lenses
+from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
 from .twoview.pair_score import GRID_COLUMNS, GRID_ROWS, pair_evidence, pair_score, probability
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (
@@ -124,7 +124,7 @@ def estimate_geometry(
         noise_px=noise[found.inliers].astype(np.float32),
         lens1=None if lenses is None else lenses.K1,
         lens2=None if lenses is None else lenses.K2,
-        lens_oddness=float("nan") if lenses is None else lenses.oddness,
+        implausibility=float("nan") if lenses is None else lenses.implausibility,
         warnings=_warnings(support, contradicted, few_inliers, small_area, min_inliers),
     )
 
@@ -241,8 +241,8 @@ def _weighted(
     F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside])
     lenses = None
     if not (_known(view1) and _known(view2)):
-        lenses = refine_with_plausible_lenses([F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, use_intrinsics))
-    if lenses is not None and lenses.oddness <= ODDEST:
+        lenses = refine_with_plausible_intrinsics([F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, use_intrinsics))
+    if lenses is not None and lenses.implausibility <= MOST_IMPLAUSIBLE:
         F = lenses.F
     inliers = supporters(F, x1, x2, threshold_px)
     better = None if inliers.sum() < 8 else TwoView(F, inliers)
@@ -250,7 +250,7 @@ def _weighted(
 
 
 def _plausible(matches: Matches, bare: TwoView, size: Float64s, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView:
-    """F of two cameras with lenses as cameras have, unless these are odd or it has far fewer inliers than the bare F."""
+    """F of two cameras with lenses as cameras have, unless these are implausible or it has far fewer inliers than the bare F."""
     x1, x2 = matches.x1, matches.x2
     views = _lenses_to_use(matches, use_intrinsics)
     one = estimate_with_one_lens(x1, x2, *views, threshold_px, seed)
@@ -258,8 +258,8 @@ def _plausible(matches: Matches, bare: TwoView, size: Float64s, threshold_px: fl
     either = np.any([c.inliers for c in candidates], axis=0)
     noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
     noise = size[either] * (noise[0] / size[bare.inliers][0])
-    found = refine_with_plausible_lenses([c.F for c in candidates], x1[either], x2[either], noise, *views)
-    if found is None or found.oddness > ODDEST:
+    found = refine_with_plausible_intrinsics([c.F for c in candidates], x1[either], x2[either], noise, *views)
+    if found is None or found.implausibility > MOST_IMPLAUSIBLE:
         return bare
     inliers = supporters(found.F, x1, x2, threshold_px)
     return TwoView(found.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare

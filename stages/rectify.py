@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from .core.cameras import rays
 from .core.nearest_points import nearest_points
 from .reasons import Reason, Rejected
 from .rectification.calibrated import calibrated
@@ -20,9 +21,9 @@ from .rectification.placement import Size, frame_grid, place
 from .rectification.polar import polar
 from .rectification.quality import line_uncertainty, order_agreement, parallax_px
 from .rectification.warping import Side, from_rectified, rectified_size, resampling, to_rectified
-from .twoview.epipolar import fundamental_from_cameras, rays, symmetric_epipolar_distance, triangulate_depth
-from .twoview.intrinsics_prior import ODDEST, freedoms
-from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification
+from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
+from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, freedoms
+from .types import Camera, Float32s, Float64s, Geometry, PairCheck, Rectification
 
 Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]
 
@@ -69,7 +70,7 @@ def rectify(
     geometry: Geometry,
     left: Camera | None,
     right: Camera | None,
-    verdict: PairVerdict | None = None,
+    verdict: PairCheck | None = None,
     *,
     method: Method = "congruent",
     fallback: bool = True,
@@ -112,15 +113,15 @@ def rectify(
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
     if verdict is not None and not verdict.kept:
-        return Rejected(verdict.reason)
+        return Rejected(Reason(verdict.code), words=verdict.reason)
     pair = _obeying(geometry, left, right)
     if pair.camera1 is None and geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
         return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
     if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
         raise ValueError("method 'calibrated' needs the cameras of both frames")
-    if pair.camera1 is None and geometry.lens_oddness > ODDEST:
-        figures = {"lens_oddness": geometry.lens_oddness, "allowed": ODDEST}
+    if pair.camera1 is None and geometry.implausibility > MOST_IMPLAUSIBLE:
+        figures = {"implausibility": geometry.implausibility, "allowed": MOST_IMPLAUSIBLE}
         return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, figures)
     refusal = _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
     if refusal is not None:
