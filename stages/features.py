@@ -19,8 +19,6 @@ from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s, V
 
 Preprocessing = Literal["auto", "none", "clahe"]
 
-PLAIN = 0
-TILTED = 1
 DARK_GREY, FLAT_RANGE = 50.0, 25.0
 """Grey levels of 255: a median below the first, or a span from 10 to 90 % below the second, asks for CLAHE."""
 ANGLE_SEAM_DEG = 45.0
