@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ..twoview.epipolar import project
+from ..core.cameras import project
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 from .cameras import MOUNTS, Mount, camera_of, choose_mounts, distort, pixel_rays
 from .layout import static_yard, yard_light
 from .movers import movers
 from .reference import reference_cloud
-from .renderer import Light, Stage, build_atlas, render_rays, truth_mask
+from .renderer import Light, PreparedScene, build_atlas, render_rays, truth_mask
 from .scene import Scene, joined
 from .sensor import burn_clock, clock_mask, develop, sensor_of
 
@@ -72,8 +72,8 @@ class Yard:
 class _Night:
     """All that the cameras of one run look at: the empty yard, and the yard with its movers at each capture."""
 
-    empty: Stage
-    busy: tuple[Stage, ...]
+    empty: PreparedScene
+    busy: tuple[PreparedScene, ...]
     movers: tuple[Scene, ...]
     light: Daytime
     seed: int
@@ -115,8 +115,8 @@ def _photographs(
     traffic = tuple(movers(np.random.default_rng([seed, 2]), max(texel_m, 0.02), captures))
     scenes = [joined(still, each) for each in traffic]
     atlas = build_atlas(scenes[0].textures)
-    empty = Stage(still, lighting, atlas)
-    busy = tuple(Stage(scene, empty.light, atlas, empty.sky) for scene in scenes)
+    empty = PreparedScene(still, lighting, atlas)
+    busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
     night = _Night(empty, busy, traffic, light, seed)
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda mount: _photograph(night, mount, size), mounts))
@@ -130,12 +130,12 @@ def _photograph(night: _Night, mount: Mount, size: tuple[int, int]) -> tuple[Yar
     sensor = sensor_of(np.random.default_rng(seed), night.light)
     still = render_view(night.empty, camera, lens)
     images, times = [], []
-    for k, (stage, scene) in enumerate(zip(night.busy, night.movers, strict=True)):
+    for k, (prepared, scene) in enumerate(zip(night.busy, night.movers, strict=True)):
         rng = np.random.default_rng([*seed, k])
         time = FIRST_CAPTURE[night.light] + timedelta(seconds=97 * k + seed[2] % 11)
         radiance = still.copy()
         pixels = np.flatnonzero(touched(scene, night.empty.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(stage, camera, lens, pixels)
+        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
         image = develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
         images.append(burn_clock(image, f"{mount.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
         times.append(time)
@@ -143,13 +143,15 @@ def _photograph(night: _Night, mount: Mount, size: tuple[int, int]) -> tuple[Yar
     return YardCamera(mount.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement), normals
 
 
-def render_view(stage: Stage, camera: Camera, lens: Lens | None) -> Float32s:
+def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
     """Linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
     every = np.arange(camera.width * camera.height)
-    return render_pixels(stage, camera, lens, every).reshape(camera.height, camera.width, 3)
+    return render_pixels(prepared, camera, lens, every).reshape(camera.height, camera.width, 3)
 
 
-def render_pixels(stage: Stage, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536) -> Float32s:
+def render_pixels(
+    prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
+) -> Float32s:
     """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     spread = 1.0 / (SAMPLES * camera.K[0, 0])
@@ -160,19 +162,19 @@ def render_pixels(stage: Stage, camera: Camera, lens: Lens | None, pixels: npt.N
         rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
         # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
         disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (len(x), 1))
-        radiance, _, _ = render_rays(stage, camera.C, rays, spread, disc.astype(np.float32))
+        radiance, _, _ = render_rays(prepared, camera.C, rays, spread, disc.astype(np.float32))
         out[start : start + batch] = radiance.reshape(-1, SAMPLES * SAMPLES, 3).mean(axis=1)
     return out
 
 
-def true_depth(stage: Stage, camera: Camera) -> tuple[Float32s, Float32s]:
+def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
     """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
-    distance, facet = stage.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
-    known = truth_mask(stage.scene, facet).astype(bool)
+    distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
+    known = truth_mask(prepared.scene, facet).astype(bool)
     depth = np.where(known, distance * (rays @ camera.R[2].astype(np.float32)), 0).astype(np.float32)
-    normals = stage.scene.normals[np.maximum(facet, 0)]
+    normals = prepared.scene.normals[np.maximum(facet, 0)]
     normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
     shape = (camera.height, camera.width)
     return depth.reshape(shape), normals.reshape(*shape, 3)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic_site import single_pair, small_yard
+from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.evaluate import correct_matches, true_correspondences
 from wbflow_stages.synthetic.cameras import MOUNTS, camera_of, distort, pixel_rays
 from wbflow_stages.synthetic.yard import YardCamera, yard
-from wbflow_stages.twoview.epipolar import backproject, project
 
 
 def background(camera: YardCamera) -> np.ndarray:
