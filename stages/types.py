@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from .core.short_repr import short_repr
 from .reasons import Reason as Reason
 from .reasons import Rejected as Rejected
 
@@ -25,6 +26,7 @@ Pair = tuple[str, str]
 """Ids of two cameras, in the order of the site file."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Capture:
     """One image file as it lies on disk.  data: (n,) uint8, the encoded bytes."""
@@ -33,6 +35,7 @@ class Capture:
     data: Uint8s
 
 
+@short_repr
 @dataclass(frozen=True)
 class Lens:
     """Intrinsics as the site states them, for an image of `width` x `height` pixels (both 0: any size).
@@ -48,6 +51,7 @@ class Lens:
     height: int = 0
 
 
+@short_repr
 @dataclass(frozen=True)
 class Placement:
     """Where a camera is said to be.  R: (3, 3), C: (3,) float64, or None where unknown.
@@ -61,6 +65,7 @@ class Placement:
     metric: bool = True
 
 
+@short_repr
 @dataclass(frozen=True)
 class Survey:
     """What is known of a site besides its cameras' poses.  Cameras count by their position in the site file.
@@ -77,6 +82,7 @@ class Survey:
     crs: str = ""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Camera:
     """A pinhole camera at working resolution.  K, R: (3, 3) float64; C: (3,) float64.
@@ -98,6 +104,7 @@ class Camera:
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
 
 
+@short_repr
 @dataclass(frozen=True)
 class View:
     """The pinhole of a frame, without its pixels.
@@ -116,6 +123,7 @@ class View:
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
 
 
+@short_repr
 @dataclass(frozen=True)
 class Frame:
     """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed.
@@ -129,6 +137,7 @@ class Frame:
     notes: tuple[str, ...] = ()
 
 
+@short_repr
 @dataclass(frozen=True)
 class Features:
     """Keypoints of one frame.
@@ -156,6 +165,7 @@ PLAIN, TILTED = 0, 1
 """Values of `Features.tilts`."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Matches:
     """Point correspondences of a pair, before any geometry.
@@ -180,6 +190,7 @@ class Matches:
     searched: tuple[object, ...] = field(default=(), compare=False, repr=False, metadata={"transient": True})
 
 
+@short_repr
 @dataclass(frozen=True)
 class Geometry:
     """Two-view geometry of a pair and what supports it.
@@ -229,6 +240,7 @@ class Geometry:
     warnings: tuple[str, ...] = ()
 
 
+@short_repr
 @dataclass(frozen=True)
 class Overlap:
     """Evidence that two views share ground: one row for each pair of cameras, left before right.
@@ -245,6 +257,7 @@ class Overlap:
     source: str
 
 
+@short_repr
 @dataclass(frozen=True)
 class PairCheck:
     """What the cameras of a whole site say of one pair.  Figures are nan where there is nothing to compare."""
@@ -265,6 +278,7 @@ class PairCheck:
     """The adjusted F is noticeably worse than the pair's own."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class PoseCheck:
     """How tonight's images agree with a camera's known pose.
@@ -282,6 +296,7 @@ class PoseCheck:
     off_deg: float = float("nan")
 
 
+@short_repr
 @dataclass(frozen=True)
 class Poses:
     """Cameras in one frame.
@@ -314,6 +329,7 @@ class Poses:
     checks: Mapping[str, PoseCheck] = field(default_factory=dict)
 
 
+@short_repr
 @dataclass(frozen=True)
 class PolarRows:
     """Half epipolar lines of one image as the rows of a rectified image: row k is the ray at `angles[k]` from the epipole.
@@ -328,6 +344,7 @@ class PolarRows:
     start_px: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class Rectification:
     """How the two images of a pair are resampled so that a point lies on the same row in both.
@@ -365,6 +382,7 @@ class Rectification:
     warnings: tuple[str, ...] = ()
 
 
+@short_repr
 @dataclass(frozen=True)
 class Disparity:
     """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row.
@@ -386,6 +404,7 @@ INVALID = -32768
 """The value of `Disparity.left` and `.right` where nothing is known."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class DepthMap:
     """Depth of one view, from all its pairs or refined over all views around it.
@@ -405,6 +424,7 @@ class DepthMap:
     sure: Bools
 
 
+@short_repr
 @dataclass(frozen=True)
 class Cloud:
     """points: (n, 3) float64; normals: (n, 3) float32, of unit length, toward the cameras; colors: (n, 3) uint8 RGB;
