@@ -100,7 +100,7 @@ def test_files_of_an_earlier_demo_that_are_not_written_again_go_away(tmp_path):
 def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path, monkeypatch):
     from wbflow.results import demo
 
-    def stops(site, light):
+    def stops(site, scene, light):
         yield "captures/mast-2/2026-11-19_1.jpg", b"half"
         raise KeyboardInterrupt
 
