@@ -229,7 +229,7 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
     from wbflow_stages.synthetic.cameras import choose_mounts, look_at
     from wbflow_stages.synthetic.layout import static_yard, yard_light
-    from wbflow_stages.synthetic.renderer import Stage, build_atlas
+    from wbflow_stages.synthetic.renderer import PreparedScene, build_atlas
     from wbflow_stages.synthetic.sensor import develop, sensor_of
     from wbflow_stages.synthetic.shooting import render_view, true_depth
 
@@ -238,22 +238,22 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     K = np.array([[1.1 * width, 0, (width - 1) / 2], [0, 1.1 * width, (height - 1) / 2], [0, 0, 1]])
     file = cache / f"walls-{width}.npz"
     arrays = dict(np.load(file)) if file.exists() else {}
-    stage = None
+    prepared = None
     if not arrays:
         scene = static_yard(np.random.default_rng([0, 1]), 0.0098, choose_mounts(8))
-        stage = Stage(scene, yard_light("day"), build_atlas(scene.textures))
+        prepared = PreparedScene(scene, yard_light("day"), build_atlas(scene.textures))
     views = {}
     for section, places, target in WALLS:
         for k, place in enumerate(places):
             name = f"{section}-{k}"
             C = np.array([*place, 4.5 + 0.4 * k])
             camera = Camera(K, look_at(C, np.array([*target, 4.6])), C, width, height)
-            if stage is not None:
+            if prepared is not None:
                 rng = np.random.default_rng([7, len(arrays)])
-                arrays[f"{name} image"] = develop(render_view(stage, camera, None), sensor_of(rng, "day"), 1.0, rng)
-                arrays[f"{name} depth"] = true_depth(stage, camera)[0]
+                arrays[f"{name} image"] = develop(render_view(prepared, camera, None), sensor_of(rng, "day"), 1.0, rng)
+                arrays[f"{name} depth"] = true_depth(prepared, camera)[0]
             frame = Frame(arrays[f"{name} image"], np.ones((height, width), bool), View(width, height, K))
             views[name] = TrueView("walls", name, frame, camera, arrays[f"{name} depth"], camera)
-    if stage is not None:
+    if prepared is not None:
         np.savez(file, **arrays)
     return views

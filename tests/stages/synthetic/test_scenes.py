@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.synthetic import hall, mast, square
 from wbflow_stages.synthetic.cameras import Viewpoint, camera_at
 from wbflow_stages.synthetic.lighting import light_of, overcast_of
 from wbflow_stages.synthetic.paving import repeating_tiles
-from wbflow_stages.synthetic.renderer import OPEN_SKY, Stage, build_atlas
+from wbflow_stages.synthetic.renderer import OPEN_SKY, PreparedScene, build_atlas
 from wbflow_stages.synthetic.scene import SceneBuilder
 from wbflow_stages.synthetic.scenes import SCENES, render
 from wbflow_stages.synthetic.shooting import DemoSite, render_view, true_depth
-from wbflow_stages.twoview.epipolar import backproject, project
 
 SIZE = (160, 90)
 
@@ -99,11 +99,11 @@ def test_the_square_looks_the_same_one_tile_on():
     build = SceneBuilder()
     square._ground(build, np.random.default_rng(0), 0.05)
     scene = build.build()
-    stage = Stage(scene, overcast_of("day", ()), build_atlas(scene.textures), OPEN_SKY)
+    prepared = PreparedScene(scene, overcast_of("day", ()), build_atlas(scene.textures), OPEN_SKY)
     views = []
     for shift in (0.0, square.TILE_M, 0.5 * square.TILE_M):
         down = Viewpoint("down", (1.3 + shift, 2.1, 4.0), (1.3 + shift, 2.101, 0.0), 40.0, (0.0, 0.0, 0.0, 0.0, 0.0))
-        views.append(render_view(stage, camera_at(down, SIZE)[0], None))
+        views.append(render_view(prepared, camera_at(down, SIZE)[0], None))
     assert np.abs(views[0] - views[1]).mean() < 0.02 * views[0].std()
     assert np.abs(views[0] - views[2]).mean() > 0.5 * views[0].std()
 
@@ -111,13 +111,13 @@ def test_the_square_looks_the_same_one_tile_on():
 @pytest.mark.parametrize(("symmetry", "turn", "same"), [(4, 3, True), (4, 6, True), (2, 6, True), (2, 3, False), (1, 3, False)])
 def test_the_hall_looks_the_same_from_another_side(symmetry, turn, same):
     """From camera k and from k + 3 (a quarter turn) or k + 6 (half a turn); lens, light and shadow included."""
-    stage = hall_stage(symmetry)
+    prepared = hall_stage(symmetry)
     views = hall.viewpoints()
     for k in (1, 2):
         (one, _), (other, _) = (camera_at(views[i], SIZE) for i in (k, k + turn))
-        a, b = render_view(stage, one, None), render_view(stage, other, None)
+        a, b = render_view(prepared, one, None), render_view(prepared, other, None)
         difference = np.abs(a - b).max(axis=-1) / (a + b + 0.01).max(axis=-1)
-        depth = np.abs(true_depth(stage, one)[0] - true_depth(stage, other)[0])
+        depth = np.abs(true_depth(prepared, one)[0] - true_depth(prepared, other)[0])
         if same:
             assert (difference > 0.02).mean() < 0.003
             assert (depth > 0.01).mean() < 0.003
@@ -127,9 +127,9 @@ def test_the_hall_looks_the_same_from_another_side(symmetry, turn, same):
 
 
 @cache
-def hall_stage(symmetry: int) -> Stage:
+def hall_stage(symmetry: int) -> PreparedScene:
     scene = hall.static_hall(np.random.default_rng(5), 0.1, symmetry)
-    return Stage(scene, overcast_of("night", hall.LAMPS), build_atlas(scene.textures), hall.even_sky(scene))
+    return PreparedScene(scene, overcast_of("night", hall.LAMPS), build_atlas(scene.textures), hall.even_sky(scene))
 
 
 def test_the_masts_cameras_hang_together_and_look_far():
