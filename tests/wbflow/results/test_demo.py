@@ -20,7 +20,9 @@ from wbflow.store.ply import read_ply
 from wbflow_stages.synthetic.shooting import Daytime, DemoSite
 
 
-def rendered(cameras: int, size: tuple[int, int], captures: int, seed: int, light: Daytime) -> DemoSite:
+def rendered(
+    cameras: int = 4, size: tuple[int, int] = (320, 180), captures: int = 3, seed: int = 0, light: Daytime = "day"
+) -> DemoSite:
     """The small yard, rendered once (rendering is tested elsewhere), with fewer captures where fewer are asked for."""
     site = small_yard(light)
     return replace(site, cameras=tuple(replace(c, captures=c.captures[:captures]) for c in site.cameras))
@@ -129,6 +131,22 @@ def test_what_was_edited_is_not_overwritten(tmp_path, name):
     with pytest.raises(FileExistsError, match="edited"):
         write_demo(tmp_path / "demo", small=True)
     assert file.read_text() == edited
+
+
+def test_another_scene_is_a_site_of_its_own_and_the_yards_manifest_names_none(tmp_path, monkeypatch):
+    monkeypatch.setattr("wbflow_stages.synthetic.square.square", rendered)
+    write_demo(tmp_path / "square", scene="square", small=True, captures=2)
+    assert load_site(tmp_path / "square").name == "square"
+    assert json.loads((tmp_path / "square" / "demo.json").read_text())["scene"] == "square"
+    assert "a public square" in (tmp_path / "square" / "README.txt").read_text()
+    write_demo(tmp_path / "yard", small=True)
+    assert "scene" not in json.loads((tmp_path / "yard" / "demo.json").read_text())
+
+
+def test_an_unknown_scene_writes_nothing(tmp_path):
+    with pytest.raises(ValueError, match="there is no scene 'moon'"):
+        write_demo(tmp_path / "demo", scene="moon")
+    assert not (tmp_path / "demo").exists()
 
 
 def test_an_unknown_light_writes_nothing(tmp_path, monkeypatch):
