@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from ..config.load import Site
+from ..config.site import Site
 from ..errors import ExitCode
 from ..graph.exports import DECODE
 from ..graph.pipeline import SITE_TYPES, SiteValue
@@ -72,7 +72,7 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
             found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", ExitCode.DEGRADED))
         for file in files:
             size, problem = _look_at(file)
-            stated = (camera.lens["width"], camera.lens["height"])
+            stated = (camera.lens.width, camera.lens.height)
             if problem:
                 found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", ExitCode.DEGRADED))
             elif stated[0] and size != stated:

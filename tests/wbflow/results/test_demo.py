@@ -52,10 +52,10 @@ def test_the_site_file_is_valid_and_finds_every_capture(written):
 def test_the_site_file_states_the_true_cameras(written):
     for camera in load_site(written).cameras:
         truth = small_yard()[camera.id]
-        assert np.allclose(camera.lens["K"], truth.lens.K)
-        assert np.allclose(camera.lens["distortion"], truth.lens.distortion)
-        assert np.allclose(camera.placement["R"], truth.camera.R)
-        assert np.allclose(camera.placement["C"], truth.camera.C)
+        assert np.allclose(camera.lens.K, truth.lens.K)
+        assert np.allclose(camera.lens.distortion, truth.lens.distortion)
+        assert np.allclose(camera.placement.R, truth.camera.R)
+        assert np.allclose(camera.placement.C, truth.camera.C)
 
 
 def test_captures_and_masks_have_the_stated_size(written):
