@@ -15,16 +15,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
-from wbflow_stages.twoview.epipolar import (
-    backproject,
-    fundamental_from_cameras,
-    project,
-    relative_pose,
-    scaled_intrinsics,
-    symmetric_epipolar_distance,
-)
+from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, View
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
@@ -60,7 +54,7 @@ class TrueView:
         descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
         responses = np.array([k.response for k in found], np.float32)
         xy, tilts = np.array([k.pt for k in found], np.float64), np.zeros(len(found), np.uint8)
-        return Features(xy, frames, descriptors, responses, tilts, self.frame.view, keypoints=len(found))
+        return Features(xy, frames, descriptors, responses, tilts, self.frame.view, plain_keypoints=len(found))
 
     def without_lens(self) -> Features:
         """The features of a camera whose intrinsics nobody knows."""
@@ -237,7 +231,7 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     from wbflow_stages.synthetic.layout import static_yard, yard_light
     from wbflow_stages.synthetic.renderer import Stage, build_atlas
     from wbflow_stages.synthetic.sensor import develop, sensor_of
-    from wbflow_stages.synthetic.yard import render_view, true_depth
+    from wbflow_stages.synthetic.shooting import render_view, true_depth
 
     cache.mkdir(parents=True, exist_ok=True)
     height = width * 9 // 16

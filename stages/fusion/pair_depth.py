@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.cameras import transfer
 from ..core.jit import kernel
 from ..rectification.warping import Side, disparity_px, from_rectified, to_rectified
-from ..twoview.epipolar import relative_pose
 from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
 _SMOOTH_PX = 2.5
@@ -63,12 +63,6 @@ def pair_depth(
         partner = from_rectified(rectification, 2 if side == 1 else 1, at)
         _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
     return depth, gain
-
-
-def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
-    """M (3, 3), b (3,): pixel p of `camera` at depth z is seen by `other` at z M p + b, whose third entry is the depth there."""
-    R, t = relative_pose(camera, other)
-    return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
 
 
 @kernel
@@ -273,6 +267,13 @@ def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np
     """(n, 3) unit normals of the local planes at pixels of a view, turned toward the camera.
 
     A plane is linear in inverse depth, 1/z = (A, B, c) (x, y, 1), hence (A, B, c) K X = 1 for its points X in camera axes.
+
+    Parameters
+    ----------
+    camera, depth
+        Of the view.
+    rows, columns
+        (n,) int, pixels that have a depth.
     """
     A, B = depth.slope_x[rows, columns].astype(np.float64), depth.slope_y[rows, columns].astype(np.float64)
     c = 1.0 / depth.depth[rows, columns].astype(np.float64) - A * columns - B * rows

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..core.cameras import ray_angles
 from ..core.jit import kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
@@ -19,7 +20,16 @@ PARALLEL = 1e-9
 def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale_px: float) -> Float64s:
     """(count, 3) the point of each track that at least two of the observations in `use` see; nan elsewhere.
 
-    Start: the point nearest to all rays.  Then least squares on the reprojection error with Cauchy weights of `scale_px`.
+    Start: the point nearest to all rays.  Then least squares on the reprojection error with Cauchy weights.
+
+    Parameters
+    ----------
+    cameras
+        By number of the view; views without one are passed over.
+    tracks, use
+        The observations, and (n,) bool, which of them to look at.
+    scale_px
+        An observation off by so many pixels counts half.
     """
     KR, C = _stacked(cameras, tracks)
     first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))
@@ -43,12 +53,9 @@ def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bool
     track = tracks.track[rows]
     d = X[track] - _stacked(cameras, tracks)[1][tracks.view[rows]]
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    total = np.column_stack([np.bincount(track, np.nan_to_num(d[:, i]), tracks.count) for i in range(3)])
-    with np.errstate(invalid="ignore"):
-        mean = total / np.linalg.norm(total, axis=1, keepdims=True)
-    off = np.arccos(np.clip(np.einsum("ni,ni->n", d, mean[track]), -1, 1))
+    total: Float64s = np.column_stack([np.bincount(track, np.nan_to_num(d[:, i]), tracks.count) for i in range(3)])
     widest = np.zeros(tracks.count)
-    np.maximum.at(widest, track, np.nan_to_num(off))
+    np.maximum.at(widest, track, np.nan_to_num(ray_angles(d, total[track])))
     return 2 * widest
 
 

@@ -31,7 +31,8 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Light:
-    """sun_direction: unit vector towards the sun; sun, sky, ground: linear colours; haze: the sky at the horizon; lamps."""
+    """sun_direction: unit vector towards the sun; sun, sky, ground: linear colours; haze: the sky at the horizon; lamps;
+    clouds: how clearly the sky is banded."""
 
     sun_direction: tuple[float, float, float]
     sun: tuple[float, float, float]
@@ -39,6 +40,7 @@ class Light:
     ground: tuple[float, float, float]
     haze: tuple[float, float, float]
     lamps: tuple[Lamp, ...] = ()
+    clouds: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class SkyGrid:
     open: Float32s
     corner: Float32s
     cell_m: float
+
+
+OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1e4)
+"""All points see all of the sky: for landscapes."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,7 @@ def _tensor(array: Any) -> Any:
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
 
 
-class Stage:
+class PreparedScene:
     """A scene made ready to be looked at: rays, light, atlas of its textures, sky visibility (computed where not given)."""
 
     def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
@@ -112,7 +118,7 @@ class Stage:
         index = np.arange(len(scene.vertices), dtype=np.uint32).reshape(-1, 3)
         self._rays.add_triangles(_tensor(scene.vertices), _tensor(index))
         self.atlas = atlas
-        self.sky = self._sky_grid() if sky is None else sky
+        self.sky = self.sky_grid(spiral(48)) if sky is None else sky
 
     def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
         """Distance (inf for nothing) and facet (-1 for nothing) of what each of n rays hits first."""
@@ -126,15 +132,15 @@ class Stage:
         hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
         return np.asarray(~hit, dtype=np.float32)
 
-    def _sky_grid(self, cell_m: float = 0.8, rays: int = 48) -> SkyGrid:
-        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis."""
+    def sky_grid(self, directions: Float32s, cell_m: float = 0.8) -> SkyGrid:
+        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis; by rays
+        along `directions` (n, 3)."""
         still = np.repeat(self.scene.kinds == STATIC, 3)
         low = self.scene.vertices[still].min(axis=0) - cell_m
         count = np.ceil((self.scene.vertices[still].max(axis=0) + cell_m - low) / cell_m).astype(int) + 1
         axes = [low[k] + cell_m * np.arange(count[k], dtype=np.float32) for k in range(3)]
         z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
         points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
-        directions = spiral(rays)
         seen = np.zeros((len(points), 6), np.float32)
         total = np.zeros(6, np.float32)
         for d in directions:
@@ -155,7 +161,7 @@ def spiral(n: int) -> Float32s:
 
 
 def render_rays(
-    stage: Stage, centre: Float64s, directions: Float32s, spread: float, jitter: Float32s
+    prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float, jitter: Float32s
 ) -> tuple[Float32s, Float32s, Int32s]:
     """What n rays from one point see.
 
@@ -163,8 +169,8 @@ def render_rays(
     of the sun's disc that each sample asks.  Returns radiance (n, 3), distance (n,) and facet (n,), -1 for sky.
     """
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
-    distance, facet = stage.cast(origins, directions)
-    scene, atlas, light = stage.scene, stage.atlas, stage.light
+    distance, facet = prepared.cast(origins, directions)
+    scene, atlas, light = prepared.scene, prepared.atlas, prepared.light
     hit = facet >= 0
     radiance = np.empty_like(directions)
     radiance[~hit] = sky_radiance(light, directions[~hit])
@@ -181,41 +187,41 @@ def render_rays(
     )  # fmt: skip
     received = np.empty_like(points)
     _sky_light(
-        received, points, facing, stage.sky.open, stage.sky.corner, stage.sky.cell_m,
+        received, points, facing, prepared.sky.open, prepared.sky.corner, prepared.sky.cell_m,
         np.array(light.sky, np.float32), np.array(light.ground, np.float32),
     )  # fmt: skip
     lifted = points + facing * np.float32(0.004) * np.maximum(far * np.float32(0.05), 1)[:, None]
-    _add_sun(stage, received, lifted, facing, jitter[hit])
+    _add_sun(prepared, received, lifted, facing, jitter[hit])
     for lamp in light.lamps:
-        _add_lamp(stage, received, lifted, facing, lamp)
+        _add_lamp(prepared, received, lifted, facing, lamp)
     if light.lamps:
         received[scene.kinds[on] == GLOWING] = 1.2
     radiance[hit] = albedo * received
     return radiance, distance, facet
 
 
-def _add_sun(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
+def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
     """Sunlight on lit facets, with the sun widened to 1 degree for soft edges."""
-    sun = np.asarray(stage.light.sun_direction, np.float32)
+    sun = np.asarray(prepared.light.sun_direction, np.float32)
     side = np.cross(sun, (0, 0, 1)).astype(np.float32)
     side /= np.linalg.norm(side)
     cosine = facing @ sun
     lit = np.flatnonzero(cosine > 0)
-    if not len(lit) or max(stage.light.sun) <= 0:
+    if not len(lit) or max(prepared.light.sun) <= 0:
         return
     towards = sun + np.float32(0.009) * (jitter[lit, :1] * side + jitter[lit, 1:] * np.cross(side, sun).astype(np.float32))
-    clear = stage.reaches(points[lit], towards.astype(np.float32))
-    received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(stage.light.sun, np.float32)
+    clear = prepared.reaches(points[lit], towards.astype(np.float32))
+    received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(prepared.light.sun, np.float32)
 
 
-def _add_lamp(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
+def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
     """Light of one lamp, where it is bright enough to matter."""
     place, power = np.asarray(lamp.position, np.float32), np.asarray(lamp.power, np.float32)
     strength = np.empty(len(points), np.float32)
     _lamp_strength(strength, points, facing, place, float(0.012 / power.max()))
     lit = np.flatnonzero(strength)
     if len(lit):
-        clear = stage.reaches(points[lit], place - points[lit], far=0.97)
+        clear = prepared.reaches(points[lit], place - points[lit], far=0.97)
         received[lit] += (strength[lit] * clear)[:, None] * power
 
 
@@ -239,7 +245,7 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
     band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0) + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(
         3.3 * y - 1.2 * x
     )
-    cloud = 0.25 * np.clip(band, 0, 1)[:, None]
+    cloud = light.clouds * np.clip(band, 0, 1)[:, None]
     colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
     return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
 

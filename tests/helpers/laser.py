@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wbflow_stages.twoview.epipolar import backproject, project, scaled_intrinsics
+from wbflow_stages.core.cameras import backproject, project, scaled_intrinsics
 from wbflow_stages.types import Camera, Frame, View
 
 FOUNTAIN = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data") / "fountain"

@@ -17,10 +17,10 @@ from wbflow.config.load import load_site
 from wbflow.night.captures import Digests, find_captures, night
 from wbflow.results.demo import write_demo
 from wbflow.store.ply import read_ply
-from wbflow_stages.synthetic.yard import Daytime, Yard
+from wbflow_stages.synthetic.shooting import Daytime, DemoSite
 
 
-def rendered(cameras: int, size: tuple[int, int], captures: int, seed: int, light: Daytime) -> Yard:
+def rendered(cameras: int, size: tuple[int, int], captures: int, seed: int, light: Daytime) -> DemoSite:
     """The small yard, rendered once (rendering is tested elsewhere), with fewer captures where fewer are asked for."""
     site = small_yard(light)
     return replace(site, cameras=tuple(replace(c, captures=c.captures[:captures]) for c in site.cameras))
@@ -100,7 +100,7 @@ def test_files_of_an_earlier_demo_that_are_not_written_again_go_away(tmp_path):
 def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path, monkeypatch):
     from wbflow.results import demo
 
-    def stops(site, light):
+    def stops(site, scene, light):
         yield "captures/mast-2/2026-11-19_1.jpg", b"half"
         raise KeyboardInterrupt
 
