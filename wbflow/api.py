@@ -17,14 +17,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .config.load import Site
 from .config.load import load_site as _load_site
+from .config.site import Site
 from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
 from .night.night import open_night
-from .night.run import Options, terminate_as_interrupt, work
+from .night.options import Options
+from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
 from .results.publish import publish
 from .store.events import Event, Listener
