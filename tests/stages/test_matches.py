@@ -1,10 +1,12 @@
 """The matchers find the same points again, whatever their order, and say so when there is nothing to find."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
 from wbflow_stages.matches import match
-from wbflow_stages.types import Features, Matches, Rejected, View
+from wbflow_stages.types import Features, Float64s, Int64s, Matches, Rejected, View
 
 RNG = np.random.default_rng(7)
 
@@ -30,7 +32,7 @@ MATCHERS = ["structural", "dominant", "mutual", "kdtree"]
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_shuffled_keypoints_find_themselves(matcher):
+def test_shuffled_keypoints_find_themselves(matcher: str) -> None:
     left = random_features(400)
     order = RNG.permutation(400)
     found = match(left, seen_again(left, order, np.array([5.0, -3.0])), matcher=matcher)
@@ -42,7 +44,7 @@ def test_shuffled_keypoints_find_themselves(matcher):
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_the_same_features_give_the_same_matches(matcher):
+def test_the_same_features_give_the_same_matches(matcher: str) -> None:
     left, right = random_features(300), random_features(300)
     right = Features(**{**vars(right), "descriptors": np.roll(left.descriptors, 3, axis=0)})
     a, b = match(left, right, matcher=matcher), match(left, right, matcher=matcher)
@@ -51,23 +53,23 @@ def test_the_same_features_give_the_same_matches(matcher):
 
 
 @pytest.mark.parametrize("matcher", ["mutual", "kdtree"])
-def test_strangers_are_rejected_with_their_count(matcher):
+def test_strangers_are_rejected_with_their_count(matcher: str) -> None:
     found = match(random_features(300), random_features(300), matcher=matcher)
     assert isinstance(found, Rejected) and found.figures["matches"] < 8
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_no_keypoints_give_no_matches(matcher):
+def test_no_keypoints_give_no_matches(matcher: str) -> None:
     assert isinstance(match(random_features(0), random_features(300), matcher=matcher), Rejected)
     assert isinstance(match(random_features(300), random_features(3), matcher=matcher), Rejected)
 
 
-def test_strangers_share_no_structure():
+def test_strangers_share_no_structure() -> None:
     found = match(random_features(300), random_features(300))
     assert isinstance(found, Rejected) or len(found.i1) < 25
 
 
-def test_the_literal_dominance_test_never_fires_on_hundreds_of_features():
+def test_the_literal_dominance_test_never_fires_on_hundreds_of_features() -> None:
     left = random_features(400)
     found = match(left, seen_again(left, RNG.permutation(400), np.zeros(2)), matcher="literal")
     assert isinstance(found, Rejected)
@@ -84,7 +86,7 @@ def repeated_windows(seed: int) -> tuple[Features, Features]:
     descriptors = np.r_[np.tile(base[:4], (96, 1)), base[4:]]
     A, shift = np.array([[0.7, 0.05], [-0.1, 0.95]]), np.array([30.0, 40.0])
 
-    def view(points, frames, order):
+    def view(points: Float64s, frames: Float64s, order: Int64s) -> Features:
         noisy = np.abs(descriptors[order] + rng.normal(0, 0.02, (len(order), 128)).astype(np.float32))
         noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
         n = len(order)
@@ -97,7 +99,7 @@ def repeated_windows(seed: int) -> tuple[Features, Features]:
     return view(xy, frames, order), view(xy @ A.T + shift + rng.normal(0, 0.3, xy.shape), frames * np.sqrt(0.67), order)
 
 
-def test_repeated_windows_are_told_apart_by_the_pattern_that_they_form():
+def test_repeated_windows_are_told_apart_by_the_pattern_that_they_form() -> None:
     left, right = repeated_windows(3)
     structural, mutual = match(left, right), match(left, right, matcher="mutual")
     assert isinstance(structural, Matches) and isinstance(mutual, Matches)
@@ -106,7 +108,7 @@ def test_repeated_windows_are_told_apart_by_the_pattern_that_they_form():
     assert right_ones.sum() > 1.8 * (mutual.i1 == mutual.i2).sum()
 
 
-def test_a_match_is_unique_in_both_images_and_more_dominance_means_fewer():
+def test_a_match_is_unique_in_both_images_and_more_dominance_means_fewer() -> None:
     left, right = repeated_windows(4)
     loose, strict = match(left, right), match(left, right, dominance=3.0)
     assert isinstance(loose, Matches) and isinstance(strict, Matches)
@@ -115,7 +117,7 @@ def test_a_match_is_unique_in_both_images_and_more_dominance_means_fewer():
     assert loose.probability.min() > 0.44 and strict.probability.min() > 0.74
 
 
-def test_compressed_views_come_in_only_where_the_plain_ones_are_weak():
+def test_compressed_views_come_in_only_where_the_plain_ones_are_weak() -> None:
     left, right = repeated_windows(5)
     tilts1, tilts2 = ((np.arange(len(left.xy)) % 5 == rest).astype(np.uint8) for rest in (3, 4))
     left, right = Features(**{**vars(left), "tilts": tilts1}), Features(**{**vars(right), "tilts": tilts2})

@@ -271,7 +271,7 @@ def test_a_mirrored_image_is_refused() -> None:
         geometry, x2=apply_homography(mirror, geometry.x2), F=np.asarray(np.linalg.inv(mirror).T @ geometry.F)
     )
     for method in ("congruent", "hartley", "polar"):
-        refused = rectify(flipped, None, None, method=method)  # type: ignore[arg-type]
+        refused = rectify(flipped, None, None, method=method)
         assert isinstance(refused, Rejected) and ("mirrored" in refused.reason or "wrong" in refused.reason), (method, refused)
     refused = rectify(flipped, None, None)
     assert isinstance(refused, Rejected) and "mirrored" in refused.reason

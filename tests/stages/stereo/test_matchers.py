@@ -28,7 +28,7 @@ def pair_of(left: np.ndarray, right: np.ndarray, low: int, high: int) -> Rectifi
 
 def well_inside(truth: np.ndarray) -> np.ndarray:
     x = np.arange(truth.shape[1]) - truth
-    return (x > 10) & (x < truth.shape[1] - 11)
+    return np.asarray((x > 10) & (x < truth.shape[1] - 11))
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
@@ -244,7 +244,7 @@ def test_images_without_texture_keep_the_range_of_the_matches() -> None:
 
 @pytest.mark.parametrize("level", [2.0, 6.0])
 def test_noise_is_told_from_texture(level: float) -> None:
-    smooth = cv2.GaussianBlur(texture(240, 320), (0, 0), 3)
+    smooth = cv2.GaussianBlur(texture(240, 320), (0, 0), 3).astype(np.float32)
     valid = np.ones(smooth.shape, dtype=bool)
     assert noise_level(smooth, valid) < 0.5
     noisy = (smooth + np.random.default_rng(0).normal(0, level, smooth.shape)).astype(np.float32)
@@ -253,14 +253,14 @@ def test_noise_is_told_from_texture(level: float) -> None:
 
 
 def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alone() -> None:
-    left, right = (cv2.GaussianBlur(image, (0, 0), 1.5) for image in stereo_pair(160, 256))
+    left, right = (cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float32) for image in stereo_pair(160, 256))
     valid = np.ones(left.shape, dtype=bool)
     np.testing.assert_array_equal(quietened(left, valid), left)
     rng = np.random.default_rng(0)
     noisy = [(image + rng.normal(0, 6, image.shape)).astype(np.float32) for image in (left, right)]
     truth = true_disparity(160, 256)
     as_given, smoothed = (
-        np.abs(match_patchmatch(pair_of(*images, 16, 48)).left - truth)[well_inside(truth)]
+        np.abs(match_patchmatch(pair_of(images[0], images[1], 16, 48)).left - truth)[well_inside(truth)]
         for images in (noisy, [quietened(image, valid) for image in noisy])
     )
     assert np.mean(smoothed < 0.5) > np.mean(as_given < 0.5) + 0.03

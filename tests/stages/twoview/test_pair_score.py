@@ -55,7 +55,7 @@ def site(count: int, score: float = 2.0, wrong: dict[Pair, float] | None = None)
     return pairs
 
 
-def test_a_site_of_right_pairs_is_believed_and_all_triangles_close():
+def test_a_site_of_right_pairs_is_believed_and_all_triangles_close() -> None:
     verdicts = site_verdict(site(5))
     assert all(v.reason is None for v in verdicts.values())
     assert all(v.closed == v.triangles == 3 for v in verdicts.values())
@@ -63,14 +63,14 @@ def test_a_site_of_right_pairs_is_believed_and_all_triangles_close():
 
 
 @pytest.mark.parametrize("score", [1.0, 3.0])
-def test_a_wrong_pair_of_good_score_is_dropped_as_a_lookalike(score):
+def test_a_wrong_pair_of_good_score_is_dropped_as_a_lookalike(score: float) -> None:
     verdicts = site_verdict(site(5, wrong={("c1", "c3"): score}))
     assert verdicts["c1", "c3"].reason is not None and "look-alike" in verdicts["c1", "c3"].reason
     assert verdicts["c1", "c3"].closed == 0 and verdicts["c1", "c3"].good_probability <= 0.5
     assert all(v.reason is None for pair, v in verdicts.items() if pair != ("c1", "c3"))
 
 
-def test_loops_confirm_a_pair_that_is_doubtful_alone():
+def test_loops_confirm_a_pair_that_is_doubtful_alone() -> None:
     doubtful = site(5)
     doubtful["c0", "c4"] = geometry(*pose(doubtful["c0", "c4"]), score=-0.7)
     assert site_verdict(doubtful)["c0", "c4"].reason is None
@@ -83,20 +83,20 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     return g.cam2_R_cam1, g.cam2_t_cam1
 
 
-def test_two_cameras_need_more_than_cameras_that_others_confirm():
+def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:
     pair = next(iter(site(2).values()))
     modest, sure = (site_verdict({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 2.5))
     assert modest.reason is not None and "no third camera" in modest.reason
     assert sure.reason is None
 
 
-def test_what_two_poses_explain_is_ambiguous():
+def test_what_two_poses_explain_is_ambiguous() -> None:
     pair = next(iter(site(2).values()))
     verdict = site_verdict({("a", "b"): geometry(*pose(pair), score=0.0)})["a", "b"]
     assert verdict.reason is not None and verdict.reason.startswith("ambiguous")
 
 
-def test_pairs_without_pose_are_judged_by_their_score():
+def test_pairs_without_pose_are_judged_by_their_score() -> None:
     some = site(3)
     bare = {p: Geometry(**{**vars(g), "cam2_R_cam1": None, "cam2_t_cam1": None}) for p, g in some.items()}
     verdicts = site_verdict(bare)
@@ -104,7 +104,7 @@ def test_pairs_without_pose_are_judged_by_their_score():
     assert site_verdict({}) == {}
 
 
-def test_the_verdict_does_not_depend_on_the_order_of_the_pairs():
+def test_the_verdict_does_not_depend_on_the_order_of_the_pairs() -> None:
     pairs = site(5, wrong={("c0", "c2"): 1.5})
     there, back = site_verdict(pairs), site_verdict(dict(reversed(pairs.items())))
     assert {p: v.reason is None for p, v in there.items()} == {p: v.reason is None for p, v in back.items()}
@@ -118,18 +118,18 @@ WORSE = [{"inliers": 30}, {"distinct_cells": 5}, {"distinct_share": 0.2}, {"agre
 
 
 @pytest.mark.parametrize(("worse", "known"), [*product(WORSE, [True, False]), ({"half_rotation_deg": 8.0}, True)])
-def test_less_evidence_is_a_lower_score(worse, known):
+def test_less_evidence_is_a_lower_score(worse: dict[str, float], known: bool) -> None:
     unknown = {} if known else {"half_rotation_deg": float("nan")}
     good, bad = PairEvidence(**{**vars(GOOD), **unknown}), PairEvidence(**{**vars(GOOD), **unknown, **worse})
     assert pair_score(bad) < pair_score(good) and pair_score(good) > 1
 
 
-def test_a_contradicted_pair_is_never_believed_alone():
+def test_a_contradicted_pair_is_never_believed_alone() -> None:
     assert pair_score(GOOD) > 0 >= pair_score(GOOD, contradicted=True)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 0.01, 7.0, 90.0, 179.0])
-def test_rotation_angle(degrees):
+def test_rotation_angle(degrees: float) -> None:
     assert rotation_angle_deg(turn(degrees, 0)) == pytest.approx(degrees, abs=1e-6)
 
 
@@ -151,7 +151,7 @@ def solid_pair(seed: int, lookalikes: bool) -> tuple[Features, Features]:
     return views[0], views[1]
 
 
-def test_distinctive_matches_are_believed_more_than_twins():
+def test_distinctive_matches_are_believed_more_than_twins() -> None:
     scores = []
     for lookalikes in (False, True):
         left, right = solid_pair(1, lookalikes)
@@ -164,7 +164,7 @@ def test_distinctive_matches_are_believed_more_than_twins():
     assert scores[0] > scores[1] + 2
 
 
-def test_a_geometry_below_the_least_score_is_rejected_with_its_figures():
+def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None:
     left, right = solid_pair(2, lookalikes=True)
     matches = match(left, right)
     assert isinstance(matches, Matches)
