@@ -7,8 +7,8 @@ views.  The project's matchers, OpenCV's, and graph cuts.
 
     scripts/bench_dense.py --scenes middlebury --matchers sgbm patchmatch
     scripts/bench_dense.py --json rows.json --plot curves.svg        'quality against baseline', as curves
-    scripts/bench_dense.py --noise 0 100 --plot curves.svg           the source's noise test too: Gaussian noise of this variance
-    scripts/bench_dense.py --matchers census-sgm sift-sgm daisy-sgm  dense descriptors as data cost, the source's future work
+    scripts/bench_dense.py --noise 0 100 --plot curves.svg           Hao's noise test (2011) too: Gaussian noise of this variance
+    scripts/bench_dense.py --matchers census-sgm sift-sgm daisy-sgm  dense descriptors as data cost, Hao's future work
                                                                      (slow; DAISY needs scikit-image)
     scripts/bench_dense.py --check                                   exit code 1 when a figure is missed
 """
@@ -74,7 +74,7 @@ costs, in census bits."""
 
 
 def sift_sgm(pair: RectifiedPair) -> DenseMatches:
-    """The source's future work: semi-global matching on distances of dense descriptors (SIFT at every pixel)."""
+    """Future work of Hao (2011): semi-global matching on distances of dense descriptors (SIFT at every pixel)."""
     return descriptor_sgm(pair, dense_sift(pair.left), dense_sift(pair.right))
 
 

@@ -163,7 +163,7 @@ def line(row: Row) -> str:
 
 
 def plot(rows: list[Row], file: Path) -> None:
-    """The source's Figures 3-28 to 3-30 on these pairs, as SVG: matches, good matches, good rate; kd-tree against structural."""
+    """Figures 3-28 to 3-30 of Hao (2011) on these pairs, as SVG: matches, good matches, good rate; kd-tree against structural."""
     colours = {"kdtree": "#b0b0b0", "structural": "#3070b0", "structural-tilt+F": "#d07020"}
     order = sorted({(r.scene, r.angle_deg, r.pair) for r in rows})
     step, height, left = 46, 170, 60
@@ -214,7 +214,7 @@ def main() -> int:
     parser.add_argument("--width", type=int, default=1536, help="working width, pixels")
     parser.add_argument("--seeds", type=int, default=3, help="random seeds to average over")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
-    parser.add_argument("--plot", type=Path, help="write the source's three figures on these pairs, as SVG")
+    parser.add_argument("--plot", type=Path, help="write Hao's three figures on these pairs, as SVG")
     parser.add_argument("--check", action="store_true", help="a few pairs with thresholds; exit code 1 when one is missed")
     given = parser.parse_args()
     on_one_thread()
