@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from .fusion.pair_depth import NoiseModel, fuse_pairs, pair_depth
+from .reasons import Reason, Rejected
 from .rectification.warping import Side
-from .types import Camera, DepthMap, Disparity, Pair, Rectification, Rejected
+from .types import Camera, DepthMap, Disparity, Pair, Rectification
 
 
 def view_depth(
@@ -44,5 +45,5 @@ def view_depth(
         partners.append(other)
     found = fuse_pairs(camera, depths, gains, partners, NoiseModel(noise_px=noise_px)) if depths else None
     if found is None or not np.isfinite(found.depth).any():
-        return Rejected("no pair gave this view any depth", {"pairs": float(len(disparities))})
+        return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})
     return found

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from .reasons import Reason, Rejected
 from .rectification.warping import Side, warp_with_mask
 from .stereo.coarse_range import prepared
 from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_specks
@@ -14,7 +15,7 @@ from .stereo.graphcut import match_graphcut
 from .stereo.matcher import DenseMatcher, DenseMatches, RectifiedPair
 from .stereo.patchmatch import match_patchmatch
 from .stereo.sgbm import match_sgbm
-from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Rejected, Uint8s
+from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
 
 Matcher = Literal["patchmatch", "sgbm", "graphcut"]
 
@@ -64,7 +65,7 @@ def match_dense(
     Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
     """
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
-        return Rejected("the disparity range is too wide", {"disparity_max_px": rectification.disparity_max_px})
+        return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = prepared(_rectified(left, right, rectification))
     matches = MATCHERS[matcher](pair)
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
@@ -73,7 +74,7 @@ def match_dense(
     common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
     density = float(np.sum(kept[0][0] != INVALID) / max(int(common.sum()), 1))
     if density < min_density:
-        return Rejected("almost nothing matches densely", {"density": density, "common_px": float(common.sum())})
+        return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common.sum())})
     (disparity1, confidence1), (disparity2, confidence2) = kept
     width1, width2 = rectification.size1[0], rectification.size2[0]
     return Disparity(

@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 
 from .matching.neighbours import nearest_elsewhere
-from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Rejected, Uint8s, View
+from .reasons import Reason, Rejected
+from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s, View
 
 Light = Literal["auto", "plain", "robust"]
 
-PLAIN = 0
-TILTED = 1
 DARK_GREY, FLAT_RANGE = 50.0, 25.0
 """Grey levels of 255: a median below the first, or a span of the middle 80 % below the second, asks for robust light."""
 ANGLE_SEAM_DEG = 45.0
@@ -71,8 +70,8 @@ def detect(
     sift = cv2.SIFT.create(contrastThreshold=contrast_threshold, enable_precise_upscale=True)
     plain = _detect_view(sift, grey, frame.mask, keypoints, grid_columns, crowding)
     if len(plain[0]) < min_keypoints:
-        reason = f"{len(plain[0])} keypoints, {min_keypoints} needed: the frame is empty, blurred or masked"
-        return Rejected(reason, {"keypoints": len(plain[0]), "usable_share": float(frame.mask.mean())})
+        figures = {"keypoints": len(plain[0]), "needed": min_keypoints, "usable_share": float(frame.mask.mean())}
+        return Rejected(Reason.TOO_FEW_KEYPOINTS, figures)
     views = [plain]
     if tilted_keypoints > 0:
         views.append(_detect_tilted(sift, grey, frame.mask, tilted_keypoints, grid_columns, crowding))

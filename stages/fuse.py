@@ -19,8 +19,9 @@ from .fusion.glance import glance, natural_voxel, nearest_views
 from .fusion.pair_depth import world_normals
 from .fusion.visibility import Verdict, cross_check
 from .fusion.voxels import Samples, VoxelGrid
+from .reasons import Reason, Rejected
 from .twoview.epipolar import backproject
-from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Rejected
+from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
 """Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
@@ -72,7 +73,7 @@ def fuse(
 
     glances = {name: glance(frames[name], depth_of(name)) for name in cameras}
     if not any(np.isfinite(view.depth).any() for view in glances.values()):
-        return Rejected("no view has any depth", {"cameras": float(len(cameras))})
+        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
     near = {name: nearest_views(name, cameras, glances, check_views) for name in cameras}
     gains = exposure_gains(cameras, glances, near)
     edge = voxel_m or natural_voxel(cameras, glances)
@@ -85,7 +86,8 @@ def fuse(
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
     if not parts:
-        return Rejected(f"no point is supported by {strict} pairs and {neighbours} neighbours", {"cameras": float(len(cameras))})
+        figures = {"cameras": len(cameras), "min_consistent_pairs": strict, "neighbours": neighbours}
+        return Rejected(Reason.NO_SUPPORTED_POINT, figures)
     return Cloud(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cloud)))
 
 

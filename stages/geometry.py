@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 
-from .matching.structural import Correspondences, ViewPair, guided_matches, view_pairs
+from .matching.candidates import searched_view_pairs
+from .matching.structural import match_guided
+from .reasons import Reason, Rejected
 from .twoview.epipolar import homogeneous, symmetric_epipolar_distance
 from .twoview.intrinsics_prior import ODDEST, TwoCameras, refine_with_plausible_lenses
-from .twoview.pair_score import pair_evidence, pair_score, probability
+from .twoview.pair_score import (
+    GRID_COLUMNS,
+    GRID_ROWS,
+    PairEvidence,
+    pair_evidence,
+    pair_score,
+    point_evidence,
+    probability,
+)
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (
     INLIER_FACTOR,
@@ -23,7 +34,7 @@ from .twoview.robust import (
     rotation_support,
     supporters,
 )
-from .types import Features, Float64s, Geometry, Matches, Rejected, View
+from .types import Features, Float64s, Geometry, Matches, View
 
 ESSENTIAL_SUPPORT = 0.7
 """E is kept when it has at least this share of the inliers of F.  F has two freedoms more: enough to take in, besides the truth,
@@ -31,6 +42,15 @@ what repeats along a facade (a sixth of the inliers of some right pairs), and to
 PLANAR_SHARE = 0.95
 """A model without depth (homography, rotation) that explains this share of the inliers, or all but the fewest that F needs,
 leaves F undetermined: what is left over may be chance."""
+
+
+@dataclass(frozen=True)
+class _How:
+    """Parameters of all estimates of one pair, see `estimate_geometry`."""
+
+    threshold_px: float
+    use_intrinsics: bool
+    seed: int
 
 
 def estimate_geometry(
@@ -52,8 +72,9 @@ def estimate_geometry(
 
     Parameters
     ----------
-    matches : correspondences before geometry.
-    left, right : the keypoints that were matched.
+    matches : correspondences before geometry.  Points that are no keypoints are taken as they are: without the guided round, and
+        with the matcher's own probability in the place of how distinctive their descriptors are.
+    left, right : the keypoints of the two frames.
     threshold_px : noise of a correct match, pixels.
     guided : match once more around the epipolar lines, and keep what that finds unless the inliers drop.
     use_intrinsics : try the 5-point E too where both K are known, and keep the better supported.
@@ -72,51 +93,56 @@ def estimate_geometry(
     ----------
     Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
-    before = len(matches.x1)
-    problems = view_pairs(left, right, matches.tilted)
-    found = _solve(matches, _sizes(matches, left, right), threshold_px, use_intrinsics, seed)
-    if guided and found is not None:
-        matches, found = _guided_round(matches, found, left, right, problems, threshold_px, use_intrinsics, seed)
-    size = _sizes(matches, left, right)
-    found, noise, lenses = _weighted(matches, found, size, threshold_px, use_intrinsics)
+    how = _How(threshold_px, use_intrinsics, seed)
+    if matches.i1 is not None:
+        matches = replace(matches, searched=searched_view_pairs(matches, left, right))
+    before = matches
+    found = _solve(matches, _sizes(matches, left, right), how)
+    if guided and found is not None and matches.i1 is not None:
+        matches, found = _guided_round(matches, found, left, right, how)
+    found, noise, lenses = _weighted(matches, found, _sizes(matches, left, right), how)
     count = 0 if found is None else int(found.inliers.sum())
     if found is None or count < min_inliers:
-        figures = {"matches": float(before), "inliers": float(count)}
-        return Rejected(f"too few: {count} inliers of {before} matches, {min_inliers} needed", figures)
-    support = _support(matches, found, threshold_px, seed)
-    figures = {"matches": float(before), **support.figures()}
+        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": len(before.x1), "inliers": count, "needed": min_inliers})
+    inliers = _inliers(matches, found)
+    support = _support(inliers, found, how)
+    figures = {"matches": float(len(before.x1)), **support.figures()}
     degenerate = _degenerate(support, min_area, min_inliers)
     if degenerate is not None:
-        return Rejected(degenerate, figures)
+        return Rejected(degenerate, figures | {"needed_share": min_area})
 
-    i1, i2 = matches.i1[found.inliers], matches.i2[found.inliers]
     contradicted = found.R is None and use_intrinsics and _known(matches.view1) and _known(matches.view2)
-    evidence = pair_evidence(left, right, problems, i1, i2, found, seed)
+    evidence = _evidence(before, inliers, found, left, right, seed)
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
     if score < min_score:
-        reason = (
-            f"wrong: {count} inliers agree with each other, but only {evidence.distinct_cells} of 96 cells hold distinctive "
-            f"ones and {100 * evidence.agreement:.0f} % of the clear matches agree with them"
-        )
-        return Rejected(reason, figures)
-    R, t = _pose(found, support.x1, support.x2, matches.view1, matches.view2)
+        return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
+    warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
+    accepted = _accepted(inliers, found, support, evidence, score)
+    return replace(
+        accepted, matches=len(before.x1), noise_px=noise[found.inliers].astype(np.float32), **_told(lenses), warnings=warnings
+    )
+
+
+def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
+    """The geometry with its figures."""
+    R, t = _pose(found, inliers.x1, inliers.x2, inliers.view1, inliers.view2)
     return Geometry(
         F=found.F,
-        x1=support.x1,
-        x2=support.x2,
-        i1=i1,
-        i2=i2,
-        probability=matches.probability[found.inliers],
-        view1=matches.view1,
-        view2=matches.view2,
+        x1=inliers.x1,
+        x2=inliers.x2,
+        i1=inliers.i1,
+        i2=inliers.i2,
+        probability=inliers.probability,
+        view1=inliers.view1,
+        view2=inliers.view2,
         cam2_R_cam1=R,
         cam2_t_cam1=t,
-        matches=before,
-        inliers=count,
+        matches=len(inliers.x1),
+        inliers=len(inliers.x1),
         model="F" if found.R is None else "E",
-        epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, support.x1, support.x2))),
-        angle_deg=_ray_angle_deg(support.x1, support.x2, matches.view1, matches.view2, R),
+        epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, inliers.x1, inliers.x2))),
+        angle_deg=_ray_angle_deg(inliers.x1, inliers.x2, inliers.view1, inliers.view2, R),
         homography_share=support.plane_share,
         score=score,
         good_probability=probability(score),
@@ -125,12 +151,28 @@ def estimate_geometry(
         agreement=evidence.agreement,
         half_rotation_deg=evidence.half_rotation_deg,
         stretch=evidence.stretch,
-        noise_px=noise[found.inliers].astype(np.float32),
-        lens1=None if lenses is None else lenses.K1,
-        lens2=None if lenses is None else lenses.K2,
-        lens_oddness=float("nan") if lenses is None else lenses.oddness,
-        warnings=_warnings(support, contradicted, few_inliers, small_area, min_inliers),
     )
+
+
+def _inliers(matches: Matches, found: TwoView) -> Matches:
+    """The matches that support the geometry."""
+    keep = found.inliers
+    return replace(
+        matches,
+        x1=matches.x1[keep],
+        x2=matches.x2[keep],
+        i1=None if matches.i1 is None else matches.i1[keep],
+        i2=None if matches.i2 is None else matches.i2[keep],
+        probability=matches.probability[keep],
+        affine=None if matches.affine is None else matches.affine[keep],
+    )
+
+
+def _evidence(before: Matches, inliers: Matches, found: TwoView, left: Features, right: Features, seed: int) -> PairEvidence:
+    """What speaks for the pair: its descriptors where the matches have keypoints, else what the matcher said of its points."""
+    if inliers.i1 is None or inliers.i2 is None:
+        return point_evidence(before, inliers, found, seed)
+    return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, found, seed)
 
 
 @dataclass(frozen=True)
@@ -153,28 +195,22 @@ class _Support:
         return len(self.x1) * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * len(self.x1))
 
 
-def _support(matches: Matches, found: TwoView, threshold_px: float, seed: int) -> _Support:
-    x1, x2 = matches.x1[found.inliers], matches.x2[found.inliers]
-    view1, view2 = matches.view1, matches.view2
+def _support(inliers: Matches, found: TwoView, how: _How) -> _Support:
+    x1, x2, view1, view2 = inliers.x1, inliers.x2, inliers.view1, inliers.view2
     turned = None
     if found.R is not None:
-        turned = rotation_support(x1, x2, view1, view2, found.R, INLIER_FACTOR * threshold_px)
-    plane = float(homography_support(x1, x2, threshold_px, seed).mean())
+        turned = rotation_support(x1, x2, view1, view2, found.R, INLIER_FACTOR * how.threshold_px)
+    plane = float(homography_support(x1, x2, how.threshold_px, how.seed).mean())
     return _Support(x1, x2, min(_hull_share(x1, view1), _hull_share(x2, view2)), plane, turned)
 
 
-def _degenerate(support: _Support, min_area: float, min_inliers: int) -> str | None:
-    """The name of what makes F meaningless, with its figures."""
-    count = len(support.x1)
+def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
+    """What makes F meaningless."""
     if support.area < min_area:
-        return f"too clustered: {count} inliers on {100 * support.area:.2f} % of the image, {100 * min_area:.2f} needed"
+        return Reason.CLUSTERED
     if support.turned_share is not None:
-        if support.explained(support.turned_share, min_inliers):
-            return f"pure rotation: {100 * support.turned_share:.0f} % of the inliers need no baseline"
-    elif support.explained(support.plane_share, min_inliers):
-        share = 100 * support.plane_share
-        return f"planar scene or pure rotation: a homography explains {share:.0f} % of the inliers, and no E is known"
-    return None
+        return Reason.PURE_ROTATION if support.explained(support.turned_share, min_inliers) else None
+    return Reason.PLANAR_OR_ROTATION if support.explained(support.plane_share, min_inliers) else None
 
 
 def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int) -> tuple[str, ...]:
@@ -190,50 +226,30 @@ def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_are
     return tuple(found)
 
 
-def _solve(matches: Matches, size: Float64s, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView | None:
+def _solve(matches: Matches, size: Float64s, how: _How) -> TwoView | None:
     """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`.  size: (n,) of the matched keypoints."""
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
-    bare = estimate_fundamental(x1, x2, threshold_px, seed)
-    if not (use_intrinsics and _known(view1) and _known(view2)):
-        return None if bare is None else _plausible(matches, bare, size, threshold_px, use_intrinsics, seed)
-    calibrated = estimate_essential(x1, x2, view1, view2, threshold_px, seed)
+    bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
+    if not (how.use_intrinsics and _known(view1) and _known(view2)):
+        return None if bare is None else _plausible(matches, bare, size, how)
+    calibrated = estimate_essential(x1, x2, view1, view2, how.threshold_px, how.seed)
     if bare is None or calibrated is None:
         return calibrated or bare
     return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * bare.inliers.sum() else bare
 
 
-def _guided_round(
-    matches: Matches,
-    found: TwoView,
-    left: Features,
-    right: Features,
-    problems: list[ViewPair],
-    threshold_px: float,
-    use_intrinsics: bool,
-    seed: int,
-) -> tuple[Matches, TwoView]:
+def _guided_round(matches: Matches, found: TwoView, left: Features, right: Features, how: _How) -> tuple[Matches, TwoView]:
     """Matches and their geometry after the guided round, or what came in where that has more inliers."""
-    inside = found.inliers
-    known = Correspondences(matches.i1[inside], matches.i2[inside], matches.probability[inside].astype(np.float64))
-    again = guided_matches(left, right, problems, known, found.F)
-    i1, i2 = again.i1, again.i2
-    more = replace(
-        matches,
-        x1=left.xy[i1],
-        x2=right.xy[i2],
-        i1=i1,
-        i2=i2,
-        probability=again.probability.astype(np.float32),
-        affine=right.frames[i2] @ np.linalg.inv(left.frames[i1]),
-    )
-    better = _solve(more, _sizes(more, left, right), threshold_px, use_intrinsics, seed)
-    if better is None or better.inliers.sum() < inside.sum():
+    again = match_guided(_inliers(matches, found), left, right, found.F)
+    again = replace(again, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
+    better = _solve(again, _sizes(again, left, right), how)
+    if better is None or better.inliers.sum() < found.inliers.sum():
         return matches, found
-    return more, better
+    return again, better
 
 
 def _weighted(
-    matches: Matches, found: TwoView | None, size: Float64s, threshold_px: float, use_intrinsics: bool
+    matches: Matches, found: TwoView | None, size: Float64s, how: _How
 ) -> tuple[TwoView | None, Float64s, TwoCameras | None]:
     """The geometry refined with weights by the size of the keypoints; the noise (n,) in pixels of each match; lenses that go with
     F where they are not known."""
@@ -244,25 +260,25 @@ def _weighted(
     if found.R is not None and view1.K is not None and view2.K is not None:
         F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside], (view1.K, view2.K))
         pose = pose_of_fundamental(F, x1[inside], x2[inside], view1, view2)
-        inliers = supporters(F, x1, x2, threshold_px)
+        inliers = supporters(F, x1, x2, how.threshold_px)
         better = None if pose is None or inliers.sum() < 8 else TwoView(F, inliers, *pose)
         return better or found, size * (noise[0] / size[inside][0]), None
     F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside])
     lenses = None
     if not (_known(view1) and _known(view2)):
-        lenses = refine_with_plausible_lenses([F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, use_intrinsics))
+        lenses = refine_with_plausible_lenses([F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, how.use_intrinsics))
     if lenses is not None and lenses.oddness <= ODDEST:
         F = lenses.F
-    inliers = supporters(F, x1, x2, threshold_px)
+    inliers = supporters(F, x1, x2, how.threshold_px)
     better = None if inliers.sum() < 8 else TwoView(F, inliers)
     return better or found, size * (noise[0] / size[inside][0]), lenses
 
 
-def _plausible(matches: Matches, bare: TwoView, size: Float64s, threshold_px: float, use_intrinsics: bool, seed: int) -> TwoView:
+def _plausible(matches: Matches, bare: TwoView, size: Float64s, how: _How) -> TwoView:
     """F of two cameras with lenses as cameras have, unless these are odd or it has far fewer inliers than the bare F."""
     x1, x2 = matches.x1, matches.x2
-    views = _lenses_to_use(matches, use_intrinsics)
-    one = estimate_with_one_lens(x1, x2, *views, threshold_px, seed)
+    views = _lenses_to_use(matches, how.use_intrinsics)
+    one = estimate_with_one_lens(x1, x2, *views, how.threshold_px, how.seed)
     candidates = [bare] if one is None else [bare, one]
     either = np.any([c.inliers for c in candidates], axis=0)
     noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
@@ -270,7 +286,7 @@ def _plausible(matches: Matches, bare: TwoView, size: Float64s, threshold_px: fl
     found = refine_with_plausible_lenses([c.F for c in candidates], x1[either], x2[either], noise, *views)
     if found is None or found.oddness > ODDEST:
         return bare
-    inliers = supporters(found.F, x1, x2, threshold_px)
+    inliers = supporters(found.F, x1, x2, how.threshold_px)
     return TwoView(found.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare
 
 
@@ -281,8 +297,15 @@ def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
     return View(view1.width, view1.height), View(view2.width, view2.height)
 
 
+def _told(lenses: TwoCameras | None) -> dict[str, Any]:
+    """The fields of `Geometry` that say which lenses go with F."""
+    return {} if lenses is None else {"lens1": lenses.K1, "lens2": lenses.K2, "lens_oddness": lenses.oddness}
+
+
 def _sizes(matches: Matches, left: Features, right: Features) -> Float64s:
-    """(n,) size of the coarser keypoint of each match, pixels."""
+    """(n,) size of the coarser keypoint of each match, pixels; 1 where there are no keypoints: only their ratios count."""
+    if matches.i1 is None or matches.i2 is None:
+        return np.ones(len(matches.x1))
     return np.asarray(np.maximum(_size(left.frames[matches.i1]), _size(right.frames[matches.i2])), dtype=np.float64)
 
 

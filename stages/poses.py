@@ -12,9 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from .reasons import Reason, Rejected
 from .sfm.pose_check import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
 from .twoview.epipolar import camera_of, rotation_between_deg
-from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Rejected, Survey, View
+from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
 """A sentence lists so many cameras at most."""
@@ -51,7 +52,7 @@ def solve_poses(
     Poses, or Rejected where not even two cameras can be placed.
     """
     if len(views) < 2:
-        return Rejected("one camera makes no cloud: two or more that see the same things are needed", {"cameras": len(views)})
+        return Rejected(Reason.ONE_CAMERA, {"cameras": len(views)})
     survey = survey or Survey()
     stated = stated_cameras(views, placements)
     exact = {name: camera for name, camera in stated.items() if placements[name].sigma_m == 0}
@@ -160,7 +161,7 @@ def _as_stated(
             lacks_lens = view.K is None or not view.focal_known
             unsolved[name] = ("no intrinsics" if lacks_lens else "no pose") + " given, and no pair to solve it from"
     if not stated:
-        return Rejected("no camera has a pose and intrinsics", {"cameras": float(len(views)), "solved": 0.0})
+        return Rejected(Reason.NO_POSED_CAMERA, {"cameras": len(views)})
     metric = all(placements[name].metric for name in stated)
     scale = "calibration" if metric else "calibration, not metric"
     return Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .core.nearest_points import nearest_points
+from .reasons import Reason, Rejected
 from .rectification.calibrated import calibrated
 from .rectification.congruent import congruent, seed
 from .rectification.hartley import hartley
@@ -21,7 +22,7 @@ from .rectification.quality import line_uncertainty, order_agreement, parallax_p
 from .rectification.warping import Side, from_rectified, rectified_size, resampling, to_rectified
 from .twoview.epipolar import fundamental_from_cameras, rays, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import ODDEST, freedoms
-from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification, Rejected
+from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification
 
 Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]
 
@@ -115,12 +116,12 @@ def rectify(
     pair = _obeying(geometry, left, right)
     if pair.camera1 is None and geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
-        return Rejected("F is more likely wrong than right: too few distinctive matches agree with it", figures)
+        return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
     if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
         raise ValueError("method 'calibrated' needs the cameras of both frames")
     if pair.camera1 is None and geometry.lens_oddness > ODDEST:
         figures = {"lens_oddness": geometry.lens_oddness, "allowed": ODDEST}
-        return Rejected("F is that of very odd lenses: it is wrong, or their fields of view must be given", figures)
+        return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, figures)
     refusal = _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
     if refusal is not None:
         return refusal
@@ -155,15 +156,15 @@ def _unusable(given: int, pair: _Pair, min_matches: int, min_angle_deg: float) -
     """Reasons that hold whatever the method: too few of the given matches left, cameras that contradict them, no baseline."""
     n = len(pair.x1)
     if n < min_matches <= given or n < 0.5 * given:
-        return Rejected("the cameras contradict the matches", {"matches": given, "agreeing": n})
+        return Rejected(Reason.CAMERAS_CONTRADICT_MATCHES, {"matches": given, "agreeing": n})
     if n < min_matches:
-        return Rejected("too few matches", {"matches": n, "needed": min_matches})
+        return Rejected(Reason.TOO_FEW_MATCHES, {"matches": n, "needed": min_matches})
     if pair.angle_deg < min_angle_deg:
-        return Rejected("almost no baseline", {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
+        return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
     if np.isnan(pair.angle_deg):
         parallax = parallax_px(pair.x1, pair.x2)
         if parallax < _LEAST_PARALLAX * pair.size1[0]:
-            return Rejected("one homography explains the pair: almost no baseline, or a flat scene", {"parallax_px": parallax})
+            return Rejected(Reason.NO_PARALLAX, {"parallax_px": parallax})
     return None
 
 
@@ -220,13 +221,13 @@ def _homographies(pair: _Pair, method: str) -> tuple[Float64s, Float64s]:
 def _by_rows(pair: _Pair, reason: str) -> tuple[Rectification, list[_Footprint]] | Rejected:
     rows1, rows2, size1, size2, agreement = polar(pair.F, pair.x1, pair.x2, pair.size1, pair.size2)
     if agreement < 0.98:
-        return Rejected("the matches lie on both sides of the epipole: F is wrong", {"same_side": agreement})
+        return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
-        return Rejected("the epipolar lines that both images see are too few", {"rows": size1[1], "columns": size1[0]})
+        return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
     found = Rectification("polar", reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
     footprints = [_footprint(found, pair, side) for side in _SIDES]
     if min(footprint.share for footprint in footprints) == 0:
-        return Rejected("the epipolar lines that both images see are too few", {"rows": size1[1], "columns": size1[0]})
+        return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
     return found, footprints
 
 
@@ -243,10 +244,10 @@ def _finished(
     vertical = np.abs(y1[:, 1] - y2[:, 1])
     agreement = order_agreement(y1, y2)
     if agreement < 0.7:
-        return Rejected("the order of the matches along the rows differs: F is wrong", {"rank_correlation": agreement})
+        return Rejected(Reason.ROW_ORDER, {"rank_correlation": agreement})
     areas = [middle(footprint.area) for footprint in footprints]
     if min(areas) <= 0:
-        return Rejected("one image would be mirrored", {"area1": areas[0], "area2": areas[1]})
+        return Rejected(Reason.MIRRORED, {"area1": areas[0], "area2": areas[1]})
     disparity = y1[:, 0] - y2[:, 0]
     low, high = percentiles(disparity, 0.5, 99.5)
     margin = range_margin * (high - low) + 0.01 * pair.size1[0]
@@ -255,7 +256,7 @@ def _finished(
     allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
     if uncertainty > allowed:
         figures = {"row_error_px": uncertainty, "allowed_px": allowed}
-        return Rejected("the matches are too few or too clustered to tell the epipolar lines", figures)
+        return Rejected(Reason.UNCERTAIN_ROWS, figures)
     return Rectification(
         method=found.method,
         reason=found.reason,

@@ -20,8 +20,9 @@ import numpy as np
 
 from .fusion.pair_depth import NoiseModel, transfer
 from .mvs.propagation import PlaneSweep, Scalar
+from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Rejected
+from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s
 
 
 def refine(
@@ -68,7 +69,7 @@ def refine(
     around = _sources(camera, {n: cameras[n] for n in frames if n in cameras}, depth, min_angle_deg, max_angle_deg)
     around = around[: min(max_sources, 32)]
     if not around:
-        return Rejected("no other view sees the scene from a useful angle", {"views": float(len(frames))})
+        return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
     image = grey(frame)
     sources = _stack([grey(frames[other]) for other in around])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, cameras[other]) for other in around), strict=True))

@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from .reasons import Reason as Reason
+from .reasons import Rejected as Rejected
+
 Float64s = npt.NDArray[np.float64]
 Float32s = npt.NDArray[np.float32]
 Int64s = npt.NDArray[np.int64]
@@ -20,14 +23,6 @@ Bools = npt.NDArray[np.bool_]
 
 Pair = tuple[str, str]
 """Ids of two cameras, in the order of the site file."""
-
-
-@dataclass(frozen=True)
-class Rejected:
-    """A stage worked, and found nothing usable.  `figures` are the numbers behind `reason`."""
-
-    reason: str
-    figures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -157,25 +152,32 @@ class Features:
     light: str = "plain"
 
 
+PLAIN, TILTED = 0, 1
+"""Values of `Features.tilts`."""
+
+
 @dataclass(frozen=True)
 class Matches:
     """Point correspondences of a pair, before any geometry.
 
-    x1, x2: (n, 2) float64; i1, i2: (n,) int32 rows in the two `Features`; probability: (n,) float32;
-    affine: (n, 2, 2) float64, the local map of image 1 onto image 2 as the two keypoints' frames tell it;
-    matcher: who found them; tilted: the views compressed in x were used too.
+    x1, x2: (n, 2) float64; i1, i2: (n,) int32 rows in the two `Features`, None where the points are no keypoints of these;
+    probability: (n,) float32;
+    affine: (n, 2, 2) float64, the local map of image 1 onto image 2 as the two keypoints' frames tell it, None without keypoints;
+    matcher: who found them; tilted: the views compressed in x were used too;
+    searched: what the matcher searched and geometry may use again; no part of the artifact, and found again where it is missing.
     """
 
     x1: Float64s
     x2: Float64s
-    i1: Int32s
-    i2: Int32s
+    i1: Int32s | None
+    i2: Int32s | None
     probability: Float32s
-    affine: Float64s
+    affine: Float64s | None
     view1: View
     view2: View
     matcher: str = ""
     tilted: bool = False
+    searched: tuple[object, ...] = field(default=(), compare=False, repr=False, metadata={"transient": True})
 
 
 @dataclass(frozen=True)
@@ -200,8 +202,8 @@ class Geometry:
     F: Float64s
     x1: Float64s
     x2: Float64s
-    i1: Int32s
-    i2: Int32s
+    i1: Int32s | None
+    i2: Int32s | None
     probability: Float32s
     view1: View
     view2: View

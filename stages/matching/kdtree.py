@@ -5,11 +5,22 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..types import Float32s, Int32s
+from ..types import Features, Float32s, Int32s, Matches
+from .matcher import keypoint_matches, plain_rows
 
 _KDTREE = 1
 _TREES = 4
 _CHECKS = 200
+
+
+def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: int = 0) -> Matches:
+    """Match the keypoints of the plain views; `probability` is 1 - first/second distance, an order and no frequency.
+
+    ratio: first over second descriptor distance, at most; no unit.  seed: of the trees' random splits.
+    """
+    rows1, rows2 = plain_rows(left), plain_rows(right)
+    i1, i2, rivalry = kdtree_matches(left.descriptors[rows1], right.descriptors[rows2], ratio, seed)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - rivalry.astype(np.float64))
 
 
 def kdtree_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float, seed: int) -> tuple[Int32s, Int32s, Float32s]:

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..types import Float32s, Int32s
+from ..types import Features, Float32s, Int32s, Matches
+from .matcher import keypoint_matches, plain_rows
 from .neighbours import nearest_neighbours
+
+
+def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
+    """Match the keypoints of the plain views; `probability` is 1 - first/second distance, an order and no frequency.
+
+    ratio: first over second descriptor distance, at most, both ways; no unit.
+    """
+    rows1, rows2 = plain_rows(left), plain_rows(right)
+    i1, i2, rivalry = mutual_matches(left.descriptors[rows1], right.descriptors[rows2], ratio)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - rivalry.astype(np.float64))
 
 
 def mutual_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float32s]:

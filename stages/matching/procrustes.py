@@ -1,4 +1,4 @@
-"""The source's own matcher, to the letter (Hao 2011, section 3.3.2), for study and comparison.
+"""Hao's own matcher, to the letter (2011, section 3.3.2), for study and comparison.
 
 Rows of X (m x d) and Y (n x d) are `[x, y, descriptor]`, normalised.  Iterate: P = U V^T from the SVD of X T^T Y^T, the
 orthogonal Procrustes problem; T = diag(A, I), the nearest of that form to Y^T P^T X; until stable.  Accept (k, j) if p_kj
@@ -18,10 +18,39 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..types import Bools, Features, Float32s, Float64s, Int32s
+from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches
+from .matcher import keypoint_matches, plain_rows
 
 _TINY = 1e-10
 _DEPENDENT = 1e-6
+
+
+def match_literal(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
+    """Match the keypoints of the plain views by the published test.  `probability` is 1: the test gives no order.
+
+    dominance: an entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
+    """
+    rows1, rows2, P = _permutation(left, right)
+    i1, i2 = (found.astype(np.int32) for found in np.nonzero(literal_dominance(P, dominance)))
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], np.ones(len(i1)))
+
+
+def match_dominant(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
+    """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, an order.
+
+    ratio: second largest over largest entry of a row and of a column of P, at most; no unit.
+    """
+    rows1, rows2, P = _permutation(left, right)
+    i1, i2, rivalry = nearest_dominance(P, ratio)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - rivalry.astype(np.float64))
+
+
+def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float32s]:
+    """Rows of the plain views and P (m, n) of them, which is empty where one view has not two keypoints."""
+    rows1, rows2 = plain_rows(left), plain_rows(right)
+    if min(len(rows1), len(rows2)) < 2:
+        return rows1, rows2, np.zeros((0, 0), np.float32)
+    return rows1, rows2, procrustes(feature_matrix(left, rows1), feature_matrix(right, rows2)).matrix()
 
 
 @dataclass(frozen=True)

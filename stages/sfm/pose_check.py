@@ -22,6 +22,7 @@ from ..twoview.epipolar import (
     triangulate_depth,
 )
 from ..types import Camera, Float64s, Geometry, Pair, PoseCheck
+from .tracks import same_places
 
 MIN_SHARED = 20
 """Matches or points that a piece of evidence needs at least."""
@@ -159,10 +160,13 @@ def _seen_by(
     """Pixels of `camera` and points of `pair`, which both share the keypoints of `hinge`."""
     link = _either(hinge, camera, pairs)
     assert link is not None
-    mine = pairs[pair].i1 if pair[0] == hinge else pairs[pair].i2
-    other = pairs[link]
-    theirs, x = (other.i1, other.x2) if link[0] == hinge else (other.i2, other.x1)
-    _, a, b = np.intersect1d(mine, theirs, return_indices=True)
+    this, other = pairs[pair], pairs[link]
+    mine, at = (this.i1, this.x1) if pair[0] == hinge else (this.i2, this.x2)
+    theirs, there, x = (other.i1, other.x1, other.x2) if link[0] == hinge else (other.i2, other.x2, other.x1)
+    if mine is None or theirs is None:
+        a, b = same_places(at, there)
+    else:
+        _, a, b = np.intersect1d(mine, theirs, return_indices=True)
     X = points[pair][a]
     good = np.isfinite(X[:, 0])
     return x[b][good], X[good]

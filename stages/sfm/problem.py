@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..reasons import Reason
 from ..twoview.pair_score import site_verdict
 from ..types import Float64s, Geometry, Pair, View
 from .focal import Lenses, guess_lenses, relative_rotations
@@ -70,7 +71,7 @@ class Problem:
             waiting += [p for p in components([e for e in edges if e[0] in left and e[1] in left], left) if len(p) > 1]
         return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
-    def why_nothing(self, trusted: list[Edge]) -> str:
+    def why_nothing(self, trusted: list[Edge]) -> Reason:
         if not self.geometries:
-            return "no pair has a geometry"
-        return "the pairs contradict each other" if not trusted else "too few points are seen at an angle"
+            return Reason.NO_GEOMETRY
+        return Reason.TOO_FEW_POINTS if trusted else Reason.PAIRS_CONTRADICT

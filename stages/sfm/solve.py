@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..reasons import Rejected
 from ..twoview.epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
-from ..types import Camera, Geometry, Pair, PairVerdict, Placement, Poses, Rejected, Survey, View
+from ..types import Camera, Geometry, Pair, PairVerdict, Placement, Poses, Survey, View
 from .incremental import refine
 from .problem import Problem
 from .rotation_averaging import angle_between
@@ -37,7 +38,7 @@ def solve_from_pairs(
     models = problem.models(trusted)
     if not models:
         figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
-        return Rejected("no two cameras could be placed: " + problem.why_nothing(trusted), figures)
+        return Rejected(problem.why_nothing(trusted), figures)
     worlds = [to_world(problem, refine(model, rounds=3), placements, survey) for model in models]
     return _collect(problem, worlds, stated, dropped, max_epipolar_px, survey)
 

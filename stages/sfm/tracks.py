@@ -10,12 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.jit import kernel
 from ..types import Bools, Camera, Float64s, Geometry, Int32s, Int64s
 
 Edge = tuple[int, int]
 """Two views by number, in the order of the pair."""
+SAME_PX = 1.5
+"""Points of one view that are no keypoints are the same observation within this distance, pixels."""
 FIELDS = (16, 12)
 """A view is divided into so many columns and rows, to see how its observations are spread."""
 
@@ -60,7 +63,10 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
 
 
 def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:
-    """Chain the inliers of all pairs.  Keypoints of one view at the same place (several orientations) count as one."""
+    """Chain the inliers of all pairs.
+
+    Keypoints of one view at the same place (several orientations) count as one, and so do other points within `SAME_PX`.
+    """
     nodes, xy, view = _nodes(geometries, views)
     ends = np.concatenate([np.column_stack(nodes[edge]) for edge in geometries] or [np.zeros((0, 2), np.int64)])
     probability = np.concatenate([geometry.probability for geometry in geometries.values()] or [np.zeros(0, np.float32)])
@@ -108,6 +114,9 @@ def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, 
             continue
         points = np.concatenate([(geometries[edge].x1, geometries[edge].x2)[side] for edge, side in sides])
         _, first, number = np.unique(np.round(points, 3), axis=0, return_index=True, return_inverse=True)
+        if any(geometries[edge].i1 is None for edge, _ in sides):
+            kept, nearest = _joined_places(points[first])
+            first, number = first[kept], nearest[number.ravel()]
         number = number.ravel() + start
         for edge, side in sides:
             n = len(geometries[edge].x1)
@@ -116,6 +125,30 @@ def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, 
         owners.append(np.full(len(first), view, np.int64))
         start += len(first)
     return nodes, np.concatenate(places), np.concatenate(owners)
+
+
+def _joined_places(points: Float64s) -> tuple[Int64s, Int64s]:
+    """Points without keypoints are never found twice at the very same place: those within `SAME_PX` of one that came before are
+    one observation.  Rows (k,) of the points that stay, and which of these (n,) each point belongs to."""
+    owner = np.full(len(points), -1)
+    near = cKDTree(points).query_ball_point(points, SAME_PX, return_sorted=True)
+    kept: list[int] = []
+    for k, others in enumerate(near):
+        if owner[k] < 0:
+            free = np.array([other for other in others if owner[other] < 0])
+            owner[free] = len(kept)
+            kept.append(k)
+    return np.array(kept, dtype=np.int64), owner
+
+
+def same_places(x: Float64s, y: Float64s) -> tuple[Int64s, Int64s]:
+    """Rows of points x (n, 2) and y (m, 2) of one view that show the same: nearest to each other, within `SAME_PX`."""
+    if min(len(x), len(y)) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    away, of_y = cKDTree(y).query(x)
+    _, of_x = cKDTree(x).query(y)
+    rows = np.flatnonzero((away <= SAME_PX) & (of_x[of_y] == np.arange(len(x))))
+    return rows, of_y[rows]
 
 
 @kernel

@@ -18,9 +18,9 @@ import networkx as nx
 import numpy as np
 
 from ..matching.affine_field import fit_affine_field
+from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
 from ..matching.neighbours import nearest_elsewhere
-from ..matching.structural import ViewPair, mutual_neighbours, rival_distances
-from ..types import Bools, Features, Float32s, Float64s, Geometry, Int32s, Int64s, Pair, View
+from ..types import Bools, Features, Float32s, Float64s, Geometry, Int32s, Int64s, Matches, Pair, View
 from .epipolar import symmetric_epipolar_distance
 from .robust import TwoView, estimate_essential
 
@@ -29,6 +29,8 @@ DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95
 """A match is distinctive where its descriptor distance is below this share of the nearest rival's and look-alike's."""
 CLEAR_RATIO, CLEAR_PX = 0.9, 2.0
 """Clear matches: mutual nearest under this ratio, without geometry; they agree with F within so many pixels."""
+LIKELY = 0.5
+"""A match without keypoints counts as distinctive from this probability on."""
 STANDS_ALONE = 1.0
 """Log odds that a pair needs which no third camera can confirm."""
 
@@ -46,22 +48,41 @@ class PairEvidence:
 
 
 def pair_evidence(
-    left: Features, right: Features, problems: list[ViewPair], i1: Int32s, i2: Int32s, found: TwoView, seed: int = 0
+    left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, found: TwoView, seed: int = 0
 ) -> PairEvidence:
-    """Evidence from the inliers i1--i2 (rows of the features) of a pair; problems: from `view_pairs`."""
+    """Evidence from the inliers i1--i2 (rows of the features) of a pair; pairs: from `view_pairs`."""
     x1, x2 = left.xy[i1], right.xy[i2]
     dots = np.einsum("nd,nd->n", left.descriptors[i1], right.descriptors[i2]).astype(np.float64)
     distance = np.sqrt(np.maximum(2 - 2 * dots, 1e-9))
-    rivalry = distance / np.maximum(rival_distances(left, right, problems, i1, i2), 1e-6)
+    rivalry = distance / np.maximum(rival_distances(left, right, pairs, i1, i2), 1e-6)
     likeness = distance / np.maximum(np.minimum(_lookalikes(left)[i1], _lookalikes(right)[i2]), 1e-6)
     distinct = (rivalry < DISTINCT_FROM_RIVALS) & (likeness < DISTINCT_FROM_LOOKALIKES)
     return PairEvidence(
         inliers=len(i1),
         distinct_cells=min(_cells(x1[distinct], left.view), _cells(x2[distinct], right.view)),
         distinct_share=float((likeness < DISTINCT_FROM_LOOKALIKES).mean()),
-        agreement=_agreement(problems, found.F),
+        agreement=_agreement(pairs, found.F),
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
         stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
+    )
+
+
+def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int = 0) -> PairEvidence:
+    """The same for points that are no keypoints, in which the matcher's word stands for what descriptors tell.
+
+    A match of probability 0.5 and more counts as distinctive, and so do those `before` geometry as clear.
+    """
+    x1, x2 = inliers.x1, inliers.x2
+    distinct = inliers.probability >= LIKELY
+    clear = before.probability >= LIKELY
+    distance = symmetric_epipolar_distance(found.F, before.x1[clear], before.x2[clear])
+    return PairEvidence(
+        inliers=len(x1),
+        distinct_cells=min(_cells(x1[distinct], inliers.view1), _cells(x2[distinct], inliers.view2)),
+        distinct_share=float(distinct.mean()),
+        agreement=_share_near(distance),
+        half_rotation_deg=_half_rotation_deg(x1, x2, inliers.view1, inliers.view2, seed),
+        stretch=_stretch(x1, x2, None),
     )
 
 
@@ -102,19 +123,30 @@ def _cells(x: Float64s, view: View) -> int:
     return len(np.unique(column * 1000 + row))
 
 
-def _agreement(problems: list[ViewPair], F: Float64s) -> float:
+def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
     """Share of the clear matches of the plain views that lie on their epipolar lines; shrunk toward 0 where they are few."""
-    if not problems:
+    if not pairs:
         return 0.0
-    i, j, ratio = mutual_neighbours(problems[0])
+    i, j, ratio = mutual_neighbours(pairs[0])
     clear = ratio < CLEAR_RATIO
-    distance = symmetric_epipolar_distance(F, problems[0].x1[i[clear]], problems[0].x2[j[clear]])
-    return float(((distance < CLEAR_PX).sum() + 0.5) / (clear.sum() + 5))
+    distance = symmetric_epipolar_distance(F, pairs[0].x1[i[clear]], pairs[0].x2[j[clear]])
+    return _share_near(distance)
 
 
-def _stretch(x1: Float64s, x2: Float64s, affine: Float64s) -> float:
-    """Median log ratio of the axes of the local maps, each fitted to the neighbours of a match without itself."""
-    field = fit_affine_field(x1, x2, affine, np.ones(len(x1)), x1, neighbours=16)
+def _share_near(distance: Float64s) -> float:
+    """Share of the matches at most `CLEAR_PX` from their epipolar lines; shrunk toward 0 where they are few."""
+    return float(((distance < CLEAR_PX).sum() + 0.5) / (len(distance) + 5))
+
+
+def _stretch(x1: Float64s, x2: Float64s, affine: Float64s | None) -> float:
+    """Median log ratio of the axes of the local maps, each fitted to the neighbours of a match without itself.
+
+    affine: (n, 2, 2) what the keypoints' frames say of the maps, None where there are no keypoints.
+    """
+    if affine is None:
+        field = fit_affine_field(x1, x2, np.zeros((len(x1), 2, 2)), np.ones(len(x1)), x1, neighbours=16, ridge=0.0)
+    else:
+        field = fit_affine_field(x1, x2, affine, np.ones(len(x1)), x1, neighbours=16)
     axes = np.linalg.svd(field.affine, compute_uv=False)
     return float(np.median(np.log(axes[:, 0] / np.maximum(axes[:, 1], 1e-3))))
 

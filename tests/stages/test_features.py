@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from wbflow_stages.features import PLAIN, TILTED, detect
-from wbflow_stages.types import Features, Frame, Rejected, View
+from wbflow_stages.features import detect
+from wbflow_stages.types import PLAIN, TILTED, Features, Frame, Rejected, View
 
 
 def blobs(seed: int = 0, width: int = 480, height: int = 320) -> np.ndarray:

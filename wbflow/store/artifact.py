@@ -28,7 +28,7 @@ def encode(value: Any) -> bytes:
     Raises
     ------
     TypeError
-        A field holds something else.
+        A field holds something else, and is not marked `transient` (such fields are left out).
     """
     frames: list[bytes] = []
     tree = _tree(value, frames)
@@ -71,7 +71,7 @@ def parts(value: Any) -> dict[str, str]:
     A task that needs only `frames.view` or `poses.cameras[gate]` is not run again when something else in there changes.
     """
     found: dict[str, str] = {}
-    for name in (f.name for f in dataclasses.fields(value)):
+    for name in _kept(value):
         field = getattr(value, name)
         if dataclasses.is_dataclass(field):
             found[name] = digest(encode(field))
@@ -85,7 +85,7 @@ def figures(value: Any) -> dict[str, Any]:
     """Plain fields of a dataclass by name: scalars, tuples and mappings of them or of small dataclasses; rows of its arrays as
     `<field>_count`."""
     found: dict[str, Any] = {}
-    for name in (f.name for f in dataclasses.fields(value)):
+    for name in _kept(value):
         field = getattr(value, name)
         if _is_plain(field):
             found[name] = field
@@ -94,6 +94,11 @@ def figures(value: Any) -> dict[str, Any]:
         elif hasattr(field, "shape") and field.shape:
             found[f"{name}_count"] = int(field.shape[0])
     return found
+
+
+def _kept(value: Any) -> list[str]:
+    """Names of a dataclass's fields, without those marked `transient`: they are found again where they are missing."""
+    return [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]
 
 
 def _is_small(value: Any) -> bool:
@@ -117,7 +122,7 @@ def _tree(value: Any, frames: list[bytes]) -> Any:
         return _array_tree(value, frames)
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        fields = {f.name: _tree(getattr(value, f.name), frames) for f in dataclasses.fields(value)}
+        fields = {name: _tree(getattr(value, name), frames) for name in _kept(value)}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
         return {"map": [[_key(key), _tree(entry, frames)] for key, entry in value.items()]}

@@ -1,0 +1,240 @@
+"""What may correspond in two sets of keypoints: the nearest few by descriptor, and keypoints near a predicted place.
+
+A pair of frames is matched view by view: the plain views with each other, and each compressed view with the other's plain one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
+from .affine_field import AffineField
+from .neighbours import Neighbours, nearest_neighbours
+
+NEIGHBOURS = 7
+"""Candidates that each keypoint proposes, unless asked otherwise."""
+NOISE_RANK = 2
+"""The local noise level of a keypoint is its distance to the neighbour this many places after the last candidate."""
+TRUSTED, MAX_SIGMA_PX, MAX_RADIUS_PX = 0.5, 15.0, 40.0
+"""Keypoints near a prediction are candidates where the field is trusted by more than the first, its sigma below the second."""
+SEARCH_CELL_PX = 12.0
+MAX_DISTANCE = 1.08
+"""Candidates near a prediction may be this much farther in descriptor space than the noise level."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d).
+
+    near: the nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates; noise: (n1,) and (n2,), the local
+    noise levels; q: (c,) descriptor distances over the noise.
+    """
+
+    descriptors1: Float32s
+    descriptors2: Float32s
+    neighbours: int
+    near: Neighbours
+    noise1: Float32s
+    noise2: Float32s
+    i: Int32s
+    j: Int32s
+    q: Float64s
+
+
+@dataclass(frozen=True)
+class ViewPair:
+    """One view of the left frame against one of the right: rows of the `Features`, places, frames of 1, inverse frames of 2."""
+
+    rows1: Int32s
+    rows2: Int32s
+    x1: Float64s
+    x2: Float64s
+    frames1: Float64s
+    unframes2: Float64s
+    candidates: Candidates
+
+
+def view_pairs(
+    left: Features, right: Features, tilted: bool, neighbours: int = NEIGHBOURS, known: tuple[ViewPair, ...] = ()
+) -> tuple[ViewPair, ...]:
+    """What is matched with what: the plain views, and each compressed view with the other's plain one.
+
+    Parameters
+    ----------
+    left, right : keypoints of the two frames.
+    tilted : bring in the compressed views.
+    neighbours : candidates that each keypoint proposes.
+    known : the plain views' pair where it has been searched already, with as many neighbours.
+
+    Returns
+    -------
+    Those of the pairs that have enough keypoints on both sides, the plain one first.
+    """
+    views = [(TILTED, PLAIN), (PLAIN, TILTED)] if tilted else []
+    plain = known[0] if known else _view_pair(left, right, PLAIN, PLAIN, neighbours)
+    found = [plain, *(_view_pair(left, right, a, b, neighbours) for a, b in views)]
+    return tuple(pair for pair in found if pair is not None)
+
+
+def searched_view_pairs(matches: Matches, left: Features, right: Features) -> tuple[ViewPair, ...]:
+    """The view pairs that the matches come from: as their matcher handed them on, else found again."""
+    handed_on = tuple(pair for pair in matches.searched if isinstance(pair, ViewPair))
+    if handed_on and all(pair.candidates.neighbours == NEIGHBOURS for pair in handed_on):
+        return handed_on
+    return view_pairs(left, right, matches.tilted)
+
+
+def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbours: int) -> ViewPair | None:
+    rows1 = np.flatnonzero(left.tilts == view1).astype(np.int32)
+    rows2 = np.flatnonzero(right.tilts == view2).astype(np.int32)
+    if min(len(rows1), len(rows2)) <= neighbours + NOISE_RANK:
+        return None
+    found = _candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours)
+    return ViewPair(rows1, rows2, left.xy[rows1], right.xy[rows2], left.frames[rows1], inverses(right.frames[rows2]), found)
+
+
+def _candidates(descriptors1: Float32s, descriptors2: Float32s, neighbours: int) -> Candidates:
+    """Candidates of two sets of descriptors: each proposes its `neighbours` nearest."""
+    near = nearest_neighbours(descriptors1, descriptors2, neighbours + NOISE_RANK)
+    noise1, noise2 = near.row_distance[:, -1].copy(), near.column_distance[:, -1].copy()
+    n1, n2 = len(descriptors1), len(descriptors2)
+    from_rows = np.arange(n1)[:, None] * n2 + near.rows[:, :neighbours]
+    from_columns = near.columns[:, :neighbours].astype(np.int64) * n2 + np.arange(n2)[:, None]
+    edges = np.sort(np.concatenate([from_rows.ravel(), from_columns.ravel()]))
+    edges = edges[np.concatenate([[True], edges[1:] != edges[:-1]])]
+    i, j = (edges // n2).astype(np.int32), (edges % n2).astype(np.int32)
+    q = np.empty(len(i))
+    _relative_distances(descriptors1, descriptors2, noise1, noise2, i, j, q)
+    return Candidates(descriptors1, descriptors2, neighbours, near, noise1, noise2, i, j, q)
+
+
+def mutual_neighbours(pair: ViewPair) -> tuple[Int64s, Int32s, Float64s]:
+    """i, j of mutual nearest neighbours of a view pair, and first over second distance, the worse of both ways."""
+    near = pair.candidates.near
+    i = np.flatnonzero(near.columns[near.rows[:, 0], 0] == np.arange(len(near.rows)))
+    j = near.rows[i, 0]
+    forward = near.row_distance[i, 0] / np.maximum(near.row_distance[i, 1], 1e-9)
+    backward = near.column_distance[j, 0] / np.maximum(near.column_distance[j, 1], 1e-9)
+    return i, j, np.maximum(forward, backward).astype(np.float64)
+
+
+def rival_distances(
+    left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, apart_px: float = 6.0
+) -> Float64s:
+    """(n,) descriptor distance of each match's nearest rival: of those that its two keypoints have in the other image, at least
+    `apart_px` from the match.  Among the nearest few only: where all lie at the match itself, the last of them."""
+    rivals = np.full(len(i1), 2.0)
+    for pair in pairs:
+        mine = np.flatnonzero(np.isin(i1, pair.rows1) & np.isin(i2, pair.rows2))
+        at1, at2 = np.searchsorted(pair.rows1, i1[mine]), np.searchsorted(pair.rows2, i2[mine])
+        near = pair.candidates.near
+        forward = _first_apart(pair.x2[near.rows[at1]], right.xy[i2[mine]], near.row_distance[at1], apart_px)
+        backward = _first_apart(pair.x1[near.columns[at2]], left.xy[i1[mine]], near.column_distance[at2], apart_px)
+        rivals[mine] = np.minimum(forward, backward)
+    return rivals
+
+
+def _first_apart(places: Float64s, match: Float64s, distance: Float32s, apart_px: float) -> Float64s:
+    """Distance of the nearest neighbour (of (n, k), nearest first) that lies apart from the match."""
+    apart = np.linalg.norm(places - match[:, None], axis=2) >= apart_px
+    apart[:, -1] = True
+    return np.asarray(distance[np.arange(len(distance)), apart.argmax(axis=1)], dtype=np.float64)
+
+
+def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
+    """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted."""
+    asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
+    radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
+    cell = SEARCH_CELL_PX
+    origin = pair.x2.min(axis=0)
+    cells = np.floor((pair.x2 - origin) / cell).astype(np.int64)
+    columns, rows = cells.max(axis=0) + 1
+    key = cells[:, 1] * columns + cells[:, 0]
+    order = np.argsort(key, kind="stable").astype(np.int32)
+    starts = np.searchsorted(key[order], np.arange(columns * rows + 1)).astype(np.int32)
+    c = pair.candidates
+    first = np.searchsorted(c.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
+    return _search(
+        asking, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, first, c.j,
+        c.descriptors1, c.descriptors2, c.noise1, c.noise2,
+    )  # fmt: skip
+
+
+def inverses(m: Float64s) -> Float64s:
+    """Inverses of (n, 2, 2) matrices."""
+    a, b, c, d = m[:, 0, 0], m[:, 0, 1], m[:, 1, 0], m[:, 1, 1]
+    adjugate = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1)
+    return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
+
+
+@kernel
+def _relative_distances(
+    d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: Int32s, j: Int32s, q: Float64s
+) -> None:
+    for c in range(len(i)):
+        q[c] = _relative_distance(d1, d2, noise1, noise2, i[c], j[c])
+
+
+@kernel
+def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: int, j: int) -> float:
+    """Descriptor distance over the mean noise level of the two keypoints."""
+    dot = float(np.dot(d1[i], d2[j]))
+    return float(np.sqrt(max(2 - 2 * dot, 0.0)) / (0.5 * (noise1[i] + noise2[j]) + 1e-9))
+
+
+@kernel
+def _search(
+    asking: Int32s,
+    radius: Float64s,
+    prediction: Float64s,
+    x2: Float64s,
+    origin: Float64s,
+    cell: float,
+    columns: int,
+    rows: int,
+    order: Int32s,
+    starts: Int32s,
+    first: Int32s,
+    known: Int32s,
+    d1: Float32s,
+    d2: Float32s,
+    noise1: Float32s,
+    noise2: Float32s,
+) -> tuple[Int32s, Int32s, Float64s]:
+    """Pairs of an asking keypoint and a keypoint of image 2 within its radius that are not candidates yet (first, known: their
+    list by row) and whose relative distance, the third result, is small."""
+    room = 4 * len(asking) + 16
+    out_i, out_j, out_q = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+    count = 0
+    for n in range(len(asking)):
+        a = asking[n]
+        px, py = prediction[a, 0], prediction[a, 1]
+        limit = radius[n] ** 2
+        left, right = (px - radius[n] - origin[0]) / cell, (px + radius[n] - origin[0]) / cell
+        top, bottom = (py - radius[n] - origin[1]) / cell, (py + radius[n] - origin[1]) / cell
+        if not (right >= 0 and left < columns and bottom >= 0 and top < rows):
+            continue
+        for row in range(int(max(top, 0.0)), int(min(bottom, rows - 1.0)) + 1):
+            for column in range(int(max(left, 0.0)), int(min(right, columns - 1.0)) + 1):
+                for at in range(starts[row * columns + column], starts[row * columns + column + 1]):
+                    b = order[at]
+                    if (x2[b, 0] - px) ** 2 + (x2[b, 1] - py) ** 2 >= limit:
+                        continue
+                    new = True
+                    for k in range(first[a], first[a + 1]):
+                        if known[k] == b:
+                            new = False
+                    if not new:
+                        continue
+                    q = _relative_distance(d1, d2, noise1, noise2, a, b)
+                    if q >= MAX_DISTANCE:
+                        continue
+                    if count == len(out_i):
+                        out_i, out_j = np.concatenate((out_i, out_i)), np.concatenate((out_j, out_j))
+                        out_q = np.concatenate((out_q, out_q))
+                    out_i[count], out_j[count], out_q[count] = a, b, q
+                    count += 1
+    return out_i[:count], out_j[:count], out_q[:count]

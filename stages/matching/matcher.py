@@ -1,0 +1,50 @@
+"""What a sparse matcher is given, and what it gives: the border at which matchers plug in."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..types import PLAIN, Features, Float64s, Int32s, Matches, Rejected
+
+
+class SparseMatcher(Protocol):
+    """Finds corresponding points of two frames.
+
+    Asks by argument name for what it reads: `left`, `right` (`Features`), `left_frame`, `right_frame` (`Frame`).  Its own
+    parameters are keyword-only, with defaults.  What it returns may have keypoints (`keypoint_matches`) or be points of any other
+    origin: `Matches(x1, x2, None, None, probability, None, left.view, right.view)`.
+    """
+
+    def __call__(self, *args: Any, **options: Any) -> Matches | Rejected: ...
+
+
+def keypoint_matches(
+    left: Features,
+    right: Features,
+    i1: Int32s,
+    i2: Int32s,
+    probability: Float64s,
+    *,
+    tilted: bool = False,
+    searched: tuple[object, ...] = (),
+) -> Matches:
+    """Matches of keypoints.
+
+    Parameters
+    ----------
+    left, right : the keypoints of the two frames.
+    i1, i2 : (n,) int32 rows of `left` and `right`.
+    probability : (n,) of each match being right, 0 to 1.
+    tilted : the views compressed in x were used too.
+    searched : what geometry may use again, see `Matches.searched`.
+    """
+    affine = right.frames[i2] @ np.linalg.inv(left.frames[i1])
+    p = probability.astype(np.float32)
+    return Matches(left.xy[i1], right.xy[i2], i1, i2, p, affine, left.view, right.view, tilted=tilted, searched=searched)
+
+
+def plain_rows(features: Features) -> Int32s:
+    """Rows of the keypoints of the plain view, for matchers that know one view only."""
+    return np.flatnonzero(features.tilts == PLAIN).astype(np.int32)

@@ -1,0 +1,96 @@
+"""Why a stage found nothing usable: a code that can be counted, figures, and words that are made from both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class Reason(StrEnum):
+    """All reasons of the stages.  The value is the code; `template` makes the words from the figures of a `Rejected`."""
+
+    template: str
+
+    def __new__(cls, code: str, template: str) -> Reason:
+        member = str.__new__(cls, code)
+        member._value_ = code
+        member.template = template
+        return member
+
+    TOO_FEW_KEYPOINTS = (
+        "too-few-keypoints",
+        "{keypoints:.0f} keypoints, {needed:.0f} needed: the frame is empty, blurred or masked",
+    )
+
+    TOO_FEW_MATCHES = "too-few-matches", "too few: {matches:.0f} matches, {needed:.0f} needed"
+
+    TOO_FEW_INLIERS = "too-few-inliers", "too few: {inliers:.0f} inliers of {matches:.0f} matches, {needed:.0f} needed"
+    CLUSTERED = "clustered", "too clustered: {inliers:.0f} inliers on {area_share:.2%} of the image, {needed_share:.2%} needed"
+    PURE_ROTATION = "pure-rotation", "pure rotation: {rotation_share:.0%} of the inliers need no baseline"
+    PLANAR_OR_ROTATION = (
+        "planar-or-rotation",
+        "planar scene or pure rotation: a homography explains {homography_share:.0%} of the inliers, and no E is known",
+    )
+    WRONG_MATCHES = (
+        "wrong-matches",
+        "wrong: {inliers:.0f} inliers agree with each other, but only {distinct_cells:.0f} of {cells:.0f} cells hold distinctive "
+        "ones and {agreement:.0%} of the clear matches agree with them",
+    )
+
+    ONE_CAMERA = "one-camera", "one camera makes no cloud: two or more that see the same things are needed"
+    NO_POSED_CAMERA = "no-posed-camera", "no camera has a pose and intrinsics"
+    NO_GEOMETRY = "no-geometry", "no two cameras could be placed: no pair has a geometry"
+    PAIRS_CONTRADICT = "pairs-contradict", "no two cameras could be placed: the pairs contradict each other"
+    TOO_FEW_POINTS = "too-few-points", "no two cameras could be placed: too few points are seen at an angle"
+
+    UNLIKELY_GEOMETRY = "unlikely-geometry", "F is more likely wrong than right: too few distinctive matches agree with it"
+    IMPLAUSIBLE_INTRINSICS = (
+        "implausible-intrinsics",
+        "F is that of implausible intrinsics: it is wrong, or the fields of view must be given",
+    )
+    CAMERAS_CONTRADICT_MATCHES = "cameras-contradict-matches", "the cameras contradict the matches"
+    NO_BASELINE = "no-baseline", "almost no baseline: the rays converge by {angle_deg:.2f} degrees, {needed_deg:g} needed"
+    NO_PARALLAX = "no-parallax", "one homography explains the pair: almost no baseline, or a flat scene"
+    EPIPOLE_AMONG_MATCHES = "epipole-among-matches", "the matches lie on both sides of the epipole: F is wrong"
+    TOO_FEW_EPIPOLAR_LINES = "too-few-epipolar-lines", "the epipolar lines that both images see are too few"
+    ROW_ORDER = "row-order", "the order of the matches along the rows differs: F is wrong"
+    MIRRORED = "mirrored", "one image would be mirrored"
+    UNCERTAIN_ROWS = "uncertain-rows", "the matches are too few or too clustered to tell the epipolar lines"
+
+    RANGE_TOO_WIDE = "range-too-wide", "the disparity range is too wide"
+    NO_DENSE_MATCHES = "no-dense-matches", "almost nothing matches densely"
+    NO_PAIR_DEPTH = "no-pair-depth", "no pair gave this view any depth"
+    NO_USEFUL_ANGLE = "no-useful-angle", "no other view sees the scene from a useful angle"
+    NO_DEPTH = "no-depth", "no view has any depth"
+    NO_SUPPORTED_POINT = (
+        "no-supported-point",
+        "no point is supported by {min_consistent_pairs:.0f} pairs and {neighbours:.0f} neighbours",
+    )
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A stage worked, and found nothing usable.
+
+    A function of one's own may say why in words of its own: their code is "other".
+    """
+
+    why: Reason | str
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """The numbers behind it, of which the words name some."""
+
+    def __post_init__(self) -> None:
+        _ = self.reason  # a figure that the words need and nobody gave shows where it is forgotten
+
+    @property
+    def code(self) -> str:
+        """One of `Reason`, or "other"."""
+        return self.why.value if isinstance(self.why, Reason) else "other"
+
+    @property
+    def reason(self) -> str:
+        """In words.  Raises KeyError when a figure is missing that they need."""
+        if not isinstance(self.why, Reason):
+            return self.why
+        return self.why.template.format_map(self.figures).replace("%", " %")

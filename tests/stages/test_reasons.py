@@ -1,0 +1,75 @@
+"""Every reason has a code and words; the words need no figure that its call sites do not give; reasons can be counted."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from string import Formatter
+
+import pytest
+
+import wbflow_stages
+from wbflow_stages.reasons import Reason, Rejected
+
+SOURCES = sorted(Path(wbflow_stages.__file__).parent.rglob("*.py"))
+
+
+def needed(reason: Reason) -> set[str]:
+    """The figures that the words name."""
+    return {name for _, name, _, _ in Formatter().parse(reason.template) if name}
+
+
+def calls() -> Iterator[ast.Call]:
+    """`Rejected(...)` wherever the stages say it."""
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Rejected":
+                yield node
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_every_reason_has_a_code_in_kebab_case_and_words(reason: Reason) -> None:
+    assert re.fullmatch(r"[a-z]+(-[a-z]+)*", reason)
+    words = Rejected(reason, dict.fromkeys(needed(reason), 0.25)).reason
+    assert len(words) > 10 and "{" not in words and words[0].isascii()
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_every_reason_is_given_somewhere(reason: Reason) -> None:
+    assert any(f"Reason.{reason.name}" in path.read_text() for path in SOURCES)
+
+
+def test_the_words_need_only_figures_that_are_given() -> None:
+    checked = 0
+    for call in calls():
+        code = call.args[0]
+        if not (isinstance(code, ast.Attribute) and isinstance(code.value, ast.Name) and code.value.id == "Reason"):
+            continue
+        reason = Reason[code.attr]
+        if len(call.args) < 2:
+            assert not needed(reason)
+        elif isinstance(call.args[1], ast.Dict):
+            given = {key.value for key in call.args[1].keys if isinstance(key, ast.Constant)}
+            assert needed(reason) <= given, reason
+            checked += 1
+    assert checked > 8
+
+
+def test_a_figure_that_is_missing_shows_where_it_is_forgotten() -> None:
+    with pytest.raises(KeyError, match="needed"):
+        Rejected(Reason.TOO_FEW_MATCHES, {"matches": 3})
+
+
+def test_reasons_can_be_counted() -> None:
+    few = [Rejected(Reason.TOO_FEW_MATCHES, {"matches": count, "needed": 8}) for count in range(3)]
+    plane = Rejected(Reason.PLANAR_OR_ROTATION, {"homography_share": 0.953})
+    assert Counter(found.code for found in [*few, plane]) == {"too-few-matches": 3, "planar-or-rotation": 1}
+    assert few[2].reason == "too few: 2 matches, 8 needed" and "95 %" in plane.reason
+
+
+def test_a_function_of_ones_own_may_use_its_own_words() -> None:
+    found = Rejected("the network is not sure", {"certainty": 0.2})
+    assert (found.code, found.reason) == ("other", "the network is not sure")
