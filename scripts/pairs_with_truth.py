@@ -245,7 +245,7 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     from wbflow_stages.synthetic.layout import static_yard, yard_light
     from wbflow_stages.synthetic.renderer import Stage, build_atlas
     from wbflow_stages.synthetic.sensor import develop, sensor_of
-    from wbflow_stages.synthetic.yard import render_view, true_depth
+    from wbflow_stages.synthetic.shooting import render_view, true_depth
 
     cache.mkdir(parents=True, exist_ok=True)
     height = width * 9 // 16

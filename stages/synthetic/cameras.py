@@ -1,4 +1,4 @@
-"""The yard's cameras: where they hang, their lenses, and the rays of their (distorted) pixels."""
+"""Cameras: where they hang (the yard's in a table), their lenses, and the rays of their (distorted) pixels."""
 
 from __future__ import annotations
 
@@ -11,6 +11,23 @@ from ..types import Camera, Float32s, Float64s, Lens
 
 CENTRE = (20.0, 18.0)
 """What the half ring of cameras surrounds, metres east and north."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A fixed camera."""
+
+    name: str
+    centre: tuple[float, float, float]
+    """Metres."""
+    target: tuple[float, float, float]
+    """What it looks at, metres."""
+    hfov_deg: float
+    distortion: tuple[float, float, float, float, float]
+    """k1 k2 p1 p2 k3."""
+    roll_deg: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
+    """How far the principal point lies off the middle, in units of 0.6 % of the width."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +84,36 @@ def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float6
     return np.array([c * right + s * down, -s * right + c * down, forward])
 
 
+def viewpoint_of(mount: Mount) -> Viewpoint:
+    """Where a mount's camera is, and what it looks at."""
+    x, y, z = position(mount)
+    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
+    shift = np.sin(np.array([1.0, 2.0]) * (mount.bearing_deg + 7.0))
+    return Viewpoint(
+        mount.name,
+        (float(x), float(y), float(z)),
+        mount.target,
+        mount.hfov_deg,
+        mount.distortion,
+        roll_deg=1.2 * float(np.sin(mount.bearing_deg)),
+        shift=(float(shift[0]), float(shift[1])),
+    )
+
+
 def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
+    """As `camera_at`, of a mount of the yard."""
+    return camera_at(viewpoint_of(mount), size)
+
+
+def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens]:
     """The pinhole without distortion, and the lens with it, of `size` = (width, height) pixels."""
     width, height = size
-    focal = 0.5 * width / np.tan(np.deg2rad(mount.hfov_deg) / 2)
-    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
-    shift = 0.006 * width * np.sin(np.array([1.0, 2.0]) * (mount.bearing_deg + 7.0))
+    focal = 0.5 * width / np.tan(np.deg2rad(viewpoint.hfov_deg) / 2)
+    shift = 0.006 * width * np.array(viewpoint.shift)
     K = np.array([[focal, 0, (width - 1) / 2 + shift[0]], [0, focal, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
-    centre = position(mount)
-    R = look_at(centre, np.array(mount.target), roll_deg=1.2 * np.sin(mount.bearing_deg))
-    return Camera(K, R, centre, width, height), Lens(K=K, distortion=np.array(mount.distortion), width=width, height=height)
+    centre = np.array(viewpoint.centre)
+    R = look_at(centre, np.array(viewpoint.target), roll_deg=viewpoint.roll_deg)
+    return Camera(K, R, centre, width, height), Lens(K=K, distortion=np.array(viewpoint.distortion), width=width, height=height)
 
 
 @kernel

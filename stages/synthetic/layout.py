@@ -7,13 +7,13 @@ import numpy as np
 from . import ground
 from . import textures as paint
 from .cameras import CENTRE, Mount, position
+from .lighting import light_of
 from .random_fields import Rng
-from .renderer import Lamp, Light
+from .renderer import Light
 from .scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
 from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
 
 WALL_TOP, SHED_TOP = 9.2, 8.0
-SUN = (-0.547, -0.526, 0.652)  # in the south-west, 40 degrees up
 LAMPS = (
     (5.0, 28.2, 6.3), (15.0, 28.2, 6.3), (25.0, 28.2, 6.3), (35.0, 28.2, 6.3),
     (38.2, 20.5, 6.3), (1.8, 22.0, 6.0), (13.0, 8.1, 6.8), (28.5, 7.6, 6.8),
@@ -193,18 +193,5 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def yard_light(light: str) -> Light:
-    """Afternoon sun, the last of dusk with the lamps on, or night."""
-    if light == "day":
-        return Light(SUN, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))
-    if light == "dusk":
-        low_sun = (-0.909, -0.354, 0.222)
-        return Light(low_sun, (0.22, 0.13, 0.07), (0.17, 0.20, 0.29), (0.10, 0.09, 0.085), (0.45, 0.33, 0.27), _lamps(0.35))
-    if light == "night":
-        return Light(SUN, (0.0, 0.0, 0.0), (0.030, 0.034, 0.045), (0.030, 0.026, 0.020), (0.02, 0.018, 0.016), _lamps(0.5))
-    raise ValueError(f"light is day, dusk or night, not {light!r}")
-
-
-def _lamps(strength: float) -> tuple[Lamp, ...]:
-    """All lamps of the yard, two kinds of them."""
-    warm, white = (34.0 * strength, 27.0 * strength, 17.0 * strength), (30.0 * strength, 29.0 * strength, 26.0 * strength)
-    return tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(LAMPS))
+    """Afternoon sun, the last of dusk with the lamps on, night, or night without lamps."""
+    return light_of(light, LAMPS)

@@ -31,7 +31,8 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Light:
-    """sun_direction: unit vector towards the sun; sun, sky, ground: linear colours; haze: the sky at the horizon; lamps."""
+    """sun_direction: unit vector towards the sun; sun, sky, ground: linear colours; haze: the sky at the horizon; lamps;
+    clouds: how clearly the sky is banded."""
 
     sun_direction: tuple[float, float, float]
     sun: tuple[float, float, float]
@@ -39,6 +40,7 @@ class Light:
     ground: tuple[float, float, float]
     haze: tuple[float, float, float]
     lamps: tuple[Lamp, ...] = ()
+    clouds: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -239,7 +241,7 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
     band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0) + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(
         3.3 * y - 1.2 * x
     )
-    cloud = 0.25 * np.clip(band, 0, 1)[:, None]
+    cloud = light.clouds * np.clip(band, 0, 1)[:, None]
     colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
     return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
 

@@ -24,10 +24,10 @@ class Sensor:
 
 def sensor_of(rng: np.random.Generator, light: str) -> Sensor:
     """A camera's own sensor: up to a quarter stop of exposure and a few per cent of colour away from its neighbours'."""
-    gain = {"day": 1.0, "dusk": 1.9, "night": 3.4}[light] * float(2 ** rng.uniform(-0.28, 0.28))
+    gain = {"day": 1.0, "dusk": 1.9, "night": 3.4, "dark": 13.0}[light] * float(2 ** rng.uniform(-0.28, 0.28))
     warm = float(rng.uniform(-0.06, 0.06))
     balance = (1 + warm, 1.0, 1 - warm + float(rng.uniform(-0.02, 0.02)))
-    full_well = {"day": 9000.0, "dusk": 2600.0, "night": 900.0}[light]
+    full_well = {"day": 9000.0, "dusk": 2600.0, "night": 900.0, "dark": 235.0}[light]
     return Sensor(gain, balance, full_well, 6.0, float(rng.uniform(0.12, 0.25)))
 
 

@@ -13,7 +13,7 @@ from ..store.atomic import write_atomic
 from ..store.ply import ply_bytes
 
 if TYPE_CHECKING:
-    from wbflow_stages.synthetic.yard import Yard, YardCamera
+    from wbflow_stages.synthetic.shooting import DemoCamera, DemoSite
 
 MANIFEST = "demo.json"
 EDITABLE = ("site.yaml", "cameras.json")
@@ -33,7 +33,8 @@ def write_demo(folder: Path, *, small: bool = False, light: str = "day", capture
         An unknown light, or no captures.
     """
     known = _claim(folder)
-    from wbflow_stages.synthetic.yard import Daytime, yard
+    from wbflow_stages.synthetic.shooting import Daytime
+    from wbflow_stages.synthetic.yard import yard
 
     if small:
         site = yard(4, (320, 180), captures, seed, cast(Daytime, light))
@@ -72,7 +73,7 @@ def _claim(folder: Path) -> dict[str, str]:
     return known
 
 
-def _files(site: Yard, light: str) -> Iterator[tuple[str, bytes]]:
+def _files(site: DemoSite, light: str) -> Iterator[tuple[str, bytes]]:
     """Name and content of every file of the demo."""
     from wbflow_stages.synthetic.encode import jpeg, png
 
@@ -91,7 +92,7 @@ def _files(site: Yard, light: str) -> Iterator[tuple[str, bytes]]:
     yield "site.yaml", _site_file(site).encode()
 
 
-def _calibration(camera: YardCamera) -> dict[str, Any]:
+def _calibration(camera: DemoCamera) -> dict[str, Any]:
     assert camera.lens.K is not None
     return {
         "width": camera.lens.width,
@@ -103,7 +104,7 @@ def _calibration(camera: YardCamera) -> dict[str, Any]:
     }
 
 
-def _reference(site: Yard) -> bytes:
+def _reference(site: DemoSite) -> bytes:
     cloud = site.reference
     columns = {
         **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
@@ -126,7 +127,7 @@ def _json(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def _site_file(site: Yard) -> str:
+def _site_file(site: DemoSite) -> str:
     cameras = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in site.cameras)
     return _SITE.format(cameras=cameras, night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
 

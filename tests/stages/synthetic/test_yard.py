@@ -11,11 +11,12 @@ import pytest
 from tests.helpers.synthetic_site import single_pair, small_yard
 from wbflow_stages.evaluate import correct_matches, true_correspondences
 from wbflow_stages.synthetic.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
-from wbflow_stages.synthetic.yard import YardCamera, yard
+from wbflow_stages.synthetic.shooting import DemoCamera
+from wbflow_stages.synthetic.yard import yard
 from wbflow_stages.twoview.epipolar import backproject, project
 
 
-def background(camera: YardCamera) -> np.ndarray:
+def background(camera: DemoCamera) -> np.ndarray:
     """The undistorted view (h, w, 3) without what moves, by OpenCV's own idea of the lens."""
     middle = np.median(np.stack(camera.captures), axis=0).astype(np.uint8)
     assert camera.lens.K is not None
@@ -125,7 +126,7 @@ def test_night_is_dark_and_noisy_and_has_the_same_geometry() -> None:
     assert np.array_equal(day.depth, night.depth)
     assert night.captures[0].mean() < 0.75 * day.captures[0].mean()
 
-    def noise(camera: YardCamera) -> float:
+    def noise(camera: DemoCamera) -> float:
         a, b = (c.astype(np.float32)[20:] for c in camera.captures[:2])
         gain = np.median((a + 1) / (b + 1))
         difference = (a - gain * b) / (a + gain * b + 1)  # relative to the light there is

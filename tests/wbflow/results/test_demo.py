@@ -19,10 +19,10 @@ from wbflow.config.load import load_site
 from wbflow.night.captures import Digests, find_captures, night
 from wbflow.results.demo import write_demo
 from wbflow.store.ply import read_ply
-from wbflow_stages.synthetic.yard import Daytime, Yard
+from wbflow_stages.synthetic.shooting import Daytime, DemoSite
 
 
-def rendered(cameras: int, size: tuple[int, int], captures: int, seed: int, light: Daytime) -> Yard:
+def rendered(cameras: int, size: tuple[int, int], captures: int, seed: int, light: Daytime) -> DemoSite:
     """The small yard, rendered once (rendering is tested elsewhere), with fewer captures where fewer are asked for."""
     site = small_yard(light)
     return replace(site, cameras=tuple(replace(c, captures=c.captures[:captures]) for c in site.cameras))

@@ -1,0 +1,232 @@
+"""Photographing a scene: fixed cameras, several captures each with what moves standing elsewhere, and the exact truth.
+
+Captures are what a camera would write (distorted, noisy, with a clock burned in); the truth is of the empty scene: lenses, poses,
+depth, and a reference cloud.  The same arguments give the same bytes.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ..twoview.epipolar import project
+from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
+from .cameras import Viewpoint, camera_at, distort, pixel_rays
+from .reference import reference_cloud
+from .renderer import Light, SkyGrid, Stage, build_atlas, render_rays, truth_mask
+from .scene import Scene, joined
+from .sensor import burn_clock, clock_mask, develop, sensor_of
+
+Daytime = Literal["day", "dusk", "night", "dark"]
+"""dark: night with the lamps off."""
+
+FIRST_CAPTURE = {
+    "day": datetime(2026, 11, 19, 14, 2, 11),
+    "dusk": datetime(2026, 11, 19, 16, 41, 5),
+    "night": datetime(2026, 11, 19, 22, 14, 37),
+    "dark": datetime(2026, 11, 19, 23, 47, 52),
+}
+
+SAMPLES = 2
+"""Samples along each side of a pixel."""
+
+
+@dataclass(frozen=True)
+class DemoCamera:
+    """One fixed camera and what it saw.
+
+    captures: (h, w, 3) uint8 RGB each, as captured (distorted); times: when; mask: (h, w) bool, False under the clock;
+    depth: (h, w) float32, metres along the axis, of the empty scene in the undistorted view with the lens's own K, 0 where there
+    is only sky or water; camera: that undistorted view; lens, placement: the same as a site file would state them.
+    """
+
+    name: str
+    captures: tuple[Uint8s, ...]
+    times: tuple[datetime, ...]
+    mask: Bools
+    depth: Float32s
+    camera: Camera
+    lens: Lens
+    placement: Placement
+
+
+@dataclass(frozen=True)
+class DemoSite:
+    """A photographed scene.  reference: surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres."""
+
+    cameras: tuple[DemoCamera, ...]
+    reference: Cloud
+    voxel_m: float
+
+    def __getitem__(self, name: str) -> DemoCamera:
+        return next(c for c in self.cameras if c.name == name)
+
+
+@dataclass(frozen=True)
+class Night:
+    """What stands before the cameras."""
+
+    viewpoints: tuple[Viewpoint, ...]
+    still: Scene
+    """The empty scene."""
+    traffic: tuple[Scene, ...]
+    """What moves, at each capture; all with the same textures."""
+    lighting: Light
+    sky: SkyGrid | None = None
+    """Sky visibility of the empty scene; None: computed."""
+
+
+@dataclass(frozen=True)
+class _Shoot:
+    """A night made ready to be looked at: the empty scene, and the scene with its movers at each capture."""
+
+    empty: Stage
+    busy: tuple[Stage, ...]
+    movers: tuple[Scene, ...]
+    light: Daytime
+    seed: int
+
+
+def check_arguments(size: tuple[int, int], captures: int) -> None:
+    """Raises ValueError for pictures that are too small, or none."""
+    if captures < 1 or min(size) < 16:
+        raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {captures} of {size[0]} x {size[1]}")
+
+
+def photograph(night: Night, size: tuple[int, int], seed: int, light: Daytime, voxel_m: float, threads: int) -> DemoSite:
+    """Let every camera work, several at a time.
+
+    Parameters
+    ----------
+    night : Night
+        What stands before the cameras.
+    size : tuple of int
+        Width and height of the pictures, pixels.
+    seed : int
+        Of exposures and noise.
+    light : Daytime
+        What the sensors expect, and the hour of the captures.
+    voxel_m : float
+        Cell of the reference cloud, metres.
+    threads : int
+        Of rendering; the result does not depend on it.
+    """
+    scenes = [joined(night.still, each) for each in night.traffic]
+    atlas = build_atlas(scenes[0].textures)
+    empty = Stage(night.still, night.lighting, atlas, night.sky)
+    busy = tuple(Stage(scene, empty.light, atlas, empty.sky) for scene in scenes)
+    shoot = _Shoot(empty, busy, night.traffic, light, seed)
+    with ThreadPoolExecutor(threads) as pool:
+        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, size), night.viewpoints))
+    rows = [camera for camera, _ in done]
+    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [_upright(c) for c in rows]
+    return DemoSite(tuple(rows), reference_cloud(pinholes, depths, [n for _, n in done], colors, voxel_m), voxel_m)
+
+
+def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, Float32s]:
+    """All captures of one camera and its truth, with the normals (h, w, 3) of the depth map."""
+    camera, lens = camera_at(viewpoint, size)
+    depth, normals = true_depth(shoot.empty, camera)
+    seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
+    sensor = sensor_of(np.random.default_rng(seed), shoot.light)
+    still = render_view(shoot.empty, camera, lens)
+    images, times = [], []
+    for k, (stage, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
+        rng = np.random.default_rng([*seed, k])
+        time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
+        radiance = still.copy()
+        pixels = np.flatnonzero(touched(scene, shoot.empty.light, camera, lens))
+        radiance.reshape(-1, 3)[pixels] = render_pixels(stage, camera, lens, pixels)
+        image = develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+        images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
+        times.append(time)
+    placement = Placement(R=camera.R, C=camera.C)
+    return DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement), normals
+
+
+def render_view(stage: Stage, camera: Camera, lens: Lens | None) -> Float32s:
+    """Linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
+    every = np.arange(camera.width * camera.height)
+    return render_pixels(stage, camera, lens, every).reshape(camera.height, camera.width, 3)
+
+
+def render_pixels(stage: Stage, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536) -> Float32s:
+    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
+    out = np.empty((len(pixels), 3), np.float32)
+    spread = 1.0 / (SAMPLES * camera.K[0, 0])
+    sub_y, sub_x = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
+    for start in range(0, len(pixels), batch):
+        y, x = np.divmod(pixels[start : start + batch, None], camera.width)
+        column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
+        rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
+        # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
+        disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (len(x), 1))
+        radiance, _, _ = render_rays(stage, camera.C, rays, spread, disc.astype(np.float32))
+        out[start : start + batch] = radiance.reshape(-1, SAMPLES * SAMPLES, 3).mean(axis=1)
+    return out
+
+
+def true_depth(stage: Stage, camera: Camera) -> tuple[Float32s, Float32s]:
+    """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
+    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
+    distance, facet = stage.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
+    known = truth_mask(stage.scene, facet).astype(bool)
+    depth = np.where(known, distance * (rays @ camera.R[2].astype(np.float32)), 0).astype(np.float32)
+    normals = stage.scene.normals[np.maximum(facet, 0)]
+    normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
+    shape = (camera.height, camera.width)
+    return depth.reshape(shape), normals.reshape(*shape, 3)
+
+
+def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
+    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
+    rows, cols = -(-camera.height // tile), -(-camera.width // tile)
+    mark = np.zeros((rows + 1, cols + 1), np.int32)
+    facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
+    swept = [np.concatenate([facets, shadow], axis=1) for shadow in _shadows(facets, light)]
+    for group in [facets, *swept]:
+        pixels, ahead = project(camera, group.reshape(-1, 3))
+        at = distort(lens, pixels).reshape(len(group), -1, 2) / tile
+        at = at[(ahead.reshape(len(group), -1) > 0.5).all(axis=1) & (np.abs(at) < 1e4).all(axis=(1, 2))]
+        low = np.clip(np.floor(at.min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
+        high = np.clip(np.floor(at.max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
+        # +1 and -1 at the corners of each rectangle: their running sum counts the rectangles over a tile
+        for y, x, sign in ((low, low, 1), (low, high, -1), (high, low, -1), (high, high, 1)):
+            np.add.at(mark, (y[:, 1], x[:, 0]), sign)
+    covered = mark.cumsum(axis=0).cumsum(axis=1)[:rows, :cols] > 0
+    return np.repeat(np.repeat(covered, tile, axis=0), tile, axis=1)[: camera.height, : camera.width]
+
+
+def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
+    """Where shadows of facets (t, 3, 3) fall on the ground, for each light; a lamp's only near it, further off they are faint."""
+    found = []
+    if max(light.sun) > 0:
+        found.append(_on_ground(facets, facets - 1e4 * np.asarray(light.sun_direction)))
+    for lamp in light.lamps:
+        away = facets - np.asarray(lamp.position)
+        near = np.linalg.norm(away, axis=2).max(axis=1) < 9.0
+        found.append(np.where(near[:, None, None], _on_ground(facets, facets + away), facets))
+    return found
+
+
+def _on_ground(start: Float64s, end: Float64s) -> Float64s:
+    """Where the way from `start` down to `end` meets z = 0; its end where it doesn't get there."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip(np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0), 0, 1)
+    return np.asarray(start + share[..., None] * (end - start), np.float64)
+
+
+def _upright(camera: DemoCamera) -> Uint8s:
+    """Colours (h, w, 3) of the undistorted view: the median of the captures at the nearest pixel."""
+    view = camera.camera
+    y, x = np.divmod(np.arange(view.width * view.height), view.width)
+    at = np.rint(distort(camera.lens, np.column_stack([x, y]).astype(np.float64))).astype(np.intp)
+    u, v = np.clip(at[:, 0], 0, view.width - 1), np.clip(at[:, 1], 0, view.height - 1)
+    middle = np.median(np.stack([image[v, u] for image in camera.captures]), axis=0).astype(np.uint8)
+    return np.asarray(middle.reshape(view.height, view.width, 3), np.uint8)
