@@ -12,7 +12,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from ..graph.functions import FunctionError, FunctionReader
+from ..graph.functions import FunctionReader
+from ..graph.modules import FunctionError
 from ..graph.pipeline import STAGES, Stage
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import PLACE_REMEDY, ControlPoint, Distance, LocalFrame, Position, local_frame, read_survey
@@ -244,7 +245,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
     if work is None:
         work = _beside(path, model.work) if model.work else path.resolve().parent / ".wbflow" / model.site
-    reader = FunctionReader(work / "cache" / "functions.json")
+    reader = FunctionReader(work / "cache" / "functions.json", path.resolve().parent)
     stages = _stages(model, document, reader, problems)
     _check_pairs(model, document, problems)
     root = _beside(path, model.captures.root)
@@ -477,12 +478,12 @@ def _stage(
     except FunctionError as error:
         problems.append(document.problem((*place, "use"), str(error), "write package.module:function, importable from here"))
         return StageSettings()
-    fed = {"pairs": set(info.parameters), "resolution": {"resolution"}}.get(stage.settings, set())
+    fed = set(info.signature.parameters) if stage.pair_settings else {stage.resolution_parameter}
     for key, value in values.items():
-        parameter = info.parameters.get(key)
-        allowed = [p for p in info.parameters if p not in fed]
+        parameter = info.signature.parameters.get(key)
+        allowed = [p for p in info.signature.parameters if p not in fed]
         if key in fed and parameter:
-            remedy = f"set {key} in the section pairs" if stage.settings == "pairs" else f"set {key} at the top of the file"
+            remedy = f"set {key} in the section pairs" if stage.pair_settings else f"set {key} at the top of the file"
             problems.append(document.problem((*place, key), f"{key!r} is not set here", remedy, key=True))
         elif parameter is None:
             close = difflib.get_close_matches(key, allowed, 1)

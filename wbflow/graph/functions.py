@@ -1,91 +1,61 @@
-"""What is known of a stage function without importing it: its parameters, and a fingerprint of all code that it runs.
-
-The fingerprint covers the syntax tree (comments and docstrings stripped) of the function's module and of the modules of the
-same package that it imports, directly or not, and the major.minor versions of the libraries they import.
-"""
+"""What is known of a function without importing it, remembered from run to run as long as no source file changes."""
 
 from __future__ import annotations
 
-import ast
-import hashlib
-import importlib.util
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass, field
-from importlib import metadata
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..store.atomic import write_atomic
+from .fingerprint import ModuleCode, fingerprint, function_digest, module_code
+from .modules import Modules
+from .signature import Argument, Parameter, Signature, read_signature, read_table
 
-LIBRARIES = {
-    "cv2": ("opencv-python-headless", "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python"),
-    "open3d": ("open3d-cpu", "open3d"),
-    "maxflow": ("PyMaxflow",),
-    **{name: (name,) for name in ("numpy", "scipy", "numba", "poselib", "pycolmap", "networkx")},
-}
-"""Import name -> distributions that provide it; the version of the installed one enters the fingerprint."""
-
-
-class FunctionError(ValueError):
-    """A dotted function name leads nowhere."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A keyword-only parameter.  `kinds`: names of accepted types (empty: anything); `choices`: literal values, if restricted."""
-
-    name: str
-    default: Any
-    kinds: tuple[str, ...] = ()
-    choices: tuple[Any, ...] = ()
-
-    def problem(self, value: Any) -> str | None:
-        """What is wrong with a value from the site file, in words; None when it fits."""
-        if value is None and "None" in self.kinds:
-            return None
-        if self.choices:
-            return None if value in self.choices else f"{value!r} is not one of {', '.join(map(str, self.choices))}"
-        wanted = {"int": (int,), "float": (int, float), "bool": (bool,), "str": (str,)}
-        accepted = tuple(kind for name in self.kinds for kind in wanted.get(name, ()))
-        if accepted and (not isinstance(value, accepted) or (isinstance(value, bool) and "bool" not in self.kinds)):
-            return f"{value!r} is not of type {' or '.join(self.kinds)}"
-        return None
+_FORM = 2
+"""Of the memo; another one is not read."""
 
 
 @dataclass(frozen=True)
 class FunctionInfo:
-    """dotted: "package.module:function"; parameters by name; code: the fingerprint."""
+    """A function: its dotted name, what it asks for, and a fingerprint of all code that it runs."""
 
     dotted: str
-    parameters: dict[str, Parameter]
+    signature: Signature
     code: str
-
-
-@dataclass(frozen=True)
-class _Module:
-    digest: str
-    imports: tuple[str, ...]
-    libraries: tuple[str, ...]
 
 
 @dataclass
 class FunctionReader:
-    """Reads functions and remembers, in the file `memo`, what it learnt of source files that have not changed since."""
+    """Reads functions, and remembers in a file what it learnt of source files that have not changed since."""
 
     memo: Path | None = None
+    folder: Path | None = None
+    """Where modules may lie that are not installed: beside the site file."""
+    modules: Modules = field(init=False)
     _known: dict[str, Any] = field(default_factory=dict)
+    _stamps: dict[str, list[int] | None] = field(default_factory=dict)
     _fresh: bool = False
 
     def __post_init__(self) -> None:
+        self.modules = Modules(self.folder)
         if self.memo and self.memo.is_file():
             try:
-                self._known = json.loads(self.memo.read_text())
-            except ValueError:
+                known = json.loads(self.memo.read_text())
+                self._known = known if known.get("form") == _FORM else {}
+            except (ValueError, AttributeError):
                 self._known = {}
 
-    def read(self, dotted: str) -> FunctionInfo:
-        """Parameters and fingerprint of a function.
+    def read(self, dotted: str, table: str = "") -> FunctionInfo:
+        """What is known of a function.
+
+        Parameters
+        ----------
+        dotted : str
+            "package.module:function".
+        table : str
+            Dotted name of the table of methods that it chooses from: what is in it does not enter the fingerprint.
 
         Raises
         ------
@@ -93,159 +63,95 @@ class FunctionReader:
             No such module or function, with what is missing.
         """
         module, _, name = dotted.partition(":")
-        path = _module_file(module)
+        path = self.modules.file(module)
         if path is None or not name:
-            raise FunctionError(
-                f"there is no module {module!r} to take {name or 'a function'} from; write package.module:function"
-            )
-        modules = self._closure(module)
-        stamp = self._stamp(path)
-        known = self._known.setdefault("functions", {}).get(dotted)
-        if known is None or known["stamp"] != stamp:
-            known = {"stamp": stamp, "parameters": _parameters(path, module, name)}
-            self._known["functions"][dotted] = known
-            self._fresh = True
-        parameters = {
-            p["name"]: Parameter(p["name"], p["default"], tuple(p["kinds"]), tuple(p["choices"])) for p in known["parameters"]
-        }
-        versions = sorted({f"{library} {_version(library)}" for m in modules.values() for library in m.libraries})
-        lines = [f"{m} {modules[m].digest}" for m in sorted(modules)] + versions
-        return FunctionInfo(dotted, parameters, hashlib.sha256("\n".join(lines).encode()).hexdigest()[:32])
+            self.modules.function(dotted)  # says what is wrong
+        assert path is not None
+        home, _, own_table = table.partition(":")
+        left_out = own_table if home == module else ""
+        signature = self._remembered("signatures", dotted, path, lambda: _packed(*read_signature(self.modules, dotted)))
+        digest = self._remembered(
+            "functions",
+            f"{dotted} {left_out}",
+            path,
+            lambda: ({"digest": function_digest(self.modules, module, path, name, left_out)}, {path}),
+        )
+        return FunctionInfo(dotted, _unpacked(signature), fingerprint(digest["digest"], module, self._closure(module)))
+
+    def table(self, dotted: str) -> dict[str, str]:
+        """A table of methods: name -> dotted function.  Raises FunctionError."""
+
+        path = self.modules.file(dotted.partition(":")[0])
+        if path is None:
+            read_table(self.modules, dotted)  # says what is wrong
+        assert path is not None
+
+        def read() -> tuple[dict[str, Any], set[Path]]:
+            table, path = read_table(self.modules, dotted)
+            return {"table": table}, {path}
+
+        found: dict[str, str] = self._remembered("tables", dotted, path, read)["table"]
+        return found
 
     def save(self) -> None:
         """Write what was learnt, for the next run."""
         if self.memo and self._fresh:
-            write_atomic(self.memo, json.dumps(self._known).encode())
+            write_atomic(self.memo, json.dumps(self._known | {"form": _FORM}).encode())
             self._fresh = False
 
-    def _closure(self, module: str) -> dict[str, _Module]:
-        found: dict[str, _Module] = {}
+    def _closure(self, module: str) -> dict[str, ModuleCode]:
+        found: dict[str, ModuleCode] = {}
         waiting = [module]
         while waiting:
             name = waiting.pop()
-            path = _module_file(name)
-            if name in found or path is None:
-                continue
-            found[name] = self._module(name, path)
-            waiting.extend(found[name].imports)
+            path = self.modules.file(name)
+            if name not in found and path is not None:
+                found[name] = self._module(name, path)
+                waiting.extend(found[name].imports)
         return found
 
-    def _module(self, name: str, path: Path) -> _Module:
-        stamp = self._stamp(path)
-        modules = self._known.setdefault("modules", {})
-        known = modules.get(name)
-        if known is None or known["stamp"] != stamp:
-            tree = ast.parse(path.read_bytes(), filename=str(path))
-            imports = sorted(_imports(tree, name, path))
-            top = name.partition(".")[0]
-            known = modules[name] = {
-                "stamp": stamp,
-                "imports": [i for i in imports if i.partition(".")[0] == top and i != name],
-                "libraries": sorted({i.partition(".")[0] for i in imports} & set(LIBRARIES)),
-                "digest": hashlib.sha256(ast.dump(_without_docstrings(tree)).encode()).hexdigest()[:32],
-            }
+    def _module(self, name: str, path: Path) -> ModuleCode:
+        known = self._remembered("modules", name, path, lambda: (asdict(module_code(self.modules, name, path)), {path}))
+        return ModuleCode(known["digest"], tuple(known["imports"]), tuple(known["libraries"]))
+
+    def _remembered(
+        self, shelf: str, name: str, path: Path, read: Callable[[], tuple[dict[str, Any], set[Path]]]
+    ) -> dict[str, Any]:
+        """What is known under a name, or read now: it holds as long as none of the files that it was told from changes.
+
+        path: the file in which the name is to be found today.
+        """
+        known = self._known.setdefault(shelf, {}).get(name)
+        if known is None or str(path) not in known["files"] or not self._unchanged(known["files"]):
+            told, files = read()
+            known = {"told": told, "files": {str(file): self._stamp(str(file)) for file in sorted(files)}}
+            self._known[shelf][name] = known
             self._fresh = True
-        return _Module(known["digest"], tuple(known["imports"]), tuple(known["libraries"]))
+        result: dict[str, Any] = known["told"]
+        return result
 
-    @staticmethod
-    def _stamp(path: Path) -> list[Any]:
-        status = path.stat()
-        return [str(path), status.st_mtime_ns, status.st_size]
+    def _unchanged(self, files: dict[str, list[int] | None]) -> bool:
+        return all(self._stamp(file) == stamp for file, stamp in files.items())
 
-
-def _module_file(module: str) -> Path | None:
-    """Source file of a module, found without importing it or its parents (the top package's own location aside)."""
-    top, *rest = module.split(".")
-    try:
-        spec = importlib.util.find_spec(top)
-    except (ImportError, ValueError):
-        return None
-    if spec is None or spec.origin is None:
-        return None
-    if not rest:
-        return Path(spec.origin)
-    for root in spec.submodule_search_locations or ():
-        stem = Path(root, *rest)
-        for candidate in (stem.with_suffix(".py"), stem / "__init__.py"):
-            if candidate.is_file():
-                return candidate
-    return None
+    def _stamp(self, file: str) -> list[int] | None:
+        """Time and size of a file, looked at once."""
+        if file not in self._stamps:
+            try:
+                status = Path(file).stat()
+                self._stamps[file] = [status.st_mtime_ns, status.st_size]
+            except OSError:
+                self._stamps[file] = None
+        return self._stamps[file]
 
 
-def _imports(tree: ast.AST, module: str, path: Path) -> set[str]:
-    """Dotted names of everything imported anywhere in a module, relative imports resolved."""
-    package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
-    found: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else []
-            origin = ".".join([*base, node.module] if node.module else base)
-            found.add(origin)
-            found |= {f"{origin}.{alias.name}" for alias in node.names}
-    return found
+def _packed(signature: Signature, files: set[Path]) -> tuple[dict[str, Any], set[Path]]:
+    return asdict(signature), files
 
 
-def _without_docstrings(tree: ast.Module) -> ast.Module:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            body = node.body
-            if (
-                body
-                and isinstance(body[0], ast.Expr)
-                and isinstance(body[0].value, ast.Constant)
-                and isinstance(body[0].value.value, str)
-            ):
-                node.body = body[1:]
-    return tree
-
-
-def _parameters(path: Path, module: str, name: str) -> list[dict[str, Any]]:
-    tree = ast.parse(path.read_bytes(), filename=str(path))
-    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    if name not in functions:
-        raise FunctionError(f"module {module!r} has no function {name!r}; it has {', '.join(sorted(functions)) or 'none'}")
-    aliases = {
-        t.id: node.value for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)
+def _unpacked(told: dict[str, Any]) -> Signature:
+    arguments = tuple(Argument(**argument) for argument in told["arguments"])
+    parameters = {
+        name: Parameter(**{**row, "kinds": tuple(row["kinds"]), "choices": tuple(row["choices"])})
+        for name, row in told["parameters"].items()
     }
-    arguments = functions[name].args
-    found = []
-    for argument, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
-        kinds, choices = _annotation(argument.annotation, aliases)
-        value = _literal(default, aliases)
-        found.append({"name": argument.arg, "default": value, "kinds": list(kinds), "choices": list(choices)})
-    return found
-
-
-def _literal(node: ast.expr | None, aliases: dict[str, ast.expr]) -> Any:
-    if isinstance(node, ast.Name) and node.id in aliases:
-        node = aliases[node.id]
-    try:
-        return ast.literal_eval(node) if node is not None else None
-    except ValueError:
-        return None
-
-
-def _annotation(node: ast.expr | None, aliases: dict[str, ast.expr]) -> tuple[tuple[str, ...], tuple[Any, ...]]:
-    """Accepted type names and literal choices of an annotation such as `int | None`, `Literal["a", "b"]` or an alias of it."""
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr):
-        left, right = _annotation(node.left, aliases), _annotation(node.right, aliases)
-        return left[0] + right[0], left[1] + right[1]
-    if isinstance(node, ast.Constant) and node.value is None:
-        return ("None",), ()
-    if isinstance(node, ast.Name):
-        return _annotation(aliases[node.id], aliases) if node.id in aliases else ((node.id,), ())
-    if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "Literal":
-        values: Iterable[ast.expr] = node.slice.elts if isinstance(node.slice, ast.Tuple) else (node.slice,)
-        return (), tuple(ast.literal_eval(v) for v in values)
-    return (), ()
-
-
-def _version(library: str) -> str:
-    for distribution in LIBRARIES[library]:
-        try:
-            return ".".join(metadata.version(distribution).split(".")[:2])
-        except metadata.PackageNotFoundError:
-            continue
-    return "absent"
+    return Signature(arguments, parameters, told["takes_any"])

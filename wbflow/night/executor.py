@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..store.cache import Cache
-from .plan import TaskSpec
+from .spec import TaskSpec
 from .worker import Done, run_lane
 
 LANE_SECONDS = 6 * 3600

@@ -7,103 +7,32 @@ a crash finds in the cache exactly what was finished.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 from ..config.load import Site, SiteCamera
-from ..graph.functions import FunctionInfo
-from ..graph.pipeline import STAGES, Need, Stage, ancestors, stage_named
-from ..store import artifact
-from ..store.cache import Cache, Preimage, Receipt
+from ..graph.binding import Binding, bind
+from ..graph.pipeline import (
+    STAGES,
+    FromSite,
+    FromStage,
+    Need,
+    Part,
+    Role,
+    SiteValue,
+    Stage,
+    Which,
+    ancestors,
+    stage_named,
+    stage_with,
+)
+from ..store.cache import Cache, Receipt
 from ..task import Subject, Task
 from .captures import CaptureFile, expected
+from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
 
 Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
-
-
-@dataclass(frozen=True)
-class Value:
-    """An input given by the site file: a dataclass of the stages (`kind`, dotted) made from plain values."""
-
-    kind: str
-    plain: dict[str, Any]
-
-    def digest(self) -> str:
-        return artifact.digest(json.dumps([self.kind, self.plain], sort_keys=True).encode())
-
-
-@dataclass(frozen=True)
-class Files:
-    """An input read from files as they are; single: one file rather than a list."""
-
-    kind: str
-    files: tuple[CaptureFile, ...]
-    single: bool = False
-
-    def digest(self) -> str:
-        return artifact.digest(json.dumps([f.digest for f in self.files]).encode())
-
-
-@dataclass(frozen=True)
-class Stored:
-    """An input made by another task: an artifact on disk, or a part of it; no path while a task of the same lane makes it."""
-
-    task: Task
-    part: str = ""
-    path: Path | None = None
-    file_digest: str = ""
-    content: str = ""
-
-    def digest(self) -> str:
-        return self.content
-
-    def resolved(self, cache: Cache, receipt: Receipt) -> Stored:
-        """The same input, now that its task is done."""
-        content = receipt.parts[self.part] if self.part else receipt.digest
-        return dataclasses.replace(self, path=cache.path(receipt), file_digest=receipt.digest, content=content)
-
-
-@dataclass(frozen=True)
-class Joined:
-    """An input that maps each subject to its own (camera id, or a pair of ids)."""
-
-    items: dict[Subject, Value | Stored]
-
-
-@dataclass(frozen=True)
-class Absent:
-    """An optional input that is not there."""
-
-
-Input = Value | Files | Stored | Joined | Absent
-
-
-@dataclass(frozen=True)
-class TaskSpec:
-    """All that a worker needs to do a task."""
-
-    task: Task
-    function: str
-    code: str
-    parameters: dict[str, Any]
-    inputs: dict[str, Input]
-    suffix: str
-    picture: str | None
-    picture_inputs: dict[str, Input] = field(default_factory=dict)
-    force: bool = False
-
-    def preimage(self) -> Preimage:
-        """All that determines the artifact; every input must be resolved."""
-        digests: dict[str, str] = {}
-        for name, value in self.inputs.items():
-            if isinstance(value, Joined):
-                digests |= {f"{name} {'--'.join(subject)}": item.digest() for subject, item in value.items.items()}
-            else:
-                digests[name] = "" if isinstance(value, Absent) else value.digest()
-        return Preimage(self.task.stage, self.task.subject, self.function, self.code, self.parameters, digests)
 
 
 @dataclass(frozen=True)
@@ -151,7 +80,7 @@ class Plan:
     states: dict[Task, State] = field(default_factory=dict)
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
     waiting: dict[Task, Task | None] = field(default_factory=dict)
-    _infos: dict[str, FunctionInfo] = field(default_factory=dict)
+    _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -196,18 +125,16 @@ class Plan:
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found = []
-        for need in stage_named(task.stage).needs.values():
-            if need.origin.startswith("site:") or (need.unless_posed and self.site.posed):
+        for need in self._bound(stage_named(task.stage)).needs.values():
+            if isinstance(need, FromSite) or (need.unless_posed and self.site.posed):
                 continue
-            origin = stage_named(need.origin)
+            origin = stage_named(need.stage)
             if need.optional and origin not in self._stages:
                 continue
-            if need.which in {"all", "around"} and origin.scope != "site":
+            if need.which in {Which.ALL, Which.AROUND} and origin.scope != "site":
                 found += self._joined(origin, need, task)
-            elif need.which == "same" or origin.scope == "site":
-                found.append(Task(origin.name, task.subject if origin.scope != "site" else ()))
             else:
-                found.append(Task(origin.name, task.subject[:1] if need.which == "left" else task.subject[1:]))
+                found.append(Task(origin.name, self._subject(origin, need, task)))
         return list(dict.fromkeys(found))
 
     def stages(self) -> list[Stage]:
@@ -219,21 +146,25 @@ class Plan:
             return [Task(stage.name, (camera.id,)) for camera in self.site.cameras]
         if stage.scope == "pair":
             return [Task(stage.name, pair) for pair in self._pairs() or ()]
-        if stage.settings == "component":
+        if stage.component_parameter:
             return [Task(stage.name, ())] + [Task(stage.name, (component_name(k),)) for k in range(1, self._components())]
         return [Task(stage.name, ())]
 
-    def _pairs(self) -> list[tuple[str, str]] | None:
-        state = self.states.get(Task("pairs", ()))
+    def _listed(self, role: Role) -> list[Any] | None:
+        """What a site-wide stage lists (see `Stage.lists`); None where its task is not settled yet."""
+        stage = stage_with(role)
+        state = self.states.get(Task(stage.name))
         if state is None:
             return None
-        return [tuple(pair) for pair in state.receipt.figures["pairs"]] if state.usable and state.receipt else []
+        return list(state.receipt.figures.get(stage.lists, ())) if state.usable and state.receipt else []
+
+    def _pairs(self) -> list[tuple[str, str]] | None:
+        listed = self._listed(Role.PAIR_GRAPH)
+        return None if listed is None else [tuple(pair) for pair in listed]
 
     def _components(self) -> int:
         """Into how many worlds of at least two cameras the site falls, as far as is known."""
-        state = self.states.get(Task("poses", ()))
-        groups = state.receipt.figures.get("components", ()) if state and state.usable and state.receipt else ()
-        return sum(len(group) > 1 for group in groups)
+        return sum(len(group) > 1 for group in self._listed(Role.WORLD) or ())
 
     def _settle(self, stage: Stage, task: Task) -> None:
         try:
@@ -242,8 +173,7 @@ class Plan:
             self.waiting[task] = waiting.task
             return
         except _Impossible as impossible:
-            outcome: Outcome = "failed" if stage.name == "frames" else "skipped"
-            self.states[task] = State(outcome, str(impossible))
+            self.states[task] = State(stage.missing, str(impossible))
             return
         preimage = spec.preimage()
         receipt = None if spec.force else self.cache.find(preimage, preimage.key())
@@ -254,47 +184,82 @@ class Plan:
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved."""
-        info = self._info(stage)
-        inputs = {name: self._input(stage, task, need, among or set()) for name, need in stage.needs.items()}
-        forced = bool(self.force & {task.stage, str(task)})
-        parameters = self._parameters(stage, info, task)
-        drawn = {name: self._input(stage, task, need, set()) for name, need in stage.picture_needs.items()}
-        return TaskSpec(task, info.dotted, info.code, parameters, inputs, stage.suffix, stage.picture, drawn, forced)
+        bound = self._bound(stage)
+        inputs = {name: self._input(stage, task, need, among or set()) for name, need in bound.needs.items()}
+        stated = self._stated_parameters(stage, task)
+        return TaskSpec(
+            task,
+            bound.function.dotted,
+            bound.code,
+            bound.defaults() | stated,
+            inputs,
+            stage.table,
+            self._picture(stage, task, inputs, among or set()),
+            bool(self.force & {task.stage, str(task)}),
+            {name: text for name, text in bound.left_to_function().items() if name not in stated},
+            folder=self.site.file.resolve().parent,
+        )
 
-    def _info(self, stage: Stage) -> FunctionInfo:
-        if stage.name not in self._infos:
+    def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
+        """How a task's result is shown: with those of its inputs that the function asks for."""
+        if not stage.picture:
+            return None
+        info = self.site.reader.read(stage.picture.function)
+        result, *asked = (argument.name for argument in info.signature.arguments)
+        drawn: dict[str, Input] = {}
+        for name in asked:
+            if name in stage.picture.needs:
+                try:
+                    drawn[name] = self._input(stage, task, stage.picture.needs[name], among)
+                except (_Waiting, _Impossible):
+                    drawn[name] = Absent()
+            elif name in inputs:
+                drawn[name] = inputs[name]
+        return PictureSpec(info.dotted, info.code, result, drawn)
+
+    def _bound(self, stage: Stage) -> Binding:
+        if stage.name not in self._bindings:
             settings = self.site.stages.get(stage.name)
-            self._infos[stage.name] = self.site.reader.read((settings and settings.use) or stage.function)
-        return self._infos[stage.name]
+            use, values = (settings.use, settings.parameters) if settings else (None, {})
+            self._bindings[stage.name] = bind(stage, use, values, self.site.reader)
+        return self._bindings[stage.name]
 
-    def _parameters(self, stage: Stage, info: FunctionInfo, task: Task) -> dict[str, Any]:
-        values = {name: parameter.default for name, parameter in info.parameters.items()}
-        if stage.settings == "pairs":
-            values |= self.site.pairs
-        if stage.settings == "resolution":
-            values["resolution"] = self.site.resolution
-        if stage.settings == "component" and "component" in values:
-            values["component"] = next((k for k in range(1, self._components()) if task.subject == (component_name(k),)), 0)
+    def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
+        """Parameters that the site file sets, in the stage's section or elsewhere."""
+        values: dict[str, Any] = dict(self.site.pairs) if stage.pair_settings else {}
+        values[stage.resolution_parameter] = self.site.resolution
+        numbers = range(1, self._components())
+        values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+        known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
-        return values | (settings.parameters if settings else {})
+        return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
 
     def _input(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
+        if isinstance(need, FromSite):
+            return self._from_site(need, task)
         if need.unless_posed and self.site.posed:
             return Joined({})
-        if need.origin.startswith("site:"):
-            return self._from_site(need, task)
-        origin = stage_named(need.origin)
-        if need.which in {"all", "around"}:
+        origin = stage_named(need.stage)
+        if need.which in {Which.ALL, Which.AROUND}:
             return self._join(origin, need, task)
-        subject: Subject = task.subject if need.which == "same" and origin.scope != "site" else ()
-        camera = {"left": task.subject[:1], "right": task.subject[1:]}.get(need.which, ())
-        if camera and origin.scope == "camera":
-            subject = camera
-        entry = "--".join(camera or (task.subject if stage.scope != "site" else ()))
-        part = f"{need.part}[{entry}]" if need.part and entry and origin.scope == "site" else need.part
-        return self._stored(Task(origin.name, subject), part, need, among)
+        part = need.part
+        if part and origin.scope == "site" and stage.scope != "site":
+            camera = self._side(need, task)
+            part = dataclasses.replace(part, entry="--".join(camera or task.subject))
+        return self._stored(Task(origin.name, self._subject(origin, need, task)), need, part, among)
 
-    def _stored(self, upstream: Task, part: str, need: Need, among: set[Task]) -> Input:
+    @staticmethod
+    def _side(need: FromStage, task: Task) -> Subject:
+        """The left or right camera of a pair, where one of them is meant."""
+        return {Which.LEFT: task.subject[:1], Which.RIGHT: task.subject[1:]}.get(need.which, ())
+
+    def _subject(self, origin: Stage, need: FromStage, task: Task) -> Subject:
+        """Of which subject an input is that is not joined."""
+        if origin.scope == "site":
+            return ()
+        return task.subject if need.which is Which.SAME else self._side(need, task)
+
+    def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
         if upstream in among:
             return Stored(upstream, part)
         if need.optional and stage_named(upstream.stage) not in self._stages:
@@ -306,16 +271,16 @@ class Plan:
             if need.optional:
                 return Absent()
             raise _Impossible(_because(upstream, state))
-        if part and part not in state.receipt.parts:
+        if part and str(part) not in state.receipt.parts:
             if need.optional:
                 return Absent()
-            raise _Impossible(f"{upstream} has nothing for {part.partition('[')[2].removesuffix(']') or part}")
+            raise _Impossible(f"{upstream} has nothing for {part.entry or part.field}")
         return Stored(upstream, part).resolved(self.cache, state.receipt)
 
-    def _join(self, origin: Stage, need: Need, task: Task) -> Input:
+    def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
         if origin not in self._stages and need.optional:
             return Joined({})
-        if not self.pairs_known() and (origin.scope == "pair" or need.which == "around"):
+        if not self.pairs_known() and (origin.scope == "pair" or need.which is Which.AROUND):
             raise _Waiting(None)
         if origin.scope == "site":
             return self._entries(origin, need, task)
@@ -325,7 +290,7 @@ class Plan:
             state = self.states.get(upstream)
             if state is None:
                 raise _Waiting(upstream)
-            if state.usable and state.receipt and (not need.part or need.part in state.receipt.parts):
+            if state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):
                 items[upstream.subject] = Stored(upstream, need.part).resolved(self.cache, state.receipt)
             else:
                 faults.append(_because(upstream, state))
@@ -333,16 +298,17 @@ class Plan:
             raise _Impossible(self._nothing(origin, faults))
         return Joined(items)
 
-    def _entries(self, origin: Stage, need: Need, task: Task) -> Input:
+    def _entries(self, origin: Stage, need: FromStage, task: Task) -> Input:
         """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question."""
+        assert need.part
         items: dict[Subject, Value | Stored] = {}
         for camera in self._around(task.subject[0]):
-            part = f"{need.part}[{camera}]"
-            stored = self._stored(Task(origin.name, ()), part, dataclasses.replace(need, optional=True), set())
+            part = dataclasses.replace(need.part, entry=camera)
+            stored = self._stored(Task(origin.name), dataclasses.replace(need, optional=True), part, set())
             if isinstance(stored, Stored):
                 items[camera,] = stored
         if not items:
-            raise _Impossible(_because(Task(origin.name, ()), self.states[Task(origin.name, ())]))
+            raise _Impossible(_because(Task(origin.name), self.states[Task(origin.name)]))
         return Joined(items)
 
     def _around(self, camera: str) -> list[str]:
@@ -352,46 +318,53 @@ class Plan:
 
     def _nothing(self, origin: Stage, faults: list[str]) -> str:
         """Why a stage that joins many has none to join."""
-        usable = [c.id for c in self.site.cameras if (state := self.states.get(Task("frames", (c.id,)))) and state.usable]
+        frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
+        usable = [c.id for c in self.site.cameras if (state := self.states.get(Task(frame, (c.id,)))) and state.usable]
         if len(usable) < 2:
             have = f"only camera {usable[0]} has" if usable else "no camera has"
             return f"{have} a usable capture, a cloud needs two that see the same things" + (f": {faults[0]}" if faults else "")
-        pairs = self.states.get(Task("pairs", ()))
+        pairs = self.states.get(graph)
         if origin.scope == "pair" and not faults:
-            return (
-                _because(Task("pairs", ()), pairs) if pairs and not pairs.usable else "no two cameras share enough to be matched"
-            )
+            return _because(graph, pairs) if pairs and not pairs.usable else "no two cameras share enough to be matched"
         return f"no {origin.name} to work on" + (f": {faults[0]}" if faults else "")
 
-    def _joined(self, origin: Stage, need: Need, task: Task) -> list[Task]:
+    def _joined(self, origin: Stage, need: FromStage, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
-        if need.which == "all":
+        if need.which is Which.ALL:
             return self._tasks(origin)
         camera = task.subject[0]
         if origin.scope == "pair":
             return [t for t in self._tasks(origin) if camera in t.subject]
         return [Task(origin.name, (c,)) for c in self._around(camera)]
 
-    def _from_site(self, need: Need, task: Task) -> Input:
-        what = need.origin.partition(":")[2]
-        if what in {"lens", "placement"}:
-            kind = f"wbflow_stages.types:{what.capitalize()}"
-            cameras = self.site.cameras if need.which == "all" else [self._camera(task.subject[0])]
-            values: dict[Subject, Value | Stored] = {(camera.id,): Value(kind, getattr(camera, what)) for camera in cameras}
-            return Joined(values) if need.which == "all" else values[task.subject]
-        if what == "survey":
-            return Value("wbflow_stages.types:Survey", self.site.survey)
-        camera = task.subject[0]
-        if what == "mask":
-            file = self.masks.get(camera)
-            return Files("wbflow_stages.types:Capture", (file,), single=True) if file else Absent()
-        files = self.captures[camera]
+    def _from_site(self, need: FromSite, task: Task) -> Input:
+        what = need.value
+        if what is SiteValue.SURVEY:
+            return Value(what.kind, self.site.survey)
+        if need.which is Which.ALL:
+            return Joined({(camera.id,): self._stated(camera, what) for camera in self.site.cameras})
+        camera = self._camera(task.subject[0])
+        if what is SiteValue.MASK:
+            file = self.masks.get(camera.id)
+            return Files(what.kind, (file,), single=True) if file else Absent()
+        if what is SiteValue.CAPTURES:
+            return Files(what.kind, self._captured(camera))
+        return self._stated(camera, what)
+
+    @staticmethod
+    def _stated(camera: SiteCamera, what: SiteValue) -> Value:
+        """What the site file says of a camera."""
+        return Value(what.kind, camera.lens if what is SiteValue.LENS else camera.placement)
+
+    def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
+        """A camera's files that can be read."""
+        files = self.captures[camera.id]
         if not files:
-            raise _Impossible(f"no capture: there is no file {self.expectations.get(camera, 'for it')}")
-        missing = [file for file in files if not file.digest]
-        if len(missing) == len(files):
-            raise _Impossible(f"no capture: {missing[0].name} cannot be read")
-        return Files("wbflow_stages.types:Capture", tuple(file for file in files if file.digest))
+            raise _Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}")
+        readable = tuple(file for file in files if file.digest)
+        if not readable:
+            raise _Impossible(f"no capture: {files[0].name} cannot be read")
+        return readable
 
     def _camera(self, camera: str) -> SiteCamera:
         return next(c for c in self.site.cameras if c.id == camera)

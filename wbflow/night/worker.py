@@ -14,11 +14,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..graph.pipeline import REJECTED
 from ..store import artifact
 from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
-from ..store.ply import cloud_bytes, cloud_figures
+from ..store.ply import ply_bytes
 from ..task import Task
-from .plan import Absent, Files, Input, Joined, Stored, TaskSpec, Value
+from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,10 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
     wall, cpu = time.perf_counter(), time.process_time()
     arguments = {name: _load(value, lane) for name, value in spec.inputs.items()}
     result = _function(spec.function)(**arguments, **spec.parameters)
-    rejected = type(result).__name__ == "Rejected"
-    cloud = spec.suffix == ".ply" and not rejected
-    data = None if rejected else cloud_bytes(result) if cloud else artifact.encode(result)
-    picture = None if rejected or not spec.picture else _picture(spec, result, arguments, lane)
+    nothing: Any = _function(REJECTED)
+    rejected = isinstance(result, nothing)
+    data = None if rejected else _bytes(spec, result)
+    picture = None if rejected or not spec.picture else _picture(spec.picture, result, arguments, lane)
     receipt = Receipt(
         task=str(spec.task),
         key=key,
@@ -104,7 +105,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
         bytes=len(data or b""),
         picture=f"{key}.jpg" if picture else None,
         reason=result.reason if rejected else None,
-        figures=dict(result.figures) if rejected else {**artifact.figures(result), **(cloud_figures(result) if cloud else {})},
+        figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
         cpu=time.process_time() - cpu,
         peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -115,18 +116,28 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
     return receipt
 
 
+def _bytes(spec: TaskSpec, result: Any) -> bytes | bytearray:
+    if spec.table:
+        return ply_bytes(_function(spec.table.columns)(result), comments=("made by wbflow",))
+    return artifact.encode(result)
+
+
+def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
+    found = artifact.figures(result)
+    return found | _function(spec.table.figures)(result) if spec.table else found
+
+
 def _function(dotted: str) -> Callable[..., Any]:
     module, _, name = dotted.partition(":")
     function: Callable[..., Any] = getattr(importlib.import_module(module), name)
     return function
 
 
-def _picture(spec: TaskSpec, result: Any, arguments: dict[str, Any], lane: _Lane) -> bytes | None:
+def _picture(spec: PictureSpec, result: Any, arguments: dict[str, Any], lane: _Lane) -> bytes | None:
     """A picture is for people: when it cannot be drawn, the task has succeeded all the same."""
-    assert spec.picture
     try:
-        drawn = {name: _load(value, lane) for name, value in spec.picture_inputs.items()}
-        return bytes(_function(spec.picture)(result, **(arguments | drawn)))
+        drawn = {name: _load(value, lane) for name, value in spec.inputs.items()}
+        return bytes(_function(spec.function)(result, **(arguments | drawn)))
     except Exception:
         return None
 
@@ -182,16 +193,7 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
         result = artifact.decode(lane.cache.read(str(value.task), value.path, value.file_digest))
         if keep:
             lane.results[value.task] = result
-    return _part(result, value.part)
-
-
-def _part(result: Any, part: str) -> Any:
-    """`view` is a field; `cameras[gate]` an entry of a mapping field."""
-    if not part:
-        return result
-    name, _, key = part.partition("[")
-    field = getattr(result, name)
-    return field[key.removesuffix("]")] if key else field
+    return value.part.of(result) if value.part else result
 
 
 def _from_plain(value: Value) -> Any:

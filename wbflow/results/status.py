@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..night.plan import Plan, TaskSpec
+from ..night.plan import Plan
+from ..night.spec import TaskSpec
 from ..store.cache import Preimage, Receipt
 from ..task import Task
 

@@ -58,34 +58,9 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
     return {name: table[name].copy() for name in dtype.names or ()}
 
 
-def cloud_bytes(cloud: Any) -> bytes | bytearray:
-    """PLY of a `Cloud` (points, normals, colors, confidence, views, sigma_mm).
-
-    Positions are `float`, or `double` where the coordinates are so large (UTM) that `float` would add to the points' own error.
-    """
-    import numpy as np
-
-    farthest = max(abs(float(cloud.points.min())), abs(float(cloud.points.max()))) if len(cloud.points) else 0.0
-    coarse = farthest > 0 and float(np.spacing(np.float32(farthest))) > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
-    columns = {
-        **{name: cloud.points[:, i].astype("f8" if coarse else "f4") for i, name in enumerate(("x", "y", "z"))},
-        **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
-        **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
-        "confidence": cloud.confidence,
-        "views": cloud.views,
-        "sigma_mm": cloud.sigma_mm,
-    }
-    return ply_bytes(columns, comments=("made by wbflow",))
-
-
 def with_comments(ply: bytes, comments: tuple[str, ...]) -> bytes:
     """The same PLY with further comments in its header, after the first."""
     if not comments:
         return ply
     at = ply.index(b"element vertex")
     return b"".join([ply[:at], *(f"comment {comment}\n".encode() for comment in comments), memoryview(ply)[at:]])
-
-
-def cloud_figures(cloud: Any) -> dict[str, Any]:
-    """Corners of the box around a `Cloud`, for the records."""
-    return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}

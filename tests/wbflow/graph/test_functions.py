@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.graph.functions import FunctionError, FunctionReader
+from wbflow.graph.functions import FunctionReader
+from wbflow.graph.modules import FunctionError
 from wbflow.graph.pipeline import STAGES
 
 
@@ -34,7 +35,7 @@ def code(package: Path) -> str:
 
 
 def test_parameters_with_types_choices_and_defaults(package: Path) -> None:
-    parameters = FunctionReader().read(f"{package.name}.stage:work").parameters
+    parameters = FunctionReader().read(f"{package.name}.stage:work").signature.parameters
     assert {name: p.default for name, p in parameters.items()} == {"mode": "fast", "n": 3, "share": None, "flag": True}
     assert parameters["mode"].problem("good") is None
     assert "not one of fast, good" in str(parameters["mode"].problem("best"))
@@ -63,7 +64,7 @@ def test_a_remembered_module_is_read_again_when_it_changes(package: Path, tmp_pa
     assert FunctionReader(memo).read(name) == before
     (package / "stage.py").write_text("def work(*, other: int = 1):\n    return 1\n")
     after = FunctionReader(memo).read(name)
-    assert set(after.parameters) == {"other"}
+    assert set(after.signature.parameters) == {"other"}
     assert after.code != before.code
 
 
@@ -86,5 +87,5 @@ def test_every_stage_function_takes_what_the_table_gives_it(stage: object) -> No
     inputs = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.KEYWORD_ONLY]
     assert {p.name for p in inputs if p.default is p.empty} <= set(stage.needs) <= {p.name for p in inputs}
     keywords = {p.name: p.default for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY}
-    read = FunctionReader().read(stage.function).parameters
+    read = FunctionReader().read(stage.function).signature.parameters
     assert {name: p.default for name, p in read.items()} == keywords

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wbflow.store.ply import cloud_bytes, read_ply
+from wbflow.store.ply import ply_bytes, read_ply
+from wbflow_stages.io.clouds import cloud_columns
 from wbflow_stages.types import Cloud
 
 
@@ -30,7 +31,7 @@ def some_cloud(origin: tuple[float, float, float]) -> Cloud:
 )
 def test_coordinates_keep_their_millimetres(tmp_path: Path, origin: tuple[float, float, float], kind: str) -> None:
     cloud = some_cloud(origin)
-    (tmp_path / "cloud.ply").write_bytes(cloud_bytes(cloud))
+    (tmp_path / "cloud.ply").write_bytes(ply_bytes(cloud_columns(cloud)))
     table = read_ply(tmp_path / "cloud.ply")
     read = np.stack([table[name] for name in "xyz"], axis=1)
     assert read.dtype == kind  # single precision wherever it suffices: files of half the size, for viewers of all ages
@@ -40,5 +41,5 @@ def test_coordinates_keep_their_millimetres(tmp_path: Path, origin: tuple[float,
 def test_an_empty_cloud_is_a_file_too(tmp_path: Path) -> None:
     whole = some_cloud((0.0, 0.0, 0.0))
     empty = Cloud(*(getattr(whole, name)[:0] for name in ("points", "normals", "colors", "confidence", "views", "sigma_mm")))
-    (tmp_path / "cloud.ply").write_bytes(cloud_bytes(empty))
+    (tmp_path / "cloud.ply").write_bytes(ply_bytes(cloud_columns(empty)))
     assert len(read_ply(tmp_path / "cloud.ply")["x"]) == 0

@@ -1,0 +1,37 @@
+"""Solved cameras in the form in which a site file's `calibration` takes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..types import Camera, Poses
+
+
+def calibration(poses: Poses) -> dict[str, Any]:
+    """Cameras of the main component by id, as JSON data, for captures as they are."""
+    return {name: _entry(camera, poses.metric) for name, camera in poses.cameras.items() if camera.component == 0}
+
+
+def place_comments(poses: Poses) -> tuple[str, ...]:
+    """Where on Earth the coordinates begin: the coordinate system as PROJ reads it, its origin in words; () for a local one."""
+    if not poses.crs:
+        return ()
+    named = dict(word.lstrip("+").split("=", 1) for word in poses.crs.split() if "=" in word)
+    if not {"lat_0", "lon_0", "h_0"} <= set(named):
+        return (f"crs {poses.crs}",)
+    origin = f"latitude {named['lat_0']} longitude {named['lon_0']} height {named['h_0']}"
+    return f"crs {poses.crs}", f"x y z are metres east, north and up of {origin} (WGS 84)"
+
+
+def _entry(camera: Camera, metric: bool) -> dict[str, Any]:
+    """One camera: K and size of its captures, and the distortion that is in them, whether it was known or solved."""
+    width, height = camera.captured_width or camera.width, camera.captured_height or camera.height
+    K = camera.K.tolist()
+    for row, scale in ((0, width / camera.width), (1, height / camera.height)):
+        # pixel centres are whole numbers, so the principal point moves by half a pixel
+        K[row] = [K[row][0] * scale, K[row][1] * scale, (K[row][2] + 0.5) * scale - 0.5]
+    entry = {"K": K, "R": camera.R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
+    distortion = camera.distortion.tolist()
+    if not any(distortion):
+        distortion = [*camera.radial, 0.0, 0.0, 0.0]
+    return entry | ({"distortion": distortion} if any(distortion) else {}) | ({} if metric else {"metric": False})

@@ -1,0 +1,44 @@
+"""A cloud as the columns of a table, and back; and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..types import Cloud
+
+
+def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
+    """Columns by name: x y z (metres), nx ny nz, red green blue, confidence, views, sigma_mm.
+
+    Positions are float32, or float64 where the coordinates are so large (UTM) that float32 would add to the points' own error.
+    """
+    farthest = max(abs(float(cloud.points.min())), abs(float(cloud.points.max()))) if len(cloud.points) else 0.0
+    coarse = farthest > 0 and float(np.spacing(np.float32(farthest))) > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
+    return {
+        **{name: cloud.points[:, i].astype("f8" if coarse else "f4") for i, name in enumerate(("x", "y", "z"))},
+        **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
+        **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
+        "confidence": cloud.confidence,
+        "views": cloud.views,
+        "sigma_mm": cloud.sigma_mm,
+    }
+
+
+def cloud_of(columns: Mapping[str, npt.NDArray[Any]]) -> Cloud:
+    """The cloud that `cloud_columns` was given, its positions as they were kept."""
+    points, normals, colors = (
+        np.column_stack([columns[name] for name in names]) for names in (("x", "y", "z"), ("nx", "ny", "nz"), _COLORS)
+    )
+    return Cloud(points, normals, colors, columns["confidence"], columns["views"], columns["sigma_mm"])
+
+
+_COLORS = ("red", "green", "blue")
+
+
+def cloud_figures(cloud: Cloud) -> dict[str, Any]:
+    """Corners of the box around a cloud."""
+    return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}

@@ -1,0 +1,138 @@
+"""A stage bound to the function, and the method, that a site has it done by: what these are handed, and their parameters.
+
+What a function receives is decided by the names of its arguments: any input that the stage's row needs or offers.  Everything
+else that it takes is a parameter, and stands after a bare `*`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .functions import FunctionInfo, FunctionReader
+from .modules import FunctionError
+from .pipeline import Need, Stage
+from .signature import Parameter, Signature
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A stage as a site has it done."""
+
+    stage: Stage
+    function: FunctionInfo
+    method: FunctionInfo | None
+    """Where the function chooses among methods, the chosen one."""
+    needs: dict[str, Need]
+    """Inputs that are handed over, by argument name."""
+    parameters: dict[str, Parameter]
+    """The function's own, and those of the chosen method."""
+
+    @property
+    def code(self) -> str:
+        """Fingerprint of all code that runs."""
+        if self.method is None:
+            return self.function.code
+        return hashlib.sha256(f"{self.function.code} {self.method.code}".encode()).hexdigest()[:32]
+
+    def defaults(self) -> dict[str, Any]:
+        """Values of the parameters that have a literal default."""
+        return {name: p.default for name, p in self.parameters.items() if not p.source and not p.required}
+
+    def left_to_function(self) -> dict[str, str]:
+        """Text of the defaults that only the function can work out."""
+        return {name: f"default {p.source}" for name, p in self.parameters.items() if p.source}
+
+    def faults(self) -> list[str]:
+        """What is wrong with the signatures, in words."""
+        offered = {*self.stage.needs, *self.stage.offers}
+        found = _faults(self.function, self.stage, offered)
+        if self.method and self.stage.method:
+            found += _faults(self.method, self.stage, offered | set(self.stage.method.given))
+        return found
+
+
+def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: FunctionReader) -> Binding:
+    """Bind a stage.
+
+    Parameters
+    ----------
+    stage : Stage
+        Its row.
+    use : str or None
+        The function that the site file names for it; None for the row's own.
+    values : mapping
+        Parameters that the site file sets, by name.
+    reader : FunctionReader
+        Knows the functions.
+
+    Raises
+    ------
+    FunctionError
+        There is no such function, or no such method.
+    """
+    chooser = stage.method if use is None else None
+    function = reader.read(use or stage.function, chooser.table if chooser else "")
+    inputs = {**stage.needs, **stage.offers}
+    own = function.signature
+    parameters = {name: p for name, p in own.parameters.items() if name not in inputs}
+    if chooser is None:
+        asked = _asked(own) | (set(stage.needs) if own.takes_any else set())
+        return Binding(stage, function, None, _only(inputs, asked), parameters)
+    method = reader.read(_chosen(stage, values, parameters, reader))
+    given = {*inputs, *chooser.given}
+    parameters |= {n: p for n, p in method.signature.parameters.items() if n not in given and n not in parameters}
+    asked = (_asked(own) & set(stage.needs)) | (_asked(method.signature) & _asked(own))
+    return Binding(stage, function, method, _only(inputs, asked), parameters)
+
+
+def methods(stage: Stage, reader: FunctionReader) -> dict[str, FunctionInfo]:
+    """The methods of a stage's table by name; none where it does not choose.  Raises FunctionError."""
+    table = reader.table(stage.method.table) if stage.method else {}
+    return {name: reader.read(dotted) for name, dotted in table.items()}
+
+
+def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
+    """Parameters of each method of a stage's table that the stage has not itself."""
+    own = reader.read(stage.function, stage.method.table if stage.method else "").signature.parameters
+    inputs = {*stage.needs, *stage.offers, *(stage.method.given if stage.method else ())}
+    return {
+        name: {n: p for n, p in info.signature.parameters.items() if n not in inputs and n not in own}
+        for name, info in methods(stage, reader).items()
+    }
+
+
+def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
+    """Dotted name of the method that the site file, or the default, chooses."""
+    assert stage.method
+    name = stage.method.parameter
+    wanted = values.get(name, parameters[name].default)
+    table = reader.table(stage.method.table)
+    if isinstance(wanted, str) and wanted in table:
+        return table[wanted]
+    if isinstance(wanted, str) and ":" in wanted:
+        return wanted
+    raise FunctionError(f"{wanted!r} is not one of {', '.join(table)}, and not a package.module:function")
+
+
+def _asked(signature: Signature) -> set[str]:
+    return {a.name for a in signature.arguments} | set(signature.parameters)
+
+
+def _only(inputs: Mapping[str, Need], names: set[str]) -> dict[str, Need]:
+    return {name: need for name, need in inputs.items() if name in names}
+
+
+def _faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
+    found = []
+    inputs = f"{stage.name} can hand over {', '.join(sorted(offered))}"
+    for argument in info.signature.arguments:
+        if not argument.by_name:
+            found.append(f"{info.dotted} takes {argument.name!r} by position only: remove the '/', inputs come by name")
+        elif argument.name not in offered and argument.required:
+            found.append(f"{info.dotted} asks for {argument.name!r}, which is not there; {inputs}")
+        elif argument.name not in offered:
+            found.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; a parameter stands after a bare *")
+    return found
