@@ -30,7 +30,7 @@ from wbflow_stages.twoview.epipolar import (
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:
-    from wbflow_stages.synthetic.yard import Daytime
+    from wbflow_stages.synthetic.shooting import Daytime
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 CORRECT_PX = 3.0
