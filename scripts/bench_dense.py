@@ -31,7 +31,7 @@ from rectified_pairs import SWEEP, dense_errors, true_pairs
 from wbflow_stages import disparity
 from wbflow_stages.rectification.warping import disparity_px
 from wbflow_stages.rectify import rectify
-from wbflow_stages.stereo.census_sgm import match_census_sgm, semi_global
+from wbflow_stages.stereo.census_sgm import semi_global
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, mirrored
 from wbflow_stages.types import Disparity, Float32s, Float64s, Frame, Rectification, Uint8s, View
 
@@ -126,11 +126,10 @@ def rooted(found: np.ndarray) -> Float32s:
 RIVALS = {
     "opencv-bm": opencv_bm,
     "opencv-sgbm5": opencv_sgbm5,
-    "census-sgm": match_census_sgm,
     "sift-sgm": sift_sgm,
     "daisy-sgm": daisy_sgm,
 }
-disparity.MATCHERS.update(RIVALS)
+disparity.MATCHERS.update({name: f"{__name__}:{function.__name__}" for name, function in RIVALS.items()})
 DEFAULT = ("patchmatch", "sgbm", "census-sgm", "opencv-sgbm5", "opencv-bm", "graphcut")
 
 
@@ -167,7 +166,7 @@ def row(scene: str, name: str, noise: float, angle: float, matcher: str, errors:
 
 def matched(left: Frame, right: Frame, rectification: Rectification, matcher: str) -> tuple[Disparity | None, float]:
     start = process_time()
-    found = disparity.match_dense(left, right, rectification, matcher=matcher)  # type: ignore[arg-type]
+    found = disparity.match_dense(left, right, rectification, matcher=matcher)
     return found if isinstance(found, Disparity) else None, process_time() - start
 
 

@@ -35,14 +35,12 @@ from wbflow_stages.rectification.congruent import net_edges
 from wbflow_stages.rectification.placement import place
 from wbflow_stages.rectification.warping import to_rectified
 from wbflow_stages.rectify import rectify
-from wbflow_stages.stereo.census_sgm import match_census_sgm
 from wbflow_stages.types import Camera, Disparity, Float64s, Rectification, Rejected
 
 WIDE = "5-2 5-1 5-8 5-9"
 """Pairs of the sweep from 34 degrees on."""
 
-METHODS = ("original", "hartley", "seed", "congruent", "calibrated", "fusiello", "polar")
-MATCHERS["census-sgm"] = match_census_sgm
+METHODS = ("original", "hartley", "literal", "congruent", "calibrated", "fusiello", "polar")
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ def rectified(pair: TruePair, method: str, cameras: str) -> tuple[Rectification 
         found: Rectification | Rejected = only_turned(pair, left, right)
     else:
         given = (left, right) if needed or cameras == "true" else (None, None)
-        found = rectify(pair.geometry, *given, method=method, fallback=method == "congruent")  # type: ignore[arg-type]
+        found = rectify(pair.geometry, *given, method=method, fallback=method == "congruent")
     return found, 1000 * (process_time() - start)
 
 
@@ -139,7 +137,7 @@ def measure(pair: TruePair, method: str, matcher: str, cameras: str) -> Row:
     errors = row_errors(found, pair)
     bad = NAN
     if matcher != "none":
-        dense = match_dense(pair.left.frame, pair.right.frame, found, matcher=matcher)  # type: ignore[arg-type]
+        dense = match_dense(pair.left.frame, pair.right.frame, found, matcher=matcher)
         bad = 1 - float(np.mean(dense_errors(found, dense, pair) <= 2)) if isinstance(dense, Disparity) else 1.0
     net = net_difference(to_rectified(found, 1, g.x1), to_rectified(found, 2, g.x2))
     return Row(

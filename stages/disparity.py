@@ -1,26 +1,25 @@
-"""Dense matching of a rectified pair: disparity of both views, kept where they agree (seed chapter 5)."""
+"""Dense matching of a rectified pair: disparity of both views, kept where they agree (Hao 2011, chapter 5)."""
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
+from .core.methods import bind
 from .reasons import Reason, Rejected
 from .rectification.warping import Side, warp_with_mask
-from .stereo.coarse_range import prepared
-from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_specks
+from .stereo.coarse_range import with_coarse_range
+from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_speckles
 from .stereo.denoise import quietened
-from .stereo.graphcut import match_graphcut
-from .stereo.matcher import DenseMatcher, DenseMatches, RectifiedPair
-from .stereo.patchmatch import match_patchmatch
-from .stereo.sgbm import match_sgbm
+from .stereo.matcher import DenseMatches, RectifiedPair
 from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
 
-Matcher = Literal["patchmatch", "sgbm", "graphcut"]
-
-MATCHERS: dict[str, DenseMatcher] = {"patchmatch": match_patchmatch, "sgbm": match_sgbm, "graphcut": match_graphcut}
-"""Every function of this signature plugs in."""
+MATCHERS = {
+    "patchmatch": "wbflow_stages.stereo.patchmatch:match_patchmatch",
+    "sgbm": "wbflow_stages.stereo.sgbm:match_sgbm",
+    "census-sgm": "wbflow_stages.stereo.census_sgm:match_census_sgm",
+    "graphcut": "wbflow_stages.stereo.graphcut:match_graphcut",
+}
+"""Dense matchers (see `DenseMatcher`) by name."""
 
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
 """Both views, and the sign with which a disparity leads to the other one."""
@@ -36,10 +35,11 @@ def match_dense(
     right: Frame,
     rectification: Rectification,
     *,
-    matcher: Matcher = "patchmatch",
+    matcher: str = "patchmatch",
     tolerance_px: float = 2.0,
-    speck_share: float = 1.5e-4,
+    speckle_share: float = 1.5e-4,
     min_density: float = 0.01,
+    **options: object,
 ) -> Disparity | Rejected:
     """Match every pixel of the two rectified images.
 
@@ -51,14 +51,24 @@ def match_dense(
         How the frames are resampled.
     matcher
         "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
-        OpenCV's semi-global matching, in half the time.  "graphcut": expansion moves at no more than 384 x 256 pixels, for
-        comparison (slow; needs the extra `graphcut`).
+        OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone, and "graphcut": expansion moves at no
+        more than 384 x 256 pixels (slow; needs the extra `graphcut`), for comparison.  Or a function of your own,
+        `package.module:function`.
     tolerance_px
         The two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.
-    speck_share
+    speckle_share
         Connected pieces of disparity smaller than this share of the rectified image are dropped.
     min_density
         Reject if less than this share of the common area gets a value.
+    options
+        Parameters of the matcher, see its function.
+
+    Raises
+    ------
+    ValueError
+        No such matcher.
+    TypeError
+        A parameter that the matcher does not read.
 
     References
     ----------
@@ -66,11 +76,14 @@ def match_dense(
     """
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
-    pair = prepared(_rectified(left, right, rectification))
-    matches = MATCHERS[matcher](pair)
+    pair = with_coarse_range(_rectified(left, right, rectification))
+    inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
+    matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
+    if isinstance(matches, Rejected):
+        return matches
     offset = round((pair.disparity_min + pair.disparity_max) / 2)
-    speck = round(speck_share * pair.left.size)
-    kept = [_kept(pair, matches, side, sign, tolerance_px, speck, offset) for side, sign in _SIDES]
+    speckle_px = round(speckle_share * pair.left.size)
+    kept = [_kept(pair, matches, side, sign, tolerance_px, speckle_px, offset) for side, sign in _SIDES]
     common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
     density = float(np.sum(kept[0][0] != INVALID) / max(int(common.sum()), 1))
     if density < min_density:
@@ -116,7 +129,7 @@ def _saturated(image: Uint8s) -> Bools:
 
 
 def _kept(
-    pair: RectifiedPair, matches: DenseMatches, side: Side, sign: int, tolerance_px: float, speck: int, offset: int
+    pair: RectifiedPair, matches: DenseMatches, side: Side, sign: int, tolerance_px: float, speckle_px: int, offset: int
 ) -> tuple[Int16s, Uint8s]:
     """What survives of one view: stored disparity and confidence."""
     one, other, certain = matches.left, matches.right, matches.confidence_left
@@ -126,7 +139,7 @@ def _kept(
         valid, valid_other = valid_other, valid
     one = (np.rint((one - offset) * 16) / 16 + offset).astype(np.float32)  # as stored, so that what is checked is what is kept
     agreed = valid & (certain > 0) & agreeing(one, other, sign, tolerance_px) & lands_on(valid_other, one, sign)
-    kept = without_specks(np.where(agreed, one, np.float32(np.nan)), speck)
+    kept = without_speckles(np.where(agreed, one, np.float32(np.nan)), speckle_px)
     known = ~np.isnan(kept)
     stored = np.full(one.shape, INVALID, dtype=np.int16)
     stored[known] = np.rint((kept[known] - offset) * 16).astype(np.int16)

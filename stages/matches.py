@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from .core.methods import apply
+from .core.methods import bind
 from .reasons import Reason, Rejected
 from .types import Features, Frame, Matches
 
@@ -56,7 +56,7 @@ def match(
     W. Hao, wide-baseline stereo, 2011, chapter 3.
     """
     inputs = {"left": left, "right": right, "left_frame": left_frame, "right_frame": right_frame}
-    found: Matches | Rejected = apply(MATCHERS, matcher, inputs, options)
+    found: Matches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(found, Rejected):
         return found
     if len(found.x1) < min_matches:

@@ -1,30 +1,39 @@
-"""Rectification of a pair: after it a point lies on the same row in both images (seed chapter 4).
+"""Rectification of a pair: after it a point lies on the same row in both images (Hao 2011, chapter 4).
 
-The homographies of `congruent`, `seed`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image; then
+The homographies of `congruent`, `literal`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image; then
 `polar` takes over.  What would be wrong is rejected, with the reason.
 """
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
+from .core.methods import bind
 from .core.nearest_points import nearest_points
+from .core.order_statistics import median, percentiles
 from .reasons import Reason, Rejected
-from .rectification.calibrated import calibrated
-from .rectification.congruent import congruent, seed
 from .rectification.hartley import hartley
-from .rectification.percentiles import middle, percentiles
-from .rectification.placement import Size, frame_grid, place
+from .rectification.method import Homographies, MatchedPair, PolarImages
+from .rectification.placement import frame_grid, place
 from .rectification.polar import polar
 from .rectification.quality import line_uncertainty, order_agreement, parallax_px
 from .rectification.warping import Side, from_rectified, rectified_size, resampling, to_rectified
 from .twoview.epipolar import fundamental_from_cameras, rays, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import ODDEST, freedoms
-from .types import Camera, Float32s, Float64s, Geometry, PairVerdict, Rectification
+from .types import Camera, Float64s, Geometry, PairVerdict, Rectification
 
-Method = Literal["congruent", "hartley", "seed", "calibrated", "polar"]
+METHODS = {
+    "congruent": "wbflow_stages.rectification.congruent:congruent",
+    "literal": "wbflow_stages.rectification.congruent:literal",
+    "hartley": "wbflow_stages.rectification.hartley:hartley",
+    "calibrated": "wbflow_stages.rectification.calibrated:calibrated",
+    "polar": "wbflow_stages.rectification.polar:polar",
+}
+"""Methods of rectification (see `Rectifier`) by name."""
 
 _SMALLEST_SIDE_PX = 16
 
@@ -37,21 +46,6 @@ _LEAST_PARALLAX = 0.01
 _DEVIATIONS = 3.5
 """Standard deviations by which epipolar lines may be off: residuals don't tell all, matches err together and wrong ones agree.
 Chosen on fountain with known lenses as the least with which no pair of wrong rows passes; checked on entry and the demo."""
-
-
-class _Pair(NamedTuple):
-    """What rectification works on: F, the matches that obey it, and the sizes of the frames."""
-
-    F: Float64s
-    x1: Float64s
-    x2: Float64s
-    probability: Float32s
-    size1: Size
-    size2: Size
-    camera1: Camera | None
-    camera2: Camera | None
-    angle_deg: float
-    """Median angle between the two rays of a match; nan when neither cameras nor geometry know it."""
 
 
 class _Footprint(NamedTuple):
@@ -71,12 +65,13 @@ def rectify(
     right: Camera | None,
     verdict: PairVerdict | None = None,
     *,
-    method: Method = "congruent",
+    method: str = "congruent",
     fallback: bool = True,
     min_matches: int = 20,
     max_row_error_px: float = 0.5,
     min_angle_deg: float = 0.7,
     range_margin: float = 0.1,
+    **options: object,
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
@@ -90,9 +85,10 @@ def rectify(
         What the cameras of the whole site say of the pair; one that contradicts them is rejected.
     method
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
-        the matches; "seed": congruent by the letter of the seed, for study; "calibrated": both cameras turned to a common
-        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows.  Homographies that tear
-        the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
+        the matches; "literal": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
+        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a function of your own,
+        `package.module:function`.  Homographies that tear the image are replaced by Hartley's, and where an epipole is near by
+        "polar"; `reason` says why.
     fallback
         Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
     min_matches
@@ -106,6 +102,15 @@ def rectify(
         a homography that explains the pair takes its place.
     range_margin
         The disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
+    options
+        Parameters of the method, see its function.
+
+    Raises
+    ------
+    ValueError
+        No such method, or it needs the cameras.
+    TypeError
+        A parameter that the method does not read.
 
     References
     ----------
@@ -114,45 +119,39 @@ def rectify(
     if verdict is not None and not verdict.kept:
         return Rejected(verdict.reason)
     pair = _obeying(geometry, left, right)
-    if pair.camera1 is None and geometry.score <= 0:
-        figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
-        return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
-    if method == "calibrated" and (pair.camera1 is None or pair.camera2 is None):
-        raise ValueError("method 'calibrated' needs the cameras of both frames")
-    if pair.camera1 is None and geometry.lens_oddness > ODDEST:
-        figures = {"lens_oddness": geometry.lens_oddness, "allowed": ODDEST}
-        return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, figures)
-    refusal = _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
+    rectifier = bind(METHODS, method, {"pair": pair, "geometry": geometry, "left": left, "right": right}, options)
+    refusal = _unbelievable(geometry, pair) or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
     if refusal is not None:
         return refusal
-    reason, found = "as asked", None
-    for homographies in dict.fromkeys((method, "hartley")) if method != "polar" else ():  # hartley bends x least
-        attempt = _by_homographies(pair, homographies, reason, torn_too=not fallback)
-        if not isinstance(attempt, str):
-            found = attempt
-            break
-        reason = attempt
-    placed = found or _by_rows(pair, reason)
-    if isinstance(placed, Rejected):
-        return placed
-    return _finished(*placed, pair, geometry, max_row_error_px, range_margin)
+    placed = _placed(pair, method, rectifier, fallback)
+    return placed if isinstance(placed, Rejected) else _finished(*placed, pair, geometry, max_row_error_px, range_margin)
 
 
-def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> _Pair:
+def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:
     """F from the cameras where both are known, and the matches that agree with it."""
     sizes = (geometry.view1.width, geometry.view1.height), (geometry.view2.width, geometry.view2.height)
     if left is None or right is None:
-        return _Pair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None, geometry.angle_deg)
+        return MatchedPair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None, geometry.angle_deg)
     F = fundamental_from_cameras(left, right)
     keep = np.zeros(len(geometry.x1), dtype=bool)
     if len(keep):
         distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
         keep = distance <= max(1.5, 0.002 * max(sizes[0]))
     x1, x2 = np.compress(keep, geometry.x1, axis=0), np.compress(keep, geometry.x2, axis=0)
-    return _Pair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
+    return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
 
 
-def _unusable(given: int, pair: _Pair, min_matches: int, min_angle_deg: float) -> Rejected | None:
+def _unbelievable(geometry: Geometry, pair: MatchedPair) -> Rejected | None:
+    """Why F is not to be believed where no cameras gave it."""
+    if pair.camera1 is None and geometry.score <= 0:
+        figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
+        return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
+    if pair.camera1 is None and geometry.lens_oddness > ODDEST:
+        return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, {"lens_oddness": geometry.lens_oddness, "allowed": ODDEST})
+    return None
+
+
+def _unusable(given: int, pair: MatchedPair, min_matches: int, min_angle_deg: float) -> Rejected | None:
     """Reasons that hold whatever the method: too few of the given matches left, cameras that contradict them, no baseline."""
     n = len(pair.x1)
     if n < min_matches <= given or n < 0.5 * given:
@@ -173,15 +172,38 @@ def _angle_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> 
         return float("nan")
     rays1, rays2 = rays(camera1, x1), rays(camera2, x2)
     cosine = np.sum(rays1 * rays2, axis=0) / np.sqrt(np.sum(rays1**2, axis=0) * np.sum(rays2**2, axis=0))
-    return float(np.degrees(middle(np.arccos(np.clip(cosine, -1, 1)))))
+    return float(np.degrees(median(np.arccos(np.clip(cosine, -1, 1)))))
 
 
-def _by_homographies(pair: _Pair, method: str, reason: str, torn_too: bool) -> tuple[Rectification, list[_Footprint]] | str:
+_Placed = tuple[Rectification, list[_Footprint]]
+
+
+def _placed(
+    pair: MatchedPair, method: str, rectifier: Callable[[], Homographies | PolarImages], fallback: bool
+) -> _Placed | Rejected:
+    """The rectification by the method; where that can't be, by Hartley's homographies, which bend x least; else by rows."""
+    reason = "as asked"
+    attempts = {method: rectifier}
+    if method not in ("hartley", "polar"):
+        attempts["hartley"] = partial(hartley, pair)
+    for name, attempt in attempts.items():
+        try:
+            found = attempt()
+        except ValueError as error:
+            reason = str(error)
+            continue
+        if isinstance(found, PolarImages):
+            return _by_rows(pair, found, name, reason)
+        placed = _by_homographies(pair, found, name, reason, torn_too=not fallback)
+        if not isinstance(placed, str):
+            return placed
+        reason = placed
+    return _by_rows(pair, polar(pair), "polar", reason)
+
+
+def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason: str, torn_too: bool) -> _Placed | str:
     """A rectification by two homographies, or why there can be none."""
-    try:
-        H1, H2 = _homographies(pair, method)
-    except ValueError as error:
-        return str(error)
+    H1, H2 = found
     near1, near2 = _third(H1, pair.x1) > 0, _third(H2, pair.x2) > 0
     if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
@@ -208,23 +230,13 @@ def _third(H: Float64s, x: Float64s) -> Float64s:
     return np.asarray(x @ H[2, :2] + H[2, 2], dtype=np.float64)
 
 
-def _homographies(pair: _Pair, method: str) -> tuple[Float64s, Float64s]:
-    if method == "calibrated" and pair.camera1 is not None and pair.camera2 is not None:
-        return calibrated(pair.camera1, pair.camera2, pair.x1, pair.x2, pair.probability)
-    if method == "hartley":
-        return hartley(pair.F, pair.x1, pair.x2, pair.size2)
-    if method == "seed":
-        return seed(pair.F, pair.x1, pair.x2, pair.size2)
-    return congruent(pair.F, pair.x1, pair.x2, pair.probability, pair.size2)
-
-
-def _by_rows(pair: _Pair, reason: str) -> tuple[Rectification, list[_Footprint]] | Rejected:
-    rows1, rows2, size1, size2, agreement = polar(pair.F, pair.x1, pair.x2, pair.size1, pair.size2)
+def _by_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> _Placed | Rejected:
+    rows1, rows2, size1, size2, agreement = images
     if agreement < 0.98:
         return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
         return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
-    found = Rectification("polar", reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
+    found = Rectification(method, reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
     footprints = [_footprint(found, pair, side) for side in _SIDES]
     if min(footprint.share for footprint in footprints) == 0:
         return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
@@ -234,7 +246,7 @@ def _by_rows(pair: _Pair, reason: str) -> tuple[Rectification, list[_Footprint]]
 def _finished(
     found: Rectification,
     footprints: list[_Footprint],
-    pair: _Pair,
+    pair: MatchedPair,
     geometry: Geometry,
     max_row_error_px: float,
     range_margin: float,
@@ -245,13 +257,13 @@ def _finished(
     agreement = order_agreement(y1, y2)
     if agreement < 0.7:
         return Rejected(Reason.ROW_ORDER, {"rank_correlation": agreement})
-    areas = [middle(footprint.area) for footprint in footprints]
+    areas = [median(footprint.area) for footprint in footprints]
     if min(areas) <= 0:
         return Rejected(Reason.MIRRORED, {"area1": areas[0], "area2": areas[1]})
     disparity = y1[:, 0] - y2[:, 0]
     low, high = percentiles(disparity, 0.5, 99.5)
     margin = range_margin * (high - low) + 0.01 * pair.size1[0]
-    scale = float(np.sqrt(middle(np.concatenate([footprint.area for footprint in footprints]))))
+    scale = float(np.sqrt(median(np.concatenate([footprint.area for footprint in footprints]))))
     uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
     allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
     if uncertainty > allowed:
@@ -283,7 +295,7 @@ def _finished(
 _SIDES: tuple[Side, ...] = (1, 2)
 
 
-def _footprint(rectification: Rectification, pair: _Pair, side: Side) -> _Footprint:
+def _footprint(rectification: Rectification, pair: MatchedPair, side: Side) -> _Footprint:
     grid = frame_grid(pair.size1 if side == 1 else pair.size2)
     with np.errstate(divide="ignore", invalid="ignore"):
         x = to_rectified(rectification, side, grid)
@@ -295,7 +307,7 @@ def _footprint(rectification: Rectification, pair: _Pair, side: Side) -> _Footpr
 
 
 def _row_uncertainty_px(
-    rectification: Rectification, shown: Float64s, pair: _Pair, geometry: Geometry, y1: Float64s, y2: Float64s
+    rectification: Rectification, shown: Float64s, pair: MatchedPair, geometry: Geometry, y1: Float64s, y2: Float64s
 ) -> float:
     """How far the epipolar lines may be off over the shared area (95 %), pixels of the frame; 0 when cameras gave F.
 
@@ -325,10 +337,10 @@ def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:
     return (K1, K2) if geometry.model == "E" and K1 is not None and K2 is not None else None
 
 
-def _depth_resolution(pair: _Pair, scale: float) -> float:
+def _depth_resolution(pair: MatchedPair, scale: float) -> float:
     """Median error of the depth, as a share of it, that one rectified pixel of disparity makes."""
     if pair.camera1 is None or pair.camera2 is None:
         return float("nan")
     depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
     known = np.isfinite(depth)
-    return middle(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")
+    return median(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 Table = Mapping[str, str]
@@ -45,8 +46,8 @@ def method(table: Table, name: str) -> Callable[..., Any]:
     return found  # type: ignore[no-any-return]
 
 
-def apply(table: Table, name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Any:
-    """Call a method with those of the inputs that it asks for, and its parameters.
+def bind(table: Table, name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
+    """A method with those of the inputs that it asks for, and its parameters: ready to be called.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def apply(table: Table, name: str, inputs: Mapping[str, object], options: Mappin
         for option in options:
             if option not in wanted or option in inputs:
                 raise TypeError(_unread(table, name, option, [p for p in wanted if p not in inputs]))
-    return function(**{p: inputs[p] for p in asked}, **options)
+    return partial(function, **{p: inputs[p] for p in asked}, **options)
 
 
 def _unread(table: Table, name: str, option: str, own: list[str]) -> str:

@@ -12,14 +12,14 @@ from ..core.jit import kernel
 from ..types import Bools, Float64s, Int32s
 
 
-def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, sweeps: int = 12) -> Float64s:
+def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iterations: int = 12) -> Float64s:
     """Probability (c,) of each candidate i[c]--j[c]; those of a row or a column sum to at most 1.
 
     log_odds: (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
     """
     probability = np.empty(len(i))
     if len(i):
-        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), np.ones(n1), np.ones(n2), sweeps, probability)
+        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), np.ones(n1), np.ones(n2), iterations, probability)
     return probability
 
 
@@ -38,9 +38,9 @@ def _cells(x: Float64s, size: float) -> Int32s:
 
 
 @kernel
-def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, sweeps: int, probability: Float64s) -> None:
+def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, iterations: int, probability: Float64s) -> None:
     row, column = np.empty(len(u)), np.empty(len(v))
-    for _ in range(sweeps):
+    for _ in range(iterations):
         row[:] = 1.0
         for c in range(len(i)):
             row[i[c]] += mass[c] * v[j[c]]

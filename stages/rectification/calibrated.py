@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..twoview.epipolar import apply_homography
-from ..types import Camera, Float32s, Float64s
+from ..types import Camera, Float64s
 from .congruent import control_points, fit_edges, net_edges
+from .method import Homographies, MatchedPair
 
 
 def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
@@ -28,11 +29,11 @@ def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
     return K @ R @ camera1.R.T @ np.linalg.inv(camera1.K), K @ R @ camera2.R.T @ np.linalg.inv(camera2.K)
 
 
-def calibrated(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s, probability: Float32s) -> tuple[Float64s, Float64s]:
-    """`fusiello`, then a robust affine of x on image 1 that makes the net of matches x1, x2 (n, 2) congruent."""
-    H1, H2 = fusiello(camera1, camera2)
-    chosen = control_points(x1, probability, (camera1.width, camera1.height))
-    y1, y2 = apply_homography(H1, x1[chosen]), apply_homography(H2, x2[chosen])
+def calibrated(pair: MatchedPair, left: Camera, right: Camera) -> Homographies:
+    """`fusiello`, then a robust affine of x on image 1 that makes the net of the matches congruent."""
+    H1, H2 = fusiello(left, right)
+    chosen = control_points(pair.x1, pair.probability, (left.width, left.height))
+    y1, y2 = apply_homography(H1, pair.x1[chosen]), apply_homography(H2, pair.x2[chosen])
     a, b = fit_edges(y1, y2[:, 0], net_edges(y2), robust=True)
     c = np.median(y2[:, 0] - y1 @ np.array([a, b]))
-    return np.array([[a, b, c], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ H1, H2
+    return Homographies(np.array([[a, b, c], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ H1, H2)

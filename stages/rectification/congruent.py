@@ -1,8 +1,8 @@
-"""Rectification by structural congruency: the free row of H1 makes the *net* of matches congruent in both images (seed 4.3).
+"""Rectification by structural congruency: the free row of H1 makes the *net* of matches congruent in both images.
 
-The seed joins the matches by a Delaunay net and minimises the differences of its edges (4-6).  Taken literally, edges across
-depth jumps are noise in the regressor and shrink x.  Two steps together cure it: one control point for each cell of a grid (the
-seed's own future work), and weights that let edges across depth jumps go.
+Hao (2011, section 4.3) joins the matches by a Delaunay net and minimises the differences of its edges (4-6).  Taken literally,
+edges across depth jumps are noise in the regressor and shrink x.  Two steps together cure it: one control point for each cell of a
+grid (that work's own future work), and weights that let edges across depth jumps go.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
 from ..core.jit import kernel
+from ..core.order_statistics import extremes, median
 from ..twoview.epipolar import apply_homography, homogeneous
 from ..types import Float32s, Float64s, Int32s, Int64s
-from .percentiles import extremes, middle
+from .method import Homographies, MatchedPair
 from .projective import rows_fixed_by, send_epipole_to_infinity
 
 COLUMNS = 24
@@ -24,15 +25,15 @@ _SETTLED = 1e-6
 """Share of the largest coefficient by which none changes any more."""
 
 
-def congruent(F: Float64s, x1: Float64s, x2: Float64s, probability: Float32s, size: tuple[int, int]) -> tuple[Float64s, Float64s]:
-    """H1, H2 (3, 3): control points of a grid, robust weights.  x1, x2: (n, 2) matches; `size` of image 2 in pixels."""
-    chosen = control_points(x1, probability, size)
-    return _fit(F, x1[chosen], x2[chosen], size, robust=True)
+def congruent(pair: MatchedPair) -> Homographies:
+    """Control points of a grid, robust weights."""
+    chosen = control_points(pair.x1, pair.probability, pair.size2)
+    return _fit(pair.F, pair.x1[chosen], pair.x2[chosen], pair.size2, robust=True)
 
 
-def seed(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int]) -> tuple[Float64s, Float64s]:
-    """H1, H2 (3, 3) by the letter of the seed's 4.3: every match, plain least squares."""
-    return _fit(F, x1, x2, size, robust=False)
+def literal(pair: MatchedPair) -> Homographies:
+    """By the letter of Hao's 4.3: every match, plain least squares."""
+    return _fit(pair.F, pair.x1, pair.x2, pair.size2, robust=False)
 
 
 def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
@@ -53,7 +54,7 @@ def _best_of_each_cell(x: Float64s, probability: Float32s, side: float, first: I
 
 
 def net_edges(x: Float64s) -> Int32s:
-    """(m, 2) rows of points joined by the Delaunay net of x (n, 2): two edges of each triangle, as in the seed's (4-6).
+    """(m, 2) rows of points joined by the Delaunay net of x (n, 2): two edges of each triangle, as in Hao's (4-6).
 
     Raises ValueError when the points span no triangle.
     """
@@ -99,7 +100,7 @@ def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: i
     return np.array([x, y])
 
 
-def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust: bool) -> tuple[Float64s, Float64s]:
+def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust: bool) -> Homographies:
     H2 = send_epipole_to_infinity(F, size)
     row2, row3 = rows_fixed_by(F, H2, x1)
     target = apply_homography(H2, x2)
@@ -110,8 +111,8 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     # row1 = B ab + c row3: row3 maps every point to 1, so edges say nothing about c, and B spans the rest
     B = np.linalg.svd(row3_n[None])[2][1:].T
     ab = fit_edges(points @ B, target[:, 0], net_edges(target), robust)
-    c = middle(target[:, 0] - points @ (B @ ab))
-    return np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2
+    c = median(target[:, 0] - points @ (B @ ab))
+    return Homographies(np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2)
 
 
 def _normaliser(size: tuple[int, int]) -> Float64s:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..twoview.epipolar import epipoles, homogeneous
 from ..types import Float64s, PolarRows
+from .method import MatchedPair, PolarImages
 from .placement import MARGIN_OF_WIDTH, MARGIN_SHARE, Size, frame_grid
 from .quality import order_agreement
 
@@ -21,11 +22,13 @@ _SAMPLES_PER_PIXEL = 2
 of some pairs would be another."""
 
 
-def polar(F: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size) -> tuple[PolarRows, PolarRows, Size, Size, float]:
-    """Rows of both images for matches x1, x2 (n, 2), the two rectified sizes, and the share of matches on one common side.
+def polar(pair: MatchedPair) -> PolarImages:
+    """Half epipolar lines as rows.
 
-    The share is 1 for a right F: every match lies on the half line that the other image's half line demands.
+    The share of matches on one common side is 1 for a right F: every match lies on the half line that the other image's half line
+    demands.
     """
+    F, x1, x2, size1, size2 = pair.F, pair.x1, pair.x2, pair.size1, pair.size2
     e1, e2 = (_finite(e, size) for e, size in zip(epipoles(F), (size1, size2), strict=True))
     away1, away2 = x1 - e1, x2 - e2
     forward = np.sum(_line_direction(F, x1) * away2, axis=1) > 0
@@ -47,7 +50,7 @@ def polar(F: Float64s, x1: Float64s, x2: Float64s, size1: Size, size2: Size) -> 
         angles1, angles2 = angles1[::-1], angles2[::-1]
     rows1, width1 = _polar_rows(e1, angles1, direction1, radii1)
     rows2, width2 = _polar_rows(e2, angles2, direction2, radii2)
-    return rows1, rows2, (width1, len(angles1)), (width2, len(angles2)), agreement
+    return PolarImages(rows1, rows2, (width1, len(angles1)), (width2, len(angles2)), agreement)
 
 
 def _finite(epipole: Float64s, size: Size) -> Float64s:

@@ -1,4 +1,4 @@
-"""What F alone says about a rectifying pair of homographies (seed chapter 4; Hartley, IJCV 1999).
+"""What F alone says about a rectifying pair of homographies (Hao 2011, chapter 4; Hartley, IJCV 1999).
 
 From `F ~ H2^-T [i]x H1` follow the second and third row of H1 once H2 is chosen; the first row of H1, three numbers, is free.
 The methods differ in how they choose it: `hartley`, `congruent`.
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.order_statistics import median
 from ..twoview.epipolar import epipoles
 from ..types import Float64s
-from .percentiles import middle
 
 
 def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
@@ -36,5 +36,5 @@ def rows_fixed_by(F: Float64s, H2: Float64s, x1: Float64s) -> tuple[Float64s, Fl
     """Second and third row (3,) of H1, with the common sign that gives most points x1 a positive third coordinate."""
     M = np.linalg.inv(H2).T @ F  # ~ [i]x H1: its rows are 0, -row3, row2
     row2, row3 = M[2], -M[1]
-    sign = 1.0 if middle(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
+    sign = 1.0 if median(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
     return sign * row2, sign * row3

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from ..core.jit import kernel
+from ..core.order_statistics import median, percentiles
 from ..twoview.epipolar import apply_homography
 from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s
-from .percentiles import middle, percentiles
 
 _ENOUGH = 1000
 """Matches that tell their order, or their best homography, as well as more do."""
@@ -82,7 +82,7 @@ def line_uncertainty(
     residual, rows = rows[:, 0], np.ascontiguousarray(rows[:, 1:])
     elsewhere = _derivatives(Fn, at1 / half - 1, at2 / half - 1, half) @ directions
     if noise is None:
-        noise = np.full(len(x1), max(1.4826 * middle(np.abs(residual)), 0.1))
+        noise = np.full(len(x1), max(1.4826 * median(np.abs(residual)), 0.1))
     residual, rows = residual / noise, rows / noise[:, None]
     each = 1 / np.sqrt(np.sum(rows * rows, axis=0) + np.diag(known))  # turns and lenses in units of what is known of them
     rows, elsewhere, known = rows * each, elsewhere * each, known * np.outer(each, each)

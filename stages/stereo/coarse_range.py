@@ -1,4 +1,4 @@
-"""A quick look at a quarter of the size, before dense matching proper: how far to search, and how the exposures differ.
+"""How far to search, and how the exposures differ: a coarse dense match at a quarter of the size, before the one proper.
 
 Matches of keypoints are sparse: on real pairs up to a fifth of what both images see, the foreground above all, lies beyond the
 range of the matches.  A coarse dense match over a wider range costs little and finds it.
@@ -19,7 +19,7 @@ from .sgbm import confirmed, match_in_one_piece
 _SHRINK = 4
 
 _WIDER = 1.0
-"""The quick look reaches beyond the matches by this share of their range on both sides."""
+"""The coarse match reaches beyond the matches by this share of their range on both sides."""
 
 _LEAST_SHARE = 0.002
 """Disparities count as found from this share of the agreeing pixels on."""
@@ -28,13 +28,13 @@ _PAYS = 0.02
 """Share of the agreeing pixels that a search farther by the matches' range must find: small pieces of look-alikes agree, too."""
 
 _ENOUGH = 0.1
-"""Share of the common area that must agree for the quick look to be believed."""
+"""Share of the common area that must agree for the coarse match to be believed."""
 
 _COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
 
 
-def prepared(pair: RectifiedPair) -> RectifiedPair:
-    """The pair with the disparity range that the quick look finds, and both images of one brightness and contrast."""
+def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
+    """The pair with the disparity range that a coarse match finds, and both images of one brightness and contrast."""
     small = _shrunk(pair)
     found = match_in_one_piece(_flattened(small))
     agreed = ~np.isnan(confirmed(found.left, found.right, small.valid_left, -1))

@@ -1,4 +1,4 @@
-"""What is kept of raw dense matches: both views must agree, specks go."""
+"""What is kept of raw dense matches: both views must agree, speckles go."""
 
 from __future__ import annotations
 
@@ -50,19 +50,19 @@ def lands_on(valid_other: Bools, disparity: Float32s, sign: int) -> Bools:
     return np.asarray(inside & np.take_along_axis(valid_other, np.clip(column, 0, width - 1), axis=1), dtype=np.bool_)
 
 
-def without_specks(disparity: Float32s, smallest_px: int, step_x: float = 1.5, step_y: float = 4.0) -> Float32s:
+def without_speckles(disparity: Float32s, smallest_px: int, step_x: float = 1.5, step_y: float = 4.0) -> Float32s:
     """Disparity without connected pieces of fewer than `smallest_px` pixels.
 
     Neighbours are connected if they differ by at most `step_x` in a row, `step_y` between rows: ground seen at a low angle
     moves by several pixels from row to row, never along one.
     """
     kept = disparity.copy()
-    _drop_specks(kept, smallest_px, step_x, step_y)
+    _drop_speckles(kept, smallest_px, step_x, step_y)
     return kept
 
 
 @kernel
-def _drop_specks(disparity: Float32s, smallest_px: int, step_x: float, step_y: float) -> None:
+def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y: float) -> None:
     height, width = disparity.shape
     seen = np.isnan(disparity)
     piece = np.empty(height * width, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Dense matching by graph cuts, the seed's choice: expansion moves over whole-pixel disparities (Boykov et al., PAMI 2001).
+"""Dense matching by graph cuts, Hao's (2011) choice: expansion moves over whole-pixel disparities (Boykov et al., PAMI 2001).
 
 Slow by nature: larger pairs are matched at the power of two of their size that fits, for comparison.  Needs the extra `graphcut`.
 """

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, Protocol, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..types import Bools, Float32s
+from ..types import Bools, Float32s, Rejected
 
 Pixels = TypeVar("Pixels", np.float32, np.bool_)
 
@@ -45,7 +44,14 @@ class DenseMatches:
     confidence_right: Float32s
 
 
-DenseMatcher = Callable[[RectifiedPair], DenseMatches]
+class DenseMatcher(Protocol):
+    """Finds the disparity of every pixel.
+
+    Asks by argument name for what it reads: `pair` (`RectifiedPair`: grey, quiet, of one exposure), `left`, `right` (`Frame`),
+    `rectification`.  Its own parameters are keyword-only, with defaults.
+    """
+
+    def __call__(self, *args: Any, **options: Any) -> DenseMatches | Rejected: ...
 
 
 def mirrored(pair: RectifiedPair) -> RectifiedPair:

@@ -1,8 +1,8 @@
 """Slanted PatchMatch from a census SGM start: a plane of disparity for each pixel, spread to neighbours and refined at random.
 
 After Bleyer, Rhemann & Rother (BMVC 2011), with the start and the cost changed: semi-global matching at a fraction of the size
-tells where to look, so two sweeps are enough; the cost is 1 - ZNCC of windows weighted by likeness, which exposure does not
-change.
+tells where to look, so two rounds of propagation are enough; the cost is 1 - ZNCC of windows weighted by likeness, which exposure
+does not change.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from ..core.jit import kernel
 from ..types import Bools, Float32s
 from .census_sgm import match_census_sgm
-from .consistency import disagreement, fill_along_rows, without_specks
+from .consistency import disagreement, fill_along_rows, without_speckles
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 from .plane_filter import doubt, smoothed
-from .propagation import Sweeps
+from .propagation import Propagation
 
-_SWEEPS = 2
+_ROUNDS = 2
 _DEAREST = 0.6
 """Planes that cost more are no matches."""
 
@@ -55,10 +55,10 @@ class _View:
         self.planes = planes
         self.cost = np.ones(pair.left.shape, dtype=np.float32)
 
-    def sweeps(self) -> Sweeps:
+    def propagation(self) -> Propagation:
         beyond = _BEYOND * (self.pair.disparity_max - self.pair.disparity_min)
         low, high = self.pair.disparity_min - beyond, self.pair.disparity_max + beyond
-        return Sweeps(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
+        return Propagation(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
 
     def smoothed(self, rounds: int) -> Float32s:
         """Planes (3, h, w), nan where too costly."""
@@ -81,23 +81,23 @@ class _View:
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
     large = pair.left.size > _DIRECT_PX
-    return _swept(pair, _coarse_planes(pair, large), 1 if large else _SWEEPS)
+    return _propagated(pair, _coarse_planes(pair, large), 1 if large else _ROUNDS)
 
 
 def _coarse_planes(pair: RectifiedPair, large: bool) -> list[Float32s]:
     """Planes (3, h, w) of both views, those of the right one in a mirror, found at half the size."""
     small = halved(pair)
-    views = _matched_views(small) if large else _swept(small, _start(small), 1)
+    views = _matched_views(small) if large else _propagated(small, _start(small), 1)
     return [_doubled(view.settled(), pair.left.shape) for view in views]
 
 
-def _swept(pair: RectifiedPair, start: Sequence[Float32s], count: int) -> tuple[_View, _View]:
+def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> tuple[_View, _View]:
     views = _View(pair, start[0]), _View(mirrored(pair), start[1])
-    sweeps = [view.sweeps() for view in views]
-    for number in range(count):
+    propagations = [view.propagation() for view in views]
+    for number in range(rounds):
         proposals = [view.seen_from_other() for view in views[::-1]] if number else [view.planes for view in views]
-        for view, sweep, proposed in zip(views, sweeps, proposals, strict=True):
-            sweep.sweep(number, view.planes, view.cost, proposed)
+        for view, propagation, proposed in zip(views, propagations, proposals, strict=True):
+            propagation.round(number, view.planes, view.cost, proposed)
     return views
 
 
@@ -111,10 +111,10 @@ def _start(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
 
 def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
     agreed = np.where(valid & (disagreement(one, other, sign) <= 1), one, np.float32(np.nan)).astype(np.float32)
-    agreed = without_specks(agreed, 60)
+    agreed = without_speckles(agreed, 60)
     filled = fill_along_rows(agreed, -sign)
-    middle = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.0
-    whole = cv2.medianBlur(np.where(np.isnan(filled), middle, filled).astype(np.float32), 5)
+    median = np.nanmedian(agreed) if np.isfinite(agreed).any() else 0.0
+    whole = cv2.medianBlur(np.where(np.isnan(filled), median, filled).astype(np.float32), 5)
     return np.stack([whole, *_slopes(np.asarray(whole, dtype=np.float32))])
 
 

@@ -1,4 +1,4 @@
-"""What the planes around a pixel say of its disparity: a correction, a vote, and doubt.
+"""What the planes around a pixel say of its disparity: a correction, a weighted median, and doubt.
 
 Whole pieces of a row are done at once, so that the compiler can do many columns with one instruction; scratch is flat, in rows of
 _BLOCK, so that it sees that none overlaps another.
@@ -18,7 +18,7 @@ _LIKENESS = 8.0
 _NEAR = 2
 """How far away, in pixels, neighbours correct a plane, and raise doubts."""
 
-_VOTERS, _VOTER_STRIDE = 6, 3
+_REACH, _STRIDE = 6, 3
 """How far away, in pixels, and how densely neighbours are asked what a pixel's disparity should be."""
 
 _CONFIRMED_PX = 2.0
@@ -27,14 +27,14 @@ _CONFIRMED_PX = 2.0
 _UNCONFIRMED_PX = 3.0
 """What a neighbour that the other view does not confirm, or that lies farther from the plane, adds to the doubt."""
 
-_BORDER = _VOTERS
+_BORDER = _REACH
 _BLOCK = 128
 
 
 def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
     """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
     neighbours, then the median of what neighbours farther away say.  A further round starts from what the one before said,
-    with slopes fitted to the voters.  spacing: of the pixels that were compared: voters stand as far apart."""
+    with slopes fitted to those.  spacing: of the pixels that were compared: so far apart are the neighbours that are asked."""
     border = _BORDER * spacing
     inner = slice(border, -border)
     known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))
@@ -43,10 +43,10 @@ def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, 
     _correct(bordered, border, 1, out)
     bordered[0, inner, inner] = out[0]
     for _ in range(rounds - 1):
-        bordered[0, inner, inner] = _voted(bordered, spacing)
-        _correct(bordered, border, _VOTER_STRIDE * spacing, out)
+        bordered[0, inner, inner] = _filtered(bordered, spacing)
+        _correct(bordered, border, _STRIDE * spacing, out)
         bordered[1:3, inner, inner] = out[1:]
-    out[0] = _voted(bordered, spacing)
+    out[0] = _filtered(bordered, spacing)
     out[1:] = bordered[1:3, inner, inner]
     return out
 
@@ -126,22 +126,22 @@ def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> Non
                 out[2, y, x0 + x] = b[x] + (w * (xx * vy - vx * xy) - wx * (wx * vy - vx * wy) + v * (wx * xy - xx * wy)) / det
 
 
-_VOTES = ((2 * _VOTERS) // _VOTER_STRIDE + 1) ** 2
-_NETWORK = sorting_network(_VOTES)
+_TAPS = ((2 * _REACH) // _STRIDE + 1) ** 2
+_NETWORK = sorting_network(_TAPS)
 """No branch depends on the values, so that whole rows of pixels are sorted at once."""
 
 
 @kernel
-def _voted(bordered: Float32s, spacing: int) -> Float32s:
+def _filtered(bordered: Float32s, spacing: int) -> Float32s:
     """(h, w) disparity: the median of what the planes of neighbours say, each weighted by its likeness.
 
-    A wrong plane, or one of the other side of an edge, is outvoted; slanted surfaces keep their slant.  `bordered` as in
+    A wrong plane, or one of the other side of an edge, does not pass; slanted surfaces keep their slant.  `bordered` as in
     `_correct`."""
     border = _BORDER * spacing
     height, width = bordered.shape[1] - 2 * border, bordered.shape[2] - 2 * border
     out = np.empty((height, width), dtype=np.float32)
-    votes = np.zeros((_VOTES, _BLOCK), dtype=np.float32)
-    weights = np.zeros((_VOTES, _BLOCK), dtype=np.float32)
+    values = np.zeros((_TAPS, _BLOCK), dtype=np.float32)
+    weights = np.zeros((_TAPS, _BLOCK), dtype=np.float32)
     half = np.empty(_BLOCK, dtype=np.float32)
     soft = np.float32(1.0 / _LIKENESS)
     for y in range(height):
@@ -151,16 +151,16 @@ def _voted(bordered: Float32s, spacing: int) -> Float32s:
             own, grey = bordered[0, row, column:], bordered[3, row, column:]
             half[:] = np.float32(0.0)
             k = 0
-            for j in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
-                for i in range(-_VOTERS, _VOTERS + 1, _VOTER_STRIDE):
+            for j in range(-_REACH, _REACH + 1, _STRIDE):
+                for i in range(-_REACH, _REACH + 1, _STRIDE):
                     dx, dy = i * spacing, j * spacing
                     fx, fy = np.float32(dx), np.float32(dy)
                     d, likeness = bordered[0, row + dy, column + dx :], bordered[3, row + dy, column + dx :]
                     a, b = bordered[1, row + dy, column + dx :], bordered[2, row + dy, column + dx :]
-                    vote, weight = votes[k], weights[k]
+                    value, weight = values[k], weights[k]
                     for x in range(n):
                         v = d[x] - a[x] * fx - b[x] * fy
-                        vote[x] = np.float32(0.0) if np.isnan(v) else v
+                        value[x] = np.float32(0.0) if np.isnan(v) else v
                         unlike = (likeness[x] - grey[x]) * soft
                         w = np.float32(0.5) / (np.float32(1.0) + unlike * unlike)
                         weight[x] = np.float32(0.0) if np.isnan(v) else w
@@ -169,22 +169,22 @@ def _voted(bordered: Float32s, spacing: int) -> Float32s:
                     k += 1
             for q in range(_NETWORK.shape[0]):
                 low, high = _NETWORK[q]
-                vote1, vote2, weight1, weight2 = votes[low], votes[high], weights[low], weights[high]
+                value1, value2, weight1, weight2 = values[low], values[high], weights[low], weights[high]
                 for x in range(_BLOCK):
-                    v1, v2, w1, w2 = vote1[x], vote2[x], weight1[x], weight2[x]
+                    v1, v2, w1, w2 = value1[x], value2[x], weight1[x], weight2[x]
                     swap = v1 > v2
-                    vote1[x], vote2[x] = v2 if swap else v1, v1 if swap else v2
+                    value1[x], value2[x] = v2 if swap else v1, v1 if swap else v2
                     weight1[x], weight2[x] = w2 if swap else w1, w1 if swap else w2
             for x in range(n):
                 out[y, x0 + x] = np.float32(np.nan)
-            for k in range(_VOTES):
-                vote, weight = votes[k], weights[k]
+            for k in range(_TAPS):
+                value, weight = values[k], weights[k]
                 # `half` is what is still missing to half of all weight; it turns negative, or 0, once
                 for x in range(n):
                     before = half[x]
                     half[x] = before - np.float32(2.0) * weight[x]
                     if before > np.float32(0.0) and half[x] <= np.float32(0.0) and not np.isnan(own[x]):
-                        out[y, x0 + x] = vote[x]
+                        out[y, x0 + x] = value[x]
     return out
 
 

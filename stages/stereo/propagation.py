@@ -1,4 +1,4 @@
-"""One sweep of PatchMatch: planes spread from row to row and along rows, and change at random; the cheaper one stays.
+"""One round of PatchMatch propagation: planes spread from row to row and along rows, and change at random; the cheaper one stays.
 
 Whole pieces of a row are judged at once, so that the compiler can do many columns with one instruction: a pixel reads finished
 rows, and its own row as it stands before each step.  Steps of 1, 2 and 8 columns carry a plane along the row.
@@ -24,7 +24,7 @@ _ACROSS = 2 * _RADIUS // _STRIDE + 1
 _TAPS = _ACROSS**2
 
 _NEIGHBOURS = np.array([(0, 1), (3, 2), (-3, 3), (1, 0), (2, 0), (8, 0)])
-"""Whose planes a pixel tries, in this order: columns and rows back along the sweep."""
+"""Whose planes a pixel tries, in this order: columns and rows back along the way."""
 
 _CHANGES = 4
 _LEAST_VARIANCE = 0.05
@@ -44,8 +44,8 @@ _SPREAD, _SCALE, _CENTRE = ((2 * _TAPS + i) * _BLOCK for i in range(3))
 _WINDOW = (2 * _TAPS + 3) * _BLOCK
 
 
-class Sweeps:
-    """What the sweeps over one view need of both its images: the left one with a border, and each pixel of the right one beside
+class Propagation:
+    """What propagation over one view needs of both its images: the left one with a border, and each pixel of the right one beside
     its neighbour, so that one access fetches what is interpolated."""
 
     def __init__(self, left: Float32s, right: Float32s, valid_left: Bools, low: float, high: float) -> None:
@@ -55,11 +55,11 @@ class Sweeps:
         self.pairs = np.stack([right, beside], axis=2).view(np.uint64)[:, :, 0]
         self.range = Scalar(low), Scalar(high)
 
-    def sweep(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s) -> None:
-        """Improve `planes` (3, h, w) and `cost` (h, w), which tell how dear they are (1 before the first sweep), in place.
+    def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s) -> None:
+        """Improve `planes` (3, h, w) and `cost` (h, w), which tell how dear they are (1 before the first round), in place.
 
-        proposals: (3, h, w) planes that are tried first, nan where there are none.  Even sweeps go down, odd ones up."""
-        _sweep(
+        proposals: (3, h, w) planes that are tried first, nan where there are none.  Even rounds go down, odd ones up."""
+        _propagate(
             self.left, self.pairs, self.valid, planes, cost, proposals, number, *self.range,
             Scalar(1.5 * 0.6**number), Scalar(0.3 * 0.7**number),
         )  # fmt: skip
@@ -221,7 +221,7 @@ def _keep_cheaper(
 
 
 @kernel
-def _sweep(
+def _propagate(
     left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, cost: Float32s, proposals: Float32s,
     number: int, low: Scalar, high: Scalar, amplitude: Scalar, tilt: Scalar,
 ) -> None:  # fmt: skip

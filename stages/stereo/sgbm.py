@@ -7,7 +7,7 @@ import numpy as np
 
 from ..types import Bools, Float32s, Uint8s
 from .blocks import BELOW_PX, CONTEXT_PX, blocks
-from .consistency import disagreement, without_specks
+from .consistency import disagreement, without_speckles
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
 _BLOCK = 3
@@ -38,12 +38,12 @@ def match_in_one_piece(pair: RectifiedPair) -> DenseMatches:
 
 
 def confirmed(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
-    """Disparity of one view where the other one's differs by at most a pixel, without specks; nan elsewhere.
+    """Disparity of one view where the other one's differs by at most a pixel, without speckles; nan elsewhere.
 
     sign: -1 for the left view, 1 for the right one.
     """
     agreed = valid & (disagreement(one, other, sign) <= 1)
-    return without_specks(np.where(agreed, one, np.float32(np.nan)), max(agreed.size // 2000, 4))
+    return without_speckles(np.where(agreed, one, np.float32(np.nan)), max(agreed.size // 2000, 4))
 
 
 def _in_blocks(pair: RectifiedPair, seen: Float32s) -> Float32s:

@@ -11,18 +11,17 @@ import pytest
 from tests.helpers.dots import as_they_are, frame_of, stereo_pair, texture, true_disparity
 from tests.helpers.laser import FOUNTAIN, laser_matches, photograph
 from tests.helpers.two_views import geometry_of, looking
-from wbflow_stages.disparity import MATCHERS, Matcher, match_dense
+from wbflow_stages.disparity import match_dense
 from wbflow_stages.fusion.pair_depth import sample_disparity
 from wbflow_stages.rectification.warping import disparity_px, from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
-from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair
 from wbflow_stages.twoview.epipolar import apply_homography, fundamental_from_cameras
 from wbflow_stages.types import INVALID, Camera, Disparity, Frame, Rectification, Rejected
 
-NAMES: tuple[Matcher, ...] = ("sgbm", "patchmatch")
+NAMES = ("sgbm", "patchmatch")
 
 
-def matched(left: Frame, right: Frame, rectification: Rectification, matcher: Matcher) -> Disparity:
+def matched(left: Frame, right: Frame, rectification: Rectification, matcher: str) -> Disparity:
     result = match_dense(left, right, rectification, matcher=matcher)
     assert isinstance(result, Disparity), result
     return result
@@ -43,7 +42,7 @@ def visible(truth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("matcher", NAMES)
 @pytest.mark.parametrize("offset", [20.0, -15.0, 0.0])
-def test_disparity_of_both_views_is_found_to_a_fraction_of_a_pixel(matcher: Matcher, offset: float) -> None:
+def test_disparity_of_both_views_is_found_to_a_fraction_of_a_pixel(matcher: str, offset: float) -> None:
     left, right, rectification, truth = case(offset)
     found = matched(left, right, rectification, matcher)
     d1, d2 = disparity_px(found, 1), disparity_px(found, 2)
@@ -61,7 +60,7 @@ def test_disparity_of_both_views_is_found_to_a_fraction_of_a_pixel(matcher: Matc
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_masked_and_saturated_pixels_are_never_matched_in_either_image(matcher: Matcher) -> None:
+def test_masked_and_saturated_pixels_are_never_matched_in_either_image(matcher: str) -> None:
     left, right, rectification, _ = case()
     mask, image = right.mask.copy(), left.image.copy()
     mask[60:100, 80:120] = False
@@ -78,7 +77,7 @@ def test_masked_and_saturated_pixels_are_never_matched_in_either_image(matcher: 
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_exposure_of_one_camera_does_not_matter(matcher: Matcher) -> None:
+def test_exposure_of_one_camera_does_not_matter(matcher: str) -> None:
     left, right, rectification, truth = case()
     darker = Frame(np.rint(0.6 * right.image + 12).astype(np.uint8), right.mask, right.view)
     inside = visible(truth)
@@ -88,7 +87,7 @@ def test_exposure_of_one_camera_does_not_matter(matcher: Matcher) -> None:
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: Matcher) -> None:
+def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: str) -> None:
     left, right, _, truth = case()
     floor = truth[:, :60]
     narrow = as_they_are(left.image[..., 0], right.image[..., 0], float(np.floor(floor.min())), float(np.ceil(floor.max() + 8)))
@@ -100,7 +99,7 @@ def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: Matcher) -> N
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_images_of_different_widths_keep_their_own_sizes(matcher: Matcher) -> None:
+def test_images_of_different_widths_keep_their_own_sizes(matcher: str) -> None:
     left, right, rectification, truth = case()
     cut = as_they_are(left.image[:, :200, 0], right.image[..., 0], rectification.disparity_min_px, rectification.disparity_max_px)
     found = matched(frame_of(left.image[:, :200, 0]), right, cut, matcher)
@@ -110,7 +109,7 @@ def test_images_of_different_widths_keep_their_own_sizes(matcher: Matcher) -> No
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_any_number_of_threads_gives_the_same_bytes(matcher: Matcher) -> None:
+def test_any_number_of_threads_gives_the_same_bytes(matcher: str) -> None:
     left, right, rectification, _ = case()
     threads = cv2.getNumThreads()
     results = []
@@ -125,7 +124,7 @@ def test_any_number_of_threads_gives_the_same_bytes(matcher: Matcher) -> None:
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_images_that_share_nothing_are_rejected(matcher: Matcher) -> None:
+def test_images_that_share_nothing_are_rejected(matcher: str) -> None:
     left, right, rectification, _ = case()
     blank = Frame(np.full_like(right.image, 128), np.zeros_like(right.mask), right.view)
     refused = match_dense(left, blank, rectification, matcher=matcher)
@@ -146,39 +145,34 @@ def test_graph_cuts_match_a_small_pair_to_whole_pixels() -> None:
     assert np.mean(np.abs(found - truth)[visible(truth)] <= 1) > 0.85
 
 
-def test_any_function_of_the_same_signature_plugs_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_function_of_the_same_signature_plugs_in_with_its_own_parameters() -> None:
     left, right, rectification, truth = case(slope=0.0)
-
-    def at_its_word(pair: RectifiedPair) -> DenseMatches:
-        """Knows that everything is 20 px away."""
-        flat = np.full(pair.left.shape, 20, dtype=np.float32)
-        return DenseMatches(flat, flat, np.ones_like(flat), np.ones_like(flat))
-
-    monkeypatch.setitem(MATCHERS, "at_its_word", at_its_word)
-    found = match_dense(left, right, rectification, matcher="at_its_word")  # type: ignore[arg-type]
+    found = match_dense(left, right, rectification, matcher="tests.helpers.plug_ins:at_its_word")
     assert isinstance(found, Disparity)
     known = disparity_px(found, 1)[visible(truth)]
     assert np.nanmax(np.abs(known - 20)) == 0
+    nearer = match_dense(left, right, rectification, matcher="tests.helpers.plug_ins:at_its_word", distance_px=22.0)
+    assert isinstance(nearer, Disparity) and np.nanmax(np.abs(disparity_px(nearer, 1)[visible(truth)] - 22)) == 0
 
 
-def test_what_a_matcher_does_not_believe_is_not_kept_but_may_confirm_the_other_view(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_matcher_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refused() -> None:
+    left, right, rectification, _ = case()
+    with pytest.raises(ValueError, match="patchmatch, sgbm, census-sgm, graphcut"):
+        match_dense(left, right, rectification, matcher="foo")
+    with pytest.raises(TypeError, match="'patchmatch' does not read 'ratio'"):
+        match_dense(left, right, rectification, ratio=0.8)
+
+
+def test_what_a_matcher_does_not_believe_is_not_kept_but_may_confirm_the_other_view() -> None:
     left, right, rectification, _ = case(slope=0.0)
-
-    def half_believed(pair: RectifiedPair) -> DenseMatches:
-        flat, sure = np.full(pair.left.shape, 20, dtype=np.float32), np.ones(pair.left.shape, dtype=np.float32)
-        doubtful = sure.copy()
-        doubtful[:90] = 0
-        return DenseMatches(flat, flat, doubtful, sure)
-
-    monkeypatch.setitem(MATCHERS, "half_believed", half_believed)
-    found = match_dense(left, right, rectification, matcher="half_believed")  # type: ignore[arg-type]
+    found = match_dense(left, right, rectification, matcher="tests.helpers.plug_ins:half_believed")
     assert isinstance(found, Disparity)
     assert (found.left[:90] == INVALID).all() and (found.left[90:, 40:] != INVALID).all()
     assert (found.right[:, :200] != INVALID).all()
 
 
 @pytest.mark.parametrize("matcher", NAMES)
-def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image(matcher: Matcher) -> None:
+def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image(matcher: str) -> None:
     """Rows are rays from the epipole; the wall is slanted, its image in the second camera is drawn by its homography."""
     left = looking(np.zeros(3), np.array([0.0, 0.0, 9.0]))
     right = Camera(left.K, left.R, np.array([0.15, 0.1, 2.0]), left.width, left.height)
@@ -213,7 +207,7 @@ def test_a_step_towards_a_wall_is_matched_although_the_epipole_lies_in_the_image
         ((5, 9), "sgbm", 0.085, 0.36),
     ],
 )
-def test_photographs_are_matched_as_well_as_measured(pair: tuple[int, int], matcher: Matcher, bad: float, missed: float) -> None:
+def test_photographs_are_matched_as_well_as_measured(pair: tuple[int, int], matcher: str, bad: float, missed: float) -> None:
     """Rectified by the true cameras and matches that the laser gives; errors in pixels of image 2, at half the width."""
     left, right = (photograph(k) for k in pair)
     x1, x2 = laser_matches(left, right)

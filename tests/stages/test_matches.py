@@ -66,7 +66,20 @@ def test_no_keypoints_give_no_matches(matcher: str) -> None:
     assert isinstance(match(random_features(300), random_features(3), matcher=matcher), Rejected)
 
 
-def test_strangers_share_no_structure() -> None:
+def test_a_matcher_that_nobody_knows_is_refused_and_the_known_ones_are_listed() -> None:
+    with pytest.raises(ValueError, match="structural, dominant, literal, mutual, kdtree"):
+        match(random_features(20), random_features(20), matcher="foo")
+
+
+@pytest.mark.parametrize(
+    ("matcher", "option", "reader"), [("mutual", {"dominance": 2.0}, "structural"), ("structural", {"ratio": 0.7}, "kdtree")]
+)
+def test_a_parameter_that_the_matcher_does_not_read_is_refused_and_its_readers_are_named(matcher, option, reader) -> None:
+    with pytest.raises(TypeError, match=f"{matcher!r} does not read .* is read by .*{reader}"):
+        match(random_features(20), random_features(20), matcher=matcher, **option)
+
+
+def test_strangers_share_no_structure():
     found = match(random_features(300), random_features(300))
     assert isinstance(found, Rejected) or len(found.x1) < 25
 

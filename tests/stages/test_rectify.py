@@ -9,16 +9,16 @@ import pytest
 
 from tests.helpers.two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both, two_views
 from wbflow_stages.rectification.warping import from_rectified, resampling, to_rectified
-from wbflow_stages.rectify import Method, rectify
+from wbflow_stages.rectify import rectify
 from wbflow_stages.twoview.epipolar import apply_homography, epipoles, fundamental_from_cameras, homogeneous, project
 from wbflow_stages.twoview.robust import estimate_fundamental
 from wbflow_stages.types import Camera, Geometry, Rectification, Rejected, View
 
 SIDEWAYS = np.array([2.0, 0.1, 0.0])
-METHODS: tuple[Method, ...] = ("congruent", "hartley", "seed", "calibrated", "polar")
+METHODS = ("congruent", "hartley", "literal", "calibrated", "polar")
 
 
-def rectified(geometry: Geometry, left: Camera | None, right: Camera | None, method: Method = "congruent") -> Rectification:
+def rectified(geometry: Geometry, left: Camera | None, right: Camera | None, method: str = "congruent") -> Rectification:
     result = rectify(geometry, left, right, method=method)
     assert isinstance(result, Rectification), result
     return result
@@ -29,7 +29,7 @@ def row_errors(result: Rectification, x1: np.ndarray, x2: np.ndarray) -> np.ndar
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_puts_a_point_on_one_row_in_both_images(method: Method) -> None:
+def test_every_method_puts_a_point_on_one_row_in_both_images(method: str) -> None:
     geometry, left, right = two_views(SIDEWAYS)
     result = rectified(geometry, left, right, method)
     assert result.method == method
@@ -39,7 +39,7 @@ def test_every_method_puts_a_point_on_one_row_in_both_images(method: Method) -> 
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_disparity_range_holds_nearly_all_matches_and_the_images_all_of_them(method: Method) -> None:
+def test_the_disparity_range_holds_nearly_all_matches_and_the_images_all_of_them(method: str) -> None:
     geometry, left, right = two_views(SIDEWAYS)
     result = rectified(geometry, left, right, method)
     y1, y2 = to_rectified(result, 1, geometry.x1), to_rectified(result, 2, geometry.x2)
@@ -50,7 +50,7 @@ def test_the_disparity_range_holds_nearly_all_matches_and_the_images_all_of_them
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_neither_image_is_mirrored_and_pixels_keep_their_size(method: Method) -> None:
+def test_neither_image_is_mirrored_and_pixels_keep_their_size(method: str) -> None:
     geometry, left, right = two_views(SIDEWAYS)
     result = rectified(geometry, left, right, method)
     for side, x in ((1, geometry.x1), (2, geometry.x2)):
@@ -125,8 +125,8 @@ def test_edges_across_depth_jumps_do_not_shrink_the_congruent_image() -> None:
     left, right = looking(np.zeros(3), np.array([0.0, 0.0, 8.0])), looking(np.array([2.0, 0.0, 0.0]), np.array([0.0, 0.0, 8.0]))
     x1, x2 = seen_by_both(left, right, X)
     geometry = geometry_of(x1, x2, fundamental_from_cameras(left, right))
-    robust, literal = rectified(geometry, left, right), rectified(geometry, left, right, "seed")
-    assert (robust.method, literal.method) == ("congruent", "seed")
+    robust, literal = rectified(geometry, left, right), rectified(geometry, left, right, "literal")
+    assert (robust.method, literal.method) == ("congruent", "literal")
     on_wall = project(left, wall)[0], project(right, wall)[0]
 
     def width_ratio(result: Rectification) -> float:
@@ -187,7 +187,7 @@ def test_clustered_matches_do_not_tell_the_rows_of_the_rest() -> None:
 
 
 @pytest.mark.parametrize("method", ["congruent", "calibrated"])
-def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_the_rows(method: Method) -> None:
+def test_matches_too_close_together_for_a_net_do_not_stop_cameras_from_telling_the_rows(method: str) -> None:
     """All in one cell of the grid of control points."""
     geometry, left, right = two_views(SIDEWAYS, n=60000)
     near = (np.abs(geometry.x1 - np.array([333.0, 280.0])) < 12).all(axis=1)
@@ -299,8 +299,23 @@ def test_cameras_that_contradict_the_matches_are_refused() -> None:
 
 
 def test_calibrated_needs_cameras() -> None:
-    with pytest.raises(ValueError, match="cameras"):
+    with pytest.raises(ValueError, match="needs left"):
         rectify(two_views(SIDEWAYS)[0], None, None, method="calibrated")
+
+
+def test_a_method_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refused() -> None:
+    geometry, left, right = two_views(SIDEWAYS)
+    with pytest.raises(ValueError, match="congruent, literal, hartley, calibrated, polar"):
+        rectify(geometry, left, right, method="foo")
+    with pytest.raises(TypeError, match="'congruent' does not read 'tilt'"):
+        rectify(geometry, left, right, tilt="never")
+
+
+def test_any_function_of_the_same_signature_plugs_in() -> None:
+    geometry, left, right = two_views(SIDEWAYS)
+    found = rectify(geometry, left, right, method="tests.helpers.plug_ins:shifted", shift_px=11.0)
+    assert isinstance(found, Rectification) and found.method == "tests.helpers.plug_ins:shifted"
+    assert row_errors(found, geometry.x1, geometry.x2).max() < 1e-3
 
 
 def test_the_same_input_gives_the_same_bytes() -> None:

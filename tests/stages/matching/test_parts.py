@@ -94,13 +94,13 @@ def test_probabilities_share_rows_and_columns(n1: int, n2: int, seed: int) -> No
     rng = np.random.default_rng(seed)
     keep = rng.random((n1, n2)) < 0.3
     i, j = (part.astype(np.int32) for part in np.nonzero(keep))
-    p = assign(i, j, rng.normal(0, 4, len(i)), n1, n2, sweeps=200)
+    p = assign(i, j, rng.normal(0, 4, len(i)), n1, n2, iterations=200)
     assert (p >= 0).all()
     assert (np.bincount(i, p, n1) <= 1 + 1e-6).all() and (np.bincount(j, p, n2) <= 1 + 1e-6).all()
 
 
-def test_a_lone_candidate_has_the_probability_that_balances_its_odds() -> None:
-    p = assign(np.zeros(1, np.int32), np.zeros(1, np.int32), np.array([2.0]), 1, 1, sweeps=200)[0]
+def test_a_lone_candidate_has_the_probability_that_balances_its_odds():
+    p = assign(np.zeros(1, np.int32), np.zeros(1, np.int32), np.array([2.0]), 1, 1, iterations=200)[0]
     assert p / (1 - p) ** 2 == pytest.approx(np.exp(2.0), rel=1e-6)  # mass = p / (what u leaves * what v leaves)
 
 

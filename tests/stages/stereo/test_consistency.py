@@ -1,10 +1,10 @@
-"""What is kept of raw disparity: agreement of both views, landing on valid pixels, no specks."""
+"""What is kept of raw disparity: agreement of both views, landing on valid pixels, no speckles."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from wbflow_stages.stereo.consistency import agreeing, disagreement, fill_along_rows, lands_on, within_reach, without_specks
+from wbflow_stages.stereo.consistency import agreeing, disagreement, fill_along_rows, lands_on, within_reach, without_speckles
 
 NAN = np.float32(np.nan)
 
@@ -45,22 +45,22 @@ def test_a_disparity_that_lands_on_an_invalid_pixel_is_told() -> None:
     assert not landed[:, :5].any()
 
 
-def test_specks_go_and_steep_ground_stays() -> None:
+def test_speckles_go_and_steep_ground_stays() -> None:
     disparity = constant(NAN, (40, 60))
     disparity[2:5, 2:5] = 9
     rows = np.arange(10, 40, dtype=np.float32)
     disparity[10:, :] = (3.3 * rows)[:, None]  # three pixels a row: ground seen at a low angle
-    kept = without_specks(disparity, 20)
+    kept = without_speckles(disparity, 20)
     assert np.isnan(kept[2:5, 2:5]).all()
     np.testing.assert_array_equal(kept[10:], disparity[10:])
-    np.testing.assert_array_equal(without_specks(disparity, 9), disparity)
+    np.testing.assert_array_equal(without_speckles(disparity, 9), disparity)
 
 
 def test_a_jump_along_a_row_separates_pieces() -> None:
     disparity = constant(5, (4, 40))
     disparity[:, 20:] = 8
-    assert np.isnan(without_specks(disparity, 81)).all()
-    assert not np.isnan(without_specks(disparity, 80)).any()
+    assert np.isnan(without_speckles(disparity, 81)).all()
+    assert not np.isnan(without_speckles(disparity, 80)).any()
 
 
 def test_a_hole_is_filled_with_what_lies_farther() -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.dots import stereo_pair, texture, true_disparity
 from wbflow_stages.stereo.blocks import blocks
 from wbflow_stages.stereo.census_sgm import match_census_sgm
-from wbflow_stages.stereo.coarse_range import prepared
+from wbflow_stages.stereo.coarse_range import with_coarse_range
 from wbflow_stages.stereo.denoise import noise_level, quietened
 from wbflow_stages.stereo.matcher import DenseMatcher, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
@@ -185,8 +185,8 @@ def test_a_range_that_nothing_narrows_is_searched_in_one_block() -> None:
     assert block.low < -260 and block.high > 260
 
 
-def test_wrong_planes_are_outvoted_and_doubted() -> None:
-    """A slanted surface of one grey, with noise, and a wrong patch; a speck is doubted, and what the other view contradicts."""
+def test_wrong_planes_are_filtered_and_doubted() -> None:
+    """A slanted surface of one grey, with noise, and a wrong patch; a speckle is doubted, and what the other view contradicts."""
     y, x = np.mgrid[0:60, 0:300].astype(np.float32)
     noise = np.random.default_rng(3).normal(0, 0.2, y.shape).astype(np.float32)
     truth = 20 + 0.2 * x - 0.1 * y
@@ -204,7 +204,7 @@ def test_wrong_planes_are_outvoted_and_doubted() -> None:
     assert doubts[5:55, 5:110].max() < 0.2 and doubts[0, 0] < 0.2
 
 
-def test_a_second_round_of_votes_finds_the_slope_of_planes_that_have_none() -> None:
+def test_a_second_round_of_the_plane_filter_finds_the_slope_of_planes_that_have_none() -> None:
     """Semi-global matching's fronto-parallel start, on ground seen at a low angle."""
     y, x = np.mgrid[0:60, 0:120].astype(np.float32)
     truth = 30 + 0.3 * x - 0.4 * y
@@ -225,11 +225,11 @@ def test_halving_keeps_disparity_half_as_large() -> None:
     assert np.median(np.abs(found - truth)[well_inside(truth)]) < 0.3
 
 
-def test_the_quick_look_finds_the_range_and_makes_exposures_alike() -> None:
+def test_the_coarse_match_finds_the_range_and_makes_exposures_alike() -> None:
     left, right = stereo_pair(240, 320, 30.0)
     truth = true_disparity(240, 320, 30.0)
     pair = pair_of(left, 0.5 * right + 60, 30, 42)
-    ready = prepared(pair)
+    ready = with_coarse_range(pair)
     assert ready.disparity_min <= truth.min() and ready.disparity_max >= np.percentile(truth, 98)
     assert abs(np.std(ready.right) / np.std(ready.left) - 1) < 0.1
     assert abs(np.mean(ready.right) - np.mean(ready.left)) < 8
@@ -238,7 +238,7 @@ def test_the_quick_look_finds_the_range_and_makes_exposures_alike() -> None:
 def test_images_without_texture_keep_the_range_of_the_matches() -> None:
     blank = np.full((80, 160), 128.0)
     pair = dataclasses.replace(pair_of(blank, blank, 3, 17), valid_left=np.zeros((80, 160), dtype=bool))
-    ready = prepared(pair)
+    ready = with_coarse_range(pair)
     assert (ready.disparity_min, ready.disparity_max) == (3, 17)
 
 

@@ -1,5 +1,4 @@
-"""Medians, percentiles and extremes of a few thousand values, in half the time of numpy's own or less: rectification asks for
-them often."""
+"""Medians, percentiles and extremes of a few thousand values, in half the time of numpy's own or less."""
 
 from __future__ import annotations
 
@@ -8,8 +7,8 @@ import numpy as np
 from ..types import Float64s
 
 
-def middle(values: Float64s) -> float:
-    """The median of values (n,)."""
+def median(values: Float64s) -> float:
+    """The median of values (n,), to the bit that of numpy."""
     k = len(values) // 2
     if len(values) % 2:
         return float(np.partition(values, k)[k])

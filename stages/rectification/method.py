@@ -1,0 +1,56 @@
+"""What a method of rectification is given, and what it gives: the border at which methods plug in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+from ..types import Camera, Float32s, Float64s, PolarRows
+from .placement import Size
+
+
+@dataclass(frozen=True)
+class MatchedPair:
+    """F, and the matches that obey it: all that rectification knows of a pair."""
+
+    F: Float64s
+    """(3, 3), x2^T F x1 = 0; from the cameras where both are known."""
+    x1: Float64s
+    x2: Float64s
+    """(n, 2) pixels of the frames."""
+    probability: Float32s
+    size1: Size
+    size2: Size
+    """(width, height) of the frames."""
+    camera1: Camera | None
+    camera2: Camera | None
+    angle_deg: float
+    """Median angle between the two rays of a match; nan when neither cameras nor geometry know it."""
+
+
+class Homographies(NamedTuple):
+    """H1, H2 (3, 3): frame pixels to rectified ones, up to a common scale and offset in y, and scale and offsets in x."""
+
+    H1: Float64s
+    H2: Float64s
+
+
+class PolarImages(NamedTuple):
+    """The rows of both images, their rectified sizes, and the share of matches on one common side of the epipole (1 for a right
+    F)."""
+
+    rows1: PolarRows
+    rows2: PolarRows
+    size1: Size
+    size2: Size
+    agreement: float
+
+
+class Rectifier(Protocol):
+    """Brings corresponding points to the same row.
+
+    Asks by argument name for what it reads: `pair` (`MatchedPair`), `geometry` (`Geometry`), `left`, `right` (`Camera`).  Its own
+    parameters are keyword-only, with defaults.  Raises ValueError, with the reason, where it can do nothing for a pair.
+    """
+
+    def __call__(self, *args: Any, **options: Any) -> Homographies | PolarImages: ...

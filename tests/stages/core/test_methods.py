@@ -1,0 +1,70 @@
+"""Methods are chosen by name or by a dotted function, ask for inputs by name, and read their own parameters only."""
+
+from __future__ import annotations
+
+import sys
+import types
+
+import pytest
+
+from wbflow_stages.core.methods import bind, method
+
+TABLE = {"first": "a_module_of_methods:first", "second": "a_module_of_methods:second"}
+
+
+@pytest.fixture(autouse=True)
+def methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module with two methods, and a third that stands in no table."""
+    module = types.ModuleType("a_module_of_methods")
+    code = (
+        "def first(left, *, ratio=0.5): return 'first', left, ratio\n"
+        "def second(right, picture, *, rounds=3): return 'second', right, picture, rounds\n"
+        "def third(left, picture=None, **anything): return 'third', left, picture, anything\n"
+    )
+    exec(code, module.__dict__)
+    monkeypatch.setitem(sys.modules, "a_module_of_methods", module)
+
+
+INPUTS: dict[str, object] = {"left": "L", "right": "R", "picture": None}
+
+
+def test_a_method_gets_what_it_asks_for_and_its_own_parameters() -> None:
+    assert bind(TABLE, "first", INPUTS, {"ratio": 0.7})() == ("first", "L", 0.7)
+    assert bind(TABLE, "second", INPUTS | {"picture": "P"}, {})() == ("second", "R", "P", 3)
+
+
+def test_a_dotted_function_needs_no_table_and_may_take_anything() -> None:
+    assert bind(TABLE, "a_module_of_methods:third", INPUTS, {"depth": 2})() == ("third", "L", None, {"depth": 2})
+
+
+@pytest.mark.parametrize(
+    "name", ["frist", "a_module_of_methods:frist", "no_such_module:first", "a_module_of_methods.deeper:first"]
+)
+def test_a_name_that_leads_nowhere_lists_those_that_are_known(name: str) -> None:
+    with pytest.raises(ValueError, match="first, second"):
+        method(TABLE, name)
+
+
+def test_a_module_that_lacks_something_itself_says_what(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with open(f"{tmp_path}/needs_more.py", "w") as file:  # noqa: PTH123
+        file.write("import a_library_that_nobody_has\ndef run(left): pass\n")
+    with pytest.raises(ModuleNotFoundError, match="a_library_that_nobody_has"):
+        method(TABLE, "needs_more:run")
+
+
+def test_a_parameter_of_another_method_is_refused_and_its_reader_named() -> None:
+    with pytest.raises(TypeError, match=r"'first' does not read 'rounds': 'rounds' is read by second only; 'first' reads ratio"):
+        bind(TABLE, "first", INPUTS, {"rounds": 2})
+    with pytest.raises(TypeError, match="no method reads 'colour'"):
+        bind(TABLE, "first", INPUTS, {"colour": 2})
+
+
+def test_an_input_that_is_not_at_hand_is_asked_for_by_name() -> None:
+    with pytest.raises(ValueError, match="'second' needs picture"):
+        bind(TABLE, "second", INPUTS, {})
+
+
+def test_inputs_are_no_parameters() -> None:
+    with pytest.raises(TypeError, match="does not read 'left'"):
+        bind(TABLE, "first", INPUTS, {"left": "X"})
