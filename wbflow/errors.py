@@ -47,3 +47,9 @@ class WbflowError(Exception):
     def __str__(self) -> str:
         head = f"{self.where}: {self.what}" if self.where else self.what
         return f"{head}\n  {self.remedy}" if self.remedy else head
+
+
+class UsageError(WbflowError, ValueError):
+    """What was asked for cannot be meant."""
+
+    exit_code = ExitCode.USAGE

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..rectification.warping import disparity_px, warp
@@ -11,6 +13,28 @@ from .rasters import pfm, png
 
 PNG_STEPS = 16
 """Steps of the 16-bit disparity image in a pixel."""
+
+
+def pair_files(
+    left: Frame,
+    right: Frame,
+    matches: Matches,
+    geometry: Geometry | None,
+    rectification: Rectification | None,
+    disparity: Disparity | None,
+) -> tuple[dict[str, bytes], dict[str, Any]]:
+    """All files of a pair by name, as far as it came, and figures for a summary (JSON data)."""
+    files = matching_files(matches, geometry, left, right)
+    summary: dict[str, Any] = {}
+    if rectification is not None:
+        files |= rectified_files(rectification, left, right)
+        told = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
+        summary |= {f"rectification_{name}": _plain(getattr(rectification, name)) for name in told}
+        if disparity is not None:
+            made, offset = disparity_files(disparity, rectification, left, right)
+            files |= made
+            summary |= {"png_offset_px": offset, "png_steps_per_px": PNG_STEPS}
+    return files, summary
 
 
 def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, right: Frame) -> dict[str, bytes]:
@@ -48,6 +72,12 @@ def disparity_files(
         files[f"{name}-disparity.png"] = png(np.clip(np.round(steps), 0, 65535).astype(np.uint16))
         files[f"{name}-disparity.pfm"] = pfm(values)
     return files, offset
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _table(found: Matches | Geometry) -> bytes:

@@ -100,4 +100,4 @@ class ToySite:
         """Tasks that ran in the newest run."""
         newest = max(p for p in (self.work / "runs").iterdir() if not p.is_symlink())
         events = [json.loads(line) for line in (newest / "log.jsonl").read_text().splitlines()]
-        return {event["task"] for event in events if event["outcome"] in {"ran", "rejected"} and event["fresh"]}
+        return {event["task"] for event in events if event.get("outcome") in {"ran", "rejected"} and event["fresh"]}

@@ -15,6 +15,7 @@ from pydantic_core import PydanticCustomError
 from ..graph.functions import FunctionReader
 from ..graph.modules import FunctionError
 from ..graph.pipeline import STAGES, Stage
+from ..store.layout import WorkFolder
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import PLACE_REMEDY, ControlPoint, Distance, LocalFrame, Position, local_frame, read_survey
 from .positions import Document, Place, Problem, SiteError, load_yaml
@@ -244,8 +245,8 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     ids = [camera.id for camera in model.cameras]
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
     if work is None:
-        work = _beside(path, model.work) if model.work else path.resolve().parent / ".wbflow" / model.site
-    reader = FunctionReader(work / "cache" / "functions.json", path.resolve().parent)
+        work = _beside(path, model.work) if model.work else WorkFolder.beside(path, model.site).root
+    reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
     stages = _stages(model, document, reader, problems)
     _check_pairs(model, document, problems)
     root = _beside(path, model.captures.root)

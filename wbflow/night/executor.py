@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,11 +19,16 @@ LANE_SECONDS = 6 * 3600
 
 @dataclass(frozen=True)
 class Executor:
-    """How lanes are run.  backend: "loky" (processes), "threading" or "dask" (then `scheduler` is its address)."""
+    """How lanes are run."""
 
     jobs: int
-    backend: str = "loky"
-    scheduler: str | None = None
+    """Workers."""
+    backend: str
+    """loky (processes), threading or dask."""
+    scheduler: str | None
+    """Address of the Dask scheduler."""
+    warn: Callable[[str], None]
+    """Told of workers that were lost."""
 
     def run(self, lanes: list[list[TaskSpec]], cache: Cache) -> Iterator[list[Done]]:
         """Results of lanes as they finish.
@@ -47,7 +52,9 @@ class Executor:
                 yield done
         except _lost() as error:
             suspects = [lane for lane in lanes if str(lane[0].task) not in finished]
-            yield from self._alone(suspects, cache, error)
+            why = _why(error)
+            self.warn(f"a task {why}: what was not finished is done again, one task at a time")
+            yield from self._alone(suspects, cache, why)
 
     def stop(self) -> None:
         """Kill the workers."""
@@ -72,10 +79,8 @@ class Executor:
             parallel = Parallel(return_as="generator_unordered", batch_size=1, timeout=LANE_SECONDS)
             yield from parallel(delayed(run_lane)(lane, cache, os.getpid()) for lane in lanes)
 
-    def _alone(self, suspects: list[list[TaskSpec]], cache: Cache, error: BaseException) -> Iterator[list[Done]]:
+    def _alone(self, suspects: list[list[TaskSpec]], cache: Cache, why: str) -> Iterator[list[Done]]:
         """After a worker died or hung: each unfinished lane in a worker of its own; the one that does it again has failed."""
-        stuck = isinstance(error, TimeoutError)
-        why = f"took longer than {LANE_SECONDS // 3600} hours" if stuck else "its worker process was killed (out of memory?)"
         for lane in suspects:
             self.stop()
             try:
@@ -83,6 +88,12 @@ class Executor:
             except _lost():
                 remedy = "lower `resolution`, or run with fewer --jobs"
                 yield [Done(lane[0].task, "failed", reason=f"{why}, twice; {remedy}")]
+
+
+def _why(error: BaseException) -> str:
+    if isinstance(error, TimeoutError):
+        return f"took longer than {LANE_SECONDS // 3600} hours"
+    return "lost its worker process, which was killed (out of memory?)"
 
 
 def _lost() -> tuple[type[BaseException], ...]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import datetime
 from dataclasses import dataclass
-from pathlib import Path
 
 from ..config.load import Site
 from ..store.cache import Cache
+from ..store.layout import WorkFolder
 from .captures import CaptureFile, Digests, find_captures, night
 from .plan import Plan, make_plan
 
@@ -25,9 +25,10 @@ class Night:
 
 def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:
     """Find a night's captures and plan its work; nothing is written."""
-    digests = Digests(site.work / "cache" / "captures.json")
+    work = WorkFolder(site.work)
+    digests = Digests(work.captures_memo)
     date = night(site, date)
     captures = find_captures(site, date, digests)
     masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
-    plan = make_plan(site, captures, date, Cache(Path(site.work) / "cache"), masks, until, force)
+    plan = make_plan(site, captures, date, Cache(work), masks, until, force)
     return Night(site, date, captures, digests, plan)

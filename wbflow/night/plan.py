@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from ..config.load import Site, SiteCamera
 from ..graph.binding import Binding, bind
 from ..graph.pipeline import (
+    SITE_TYPES,
     STAGES,
     FromSite,
     FromStage,
@@ -28,25 +29,11 @@ from ..graph.pipeline import (
     stage_with,
 )
 from ..store.cache import Cache, Receipt
+from ..store.pictures import read_drawing
 from ..task import Subject, Task
 from .captures import CaptureFile, expected
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
-
-Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
-
-
-@dataclass(frozen=True)
-class State:
-    """How a settled task ended.  reason: why, for all but cached and ran."""
-
-    outcome: Outcome
-    reason: str | None = None
-    receipt: Receipt | None = None
-
-    @property
-    def usable(self) -> bool:
-        """Did it leave an artifact?"""
-        return self.outcome in {"cached", "ran"}
+from .state import State, cached_state
 
 
 class _Waiting(Exception):
@@ -63,11 +50,7 @@ class _Impossible(Exception):
 
 @dataclass
 class Plan:
-    """The tasks of one night.
-
-    states: settled tasks; ready: tasks whose inputs are all there, with their specs; waiting: the rest, with what they wait for
-    (None: for the pair graph).  `refresh` derives all of it from the cache.
-    """
+    """The tasks of one night.  `refresh` derives all of it from the cache."""
 
     site: Site
     captures: dict[str, list[CaptureFile]]
@@ -78,8 +61,13 @@ class Plan:
     until: str | None = None
     force: frozenset[str] = frozenset()
     states: dict[Task, State] = field(default_factory=dict)
+    """Settled tasks."""
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
+    """Tasks whose inputs are all there."""
     waiting: dict[Task, Task | None] = field(default_factory=dict)
+    """The rest, with what they wait for (None: for the pair graph)."""
+    undrawn: dict[Task, TaskSpec] = field(default_factory=dict)
+    """Settled tasks whose picture is missing, or out of date."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
@@ -99,13 +87,15 @@ class Plan:
     def settle(self, task: Task, state: State) -> None:
         """Record how a task of this run ended."""
         self.states[task] = state
+        self.undrawn.pop(task, None)
 
     def forget(self, task: Task) -> None:
         """Take a settled task back (its artifact turned out damaged)."""
         self.states.pop(task, None)
 
     def lanes(self) -> Iterator[list[TaskSpec]]:
-        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
+        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call; when there are none,
+        pictures that are missing or were drawn by another function than the present one."""
         for task, spec in self.ready.items():
             lane = [spec]
             if task.subject:
@@ -117,6 +107,8 @@ class Plan:
                         except (_Waiting, _Impossible):
                             continue
             yield lane
+        if not self.ready:
+            yield from ([spec] for spec in self.undrawn.values())
 
     def pairs_known(self) -> bool:
         """Is the pair graph there (so that every pair's tasks are listed)?"""
@@ -179,8 +171,15 @@ class Plan:
         receipt = None if spec.force else self.cache.find(preimage, preimage.key())
         if receipt is None:
             self.ready[task] = spec
-        else:
-            self.states[task] = cached_state(receipt)
+            return
+        self.states[task] = cached_state(receipt)
+        if spec.picture and receipt.file and not self._is_drawn(task, receipt, spec.picture):
+            self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
+
+    def _is_drawn(self, task: Task, receipt: Receipt, picture: PictureSpec) -> bool:
+        """Has the picture of a cached result been drawn (or tried) by the function that is here now?"""
+        drawing = read_drawing(self.cache.work, task, receipt.key)
+        return drawing is not None and drawing.digest == picture.digest(receipt.key)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved."""
@@ -340,21 +339,21 @@ class Plan:
     def _from_site(self, need: FromSite, task: Task) -> Input:
         what = need.value
         if what is SiteValue.SURVEY:
-            return Value(what.kind, self.site.survey)
+            return Value(SITE_TYPES[what], self.site.survey)
         if need.which is Which.ALL:
             return Joined({(camera.id,): self._stated(camera, what) for camera in self.site.cameras})
         camera = self._camera(task.subject[0])
         if what is SiteValue.MASK:
             file = self.masks.get(camera.id)
-            return Files(what.kind, (file,), single=True) if file else Absent()
+            return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
         if what is SiteValue.CAPTURES:
-            return Files(what.kind, self._captured(camera))
+            return Files(SITE_TYPES[what], self._captured(camera))
         return self._stated(camera, what)
 
     @staticmethod
     def _stated(camera: SiteCamera, what: SiteValue) -> Value:
         """What the site file says of a camera."""
-        return Value(what.kind, camera.lens if what is SiteValue.LENS else camera.placement)
+        return Value(SITE_TYPES[what], camera.lens if what is SiteValue.LENS else camera.placement)
 
     def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""
@@ -387,11 +386,6 @@ def make_plan(
 def component_name(number: int) -> str:
     """What a component of cameras other than the main one is called: component-2 is the second."""
     return f"component-{number + 1}"
-
-
-def cached_state(receipt: Receipt) -> State:
-    """The state of a task whose receipt was found."""
-    return State("rejected" if receipt.outcome == "rejected" else "cached", receipt.reason, receipt)
 
 
 def _because(task: Task, state: State) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
-import importlib
 import os
 import resource
 import signal
@@ -17,22 +17,27 @@ from typing import Any
 from ..graph.pipeline import REJECTED
 from ..store import artifact
 from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
-from ..store.ply import ply_bytes
+from ..store.pictures import Drawing, write_drawing
+from ..store.ply import columns_of, ply_bytes
 from ..task import Task
-from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
+from .plugins import load, offer
+from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 
 
 @dataclass(frozen=True)
 class Done:
-    """How a task ended in a worker.  outcome: ran, cached (someone had done it), rejected, failed, or damaged: an input's bytes
-    were wrong and `damaged` has to be made again."""
+    """How a task ended in a worker."""
 
     task: Task
     outcome: str
+    """ran, cached (someone had done it), rejected, failed, or damaged: an input's bytes were wrong."""
     receipt: Receipt | None = None
     reason: str | None = None
     trace: str | None = None
     damaged: Task | None = None
+    """What has to be made again before this."""
+    warnings: tuple[str, ...] = ()
+    """What went wrong without costing the result, in words."""
 
 
 @dataclass
@@ -51,6 +56,7 @@ def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
     """
     if os.getpid() != parent and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+    offer(specs[0].folder)
     lane = _Lane(cache)
     finished: list[Done] = []
     for spec in specs:
@@ -65,17 +71,17 @@ def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
 def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
     """The one broad `except`: whatever a stage does wrong costs that task only."""
     try:
+        if spec.redraw:
+            return _redraw(spec, spec.redraw, lane)
         inputs = {name: _resolve(value, lane) for name, value in spec.inputs.items()}
-        resolved = TaskSpec(**{**spec.__dict__, "inputs": inputs})
+        resolved = dataclasses.replace(spec, inputs=inputs)
         preimage = resolved.preimage()
         key = preimage.key()
         if not spec.force and (receipt := lane.cache.find(preimage, key)):
             return Done(spec.task, "rejected" if receipt.outcome == "rejected" else "cached", receipt, receipt.reason)
-        receipt = _do(resolved, preimage, key, lane)
-        return Done(spec.task, receipt.outcome, receipt, receipt.reason)
+        return _do(resolved, preimage, key, lane)
     except DamagedArtifact as damage:
-        upstream = next(t for t in _upstreams(spec) if str(t) == damage.task)
-        return Done(spec.task, "damaged", reason=str(damage), damaged=upstream)
+        return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
     except MemoryError:
         return Done(spec.task, "failed", reason="ran out of memory: lower `resolution`, or run with fewer --jobs")
     except Exception as error:
@@ -86,14 +92,14 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         )
 
 
-def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
+def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
     wall, cpu = time.perf_counter(), time.process_time()
     arguments = {name: _load(value, lane) for name, value in spec.inputs.items()}
-    result = _function(spec.function)(**arguments, **spec.parameters)
-    nothing: Any = _function(REJECTED)
+    result = load(spec.function)(**arguments, **spec.parameters)
+    nothing: Any = load(REJECTED)
     rejected = isinstance(result, nothing)
     data = None if rejected else _bytes(spec, result)
-    picture = None if rejected or not spec.picture else _picture(spec.picture, result, arguments, lane)
+    warnings = () if rejected else _draw(spec, key, result, lane, arguments)
     receipt = Receipt(
         task=str(spec.task),
         key=key,
@@ -103,43 +109,66 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Receipt:
         parts={} if data is None else artifact.parts(result),
         file=None if data is None else f"{key}{spec.suffix}",
         bytes=len(data or b""),
-        picture=f"{key}.jpg" if picture else None,
         reason=result.reason if rejected else None,
+        code=_code(result) if rejected else None,
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
         cpu=time.process_time() - cpu,
         peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
-    lane.cache.write(receipt, data, picture)
+    lane.cache.write(receipt, data)
     lane.results[spec.task] = result
-    return receipt
+    return Done(spec.task, receipt.outcome, receipt, receipt.reason, warnings=warnings)
+
+
+def _code(rejection: Any) -> str | None:
+    """The reason as one word, where a function gives one."""
+    code = getattr(rejection, "code", None)
+    return None if code is None else str(code)
 
 
 def _bytes(spec: TaskSpec, result: Any) -> bytes | bytearray:
     if spec.table:
-        return ply_bytes(_function(spec.table.columns)(result), comments=("made by wbflow",))
+        return ply_bytes(load(spec.table.columns)(result), comments=("made by wbflow",))
     return artifact.encode(result)
 
 
 def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
     found = artifact.figures(result)
-    return found | _function(spec.table.figures)(result) if spec.table else found
+    return found | load(spec.table.figures)(result) if spec.table else found
 
 
-def _function(dotted: str) -> Callable[..., Any]:
-    module, _, name = dotted.partition(":")
-    function: Callable[..., Any] = getattr(importlib.import_module(module), name)
-    return function
+def _redraw(spec: TaskSpec, receipt: Receipt, lane: _Lane) -> Done:
+    """Draw the picture of a result that is in the cache."""
+    data = lane.cache.read(spec.task, lane.cache.path(receipt), receipt.digest)
+    result = load(spec.table.restore)(columns_of(data)) if spec.table else artifact.decode(data)
+    warnings = _draw(spec, receipt.key, result, lane, {})
+    return Done(spec.task, "cached", receipt, receipt.reason, warnings=warnings)
 
 
-def _picture(spec: PictureSpec, result: Any, arguments: dict[str, Any], lane: _Lane) -> bytes | None:
-    """A picture is for people: when it cannot be drawn, the task has succeeded all the same."""
+def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[str, Any]) -> tuple[str, ...]:
+    """Draw a result and keep the picture; returns what went wrong, in words: without its picture the task has succeeded all the
+    same.
+
+    loaded: the task's inputs, as far as they are in memory.
+    """
+    if spec.picture is None:
+        return ()
+    inputs = {name: _resolve(value, lane) for name, value in spec.picture.inputs.items()}
+    digest = dataclasses.replace(spec.picture, inputs=inputs).digest(key)
     try:
-        drawn = {name: _load(value, lane) for name, value in spec.inputs.items()}
-        return bytes(_function(spec.function)(result, **(arguments | drawn)))
-    except Exception:
-        return None
+        own = {name for name in loaded if spec.inputs.get(name) == inputs.get(name)}
+        asked = {name: loaded[name] if name in own else _load(value, lane) for name, value in inputs.items()}
+        picture = bytes(load(spec.picture.function)(**{spec.picture.result: result}, **asked))
+    except DamagedArtifact as damage:
+        return (f"its picture has to wait: {damage.what}",)  # and is drawn by the next run, when that is made again
+    except Exception as error:
+        failure = f"its picture could not be drawn: {type(error).__name__}: {error}"
+        write_drawing(lane.cache.work, spec.task, key, Drawing(digest, failure), None)
+        return (failure,)
+    write_drawing(lane.cache.work, spec.task, key, Drawing(digest), picture)
+    return ()
 
 
 def _resolve(value: Input, lane: _Lane) -> Input:
@@ -147,13 +176,6 @@ def _resolve(value: Input, lane: _Lane) -> Input:
     if isinstance(value, Stored) and value.path is None:
         return value.resolved(lane.cache, lane.receipts[value.task])
     return value
-
-
-def _upstreams(spec: TaskSpec) -> Iterator[Task]:
-    for value in spec.inputs.values():
-        for item in value.items.values() if isinstance(value, Joined) else [value]:
-            if isinstance(item, Stored):
-                yield item.task
 
 
 class _OnDemand(Mapping[Any, Any]):
@@ -190,7 +212,7 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     result = lane.results.get(value.task)
     if result is None:
         assert value.path is not None
-        result = artifact.decode(lane.cache.read(str(value.task), value.path, value.file_digest))
+        result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
             lane.results[value.task] = result
     return value.part.of(result) if value.part else result
@@ -200,10 +222,10 @@ def _from_plain(value: Value) -> Any:
     import numpy as np
 
     fields = {name: np.asarray(v, dtype=np.float64) if isinstance(v, list) else v for name, v in value.plain.items()}
-    return _function(value.kind)(**fields)
+    return load(value.kind)(**fields)
 
 
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    return _function(kind)(name=file.name, data=np.fromfile(file.path, dtype=np.uint8))
+    return load(kind)(name=file.name, data=np.fromfile(file.path, dtype=np.uint8))

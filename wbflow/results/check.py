@@ -6,10 +6,12 @@ import datetime
 import importlib
 import re
 import shutil
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 from ..config.load import Site
+from ..errors import ExitCode
 from ..night.captures import CaptureFile, expected
 from ..night.night import Night, open_night
 
@@ -31,12 +33,15 @@ BYTES_PER_PIXEL = 40
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found.  what: where and what; remedy: what to do; code: the exit code that a run would end with for it."""
+    """One thing found."""
 
     severity: Severity
     what: str
+    """Where, and what."""
     remedy: str
-    code: int
+    """What to do about it."""
+    code: ExitCode
+    """What a run would end with for it."""
 
 
 def check(site: Site, date: datetime.date | None) -> list[Finding]:
@@ -45,6 +50,11 @@ def check(site: Site, date: datetime.date | None) -> list[Finding]:
     if any(finding.severity == "error" for finding in machine):
         return machine + _disk(site)
     return [*check_captures(site, open_night(site, date)), *machine, *_disk(site)]
+
+
+def exit_code(findings: Iterable[Finding]) -> ExitCode:
+    """What `wbflow check` ends with: the worst that a run would."""
+    return min((finding.code for finding in findings if finding.severity == "error"), default=ExitCode.GOOD)
 
 
 def check_captures(site: Site, night: Night) -> list[Finding]:
@@ -56,15 +66,15 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
         files = night.captures[camera.id]
         if not files:
             what = f"{where}: there is no capture {expected(site, camera, night.date)}"
-            found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", 3))
+            found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", ExitCode.DEGRADED))
         for file in files:
             size, problem = _look_at(file)
             stated = (camera.lens["width"], camera.lens["height"])
             if problem:
-                found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", 3))
+                found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", ExitCode.DEGRADED))
             elif stated[0] and size != stated:
                 what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
-                found.append(Finding("error", what, "calibrate for this size, or correct width and height", 3))
+                found.append(Finding("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
     return found
 
 
@@ -89,7 +99,7 @@ def check_machine() -> list[Finding]:
         try:
             importlib.import_module(name)
         except (ImportError, OSError) as error:
-            found.append(Finding("error", f"{name} cannot be imported: {error}", _remedy(str(error)), 1))
+            found.append(Finding("error", f"{name} cannot be imported: {error}", _remedy(str(error)), ExitCode.FAILED))
     return found
 
 
@@ -111,4 +121,4 @@ def _disk(site: Site) -> list[Finding]:
     if free > need:
         return []
     what = f"{folder} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
-    return [Finding("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", 1)]
+    return [Finding("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", ExitCode.FAILED)]

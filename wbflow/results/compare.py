@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+
+from ..store.record import CameraRecord, PairRecord, RunRecord
 
 
 @dataclass(frozen=True)
 class Row:
-    """what: a figure's name; a, b: its value in the two runs; changed: do they differ?"""
+    """A figure in both runs."""
 
     what: str
+    """Its name."""
     a: str
     b: str
 
@@ -22,43 +22,28 @@ class Row:
         return self.a != self.b
 
 
-def read_run(path: Path) -> dict[str, Any]:
-    """run.json of a run's folder (or the file itself).
-
-    Raises
-    ------
-    ValueError
-        There is none, or it cannot be read.
-    """
-    file = path / "run.json" if path.is_dir() else path
-    try:
-        record = json.loads(file.read_text())
-        if not isinstance(record, dict) or "run" not in record:
-            raise ValueError("not a run.json")
-        return record
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} is not the folder of a run: {error}") from None
-
-
-def compare(a: dict[str, Any], b: dict[str, Any]) -> list[Row]:
+def compare(a: RunRecord, b: RunRecord) -> list[Row]:
     """The figures of two runs: first the night as a whole, then every camera and pair that differs."""
-    rows = [Row("run", a["run"], b["run"]), Row("date", a["date"], b["date"])]
-    rows += [Row("exit code", str(a["exit_code"]), str(b["exit_code"]))]
-    rows += [Row("points", *(f"{(r['cloud'] or {}).get('points', 0):,}" for r in (a, b)))]
-    rows += [Row("wall seconds", f"{a['seconds']['wall']:.1f}", f"{b['seconds']['wall']:.1f}")]
-    rows += [Row("CPU seconds", f"{a['seconds']['cpu']:.1f}", f"{b['seconds']['cpu']:.1f}")]
-    rows += [Row(f"tasks {name}", str(a["tasks"][name]), str(b["tasks"][name])) for name in a["tasks"]]
-    for kind, name in (("cameras", lambda r: r["id"]), ("pairs", lambda r: f"{r['left']}--{r['right']}")):
-        ours, theirs = ({name(r): _words(r) for r in run[kind]} for run in (a, b))
-        both = [Row(key, ours.get(key, "absent"), theirs.get(key, "absent")) for key in dict.fromkeys([*ours, *theirs])]
-        rows += [row for row in both if row.changed]
-    return rows
+    rows = [Row("run", a.run, b.run), Row("date", a.date, b.date), Row("exit code", str(a.exit_code), str(b.exit_code))]
+    rows += [Row("points", *(f"{r.cloud.points if r.cloud else 0:,}" for r in (a, b)))]
+    rows += [Row("wall seconds", f"{a.seconds.wall:.1f}", f"{b.seconds.wall:.1f}")]
+    rows += [Row("CPU seconds", f"{a.seconds.cpu:.1f}", f"{b.seconds.cpu:.1f}")]
+    counts = a.tasks.to_json(), b.tasks.to_json()
+    rows += [Row(f"tasks {name}", *(str(count[name]) for count in counts)) for name in counts[0]]
+    ours = {camera.id: _words(camera) for camera in a.cameras} | {pair.name: _words(pair) for pair in a.pairs}
+    theirs = {camera.id: _words(camera) for camera in b.cameras} | {pair.name: _words(pair) for pair in b.pairs}
+    both = [Row(name, ours.get(name, "absent"), theirs.get(name, "absent")) for name in dict.fromkeys([*ours, *theirs])]
+    return rows + [row for row in both if row.changed]
 
 
-def _words(record: dict[str, Any]) -> str:
-    if record["outcome"] != "ok":
-        return f"{record['outcome']}: {record['reason']}"
-    if "keypoints" in record:
-        return f"ok, {record['keypoints']} keypoints"
-    density = f", density {record['density']:.2f}" if record["density"] is not None else ""
-    return f"ok, {record['inliers']} inliers{density}"
+def _words(record: CameraRecord | PairRecord) -> str:
+    if not record.ok:
+        return f"{record.outcome}: {record.reason}"
+    figures = (f"{name} {value:.2f}" if isinstance(value, float) else f"{value} {name}" for name, value in _shown(record))
+    return ", ".join(["ok", *figures])
+
+
+def _shown(record: CameraRecord | PairRecord) -> list[tuple[str, int | float]]:
+    """Counts, and shares of one: what differs by little from night to night says nothing."""
+    shown = ("keypoints", "inliers", "density")
+    return [(name, value) for name in shown if (value := record.figures.get(name)) is not None]

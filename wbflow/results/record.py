@@ -1,164 +1,184 @@
-"""What is written of a run: run.json (its form is a contract), made from the states of a plan."""
+"""A run in figures: run.json made from the states of a plan, by what the rows of the pipeline report."""
 
 from __future__ import annotations
 
 import datetime
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from .. import __version__
-from ..night.plan import Plan, State
+from ..errors import ExitCode
+from ..graph.pipeline import STAGES, Reports, Role, Stage, WorldReports, stage_with
+from ..night.plan import Plan
+from ..night.state import State
+from ..store.layout import cloud_name
+from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
 from ..task import Task
-from .publish import cloud_file
-
-STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
-@dataclass
-class Measures:
-    """Costs of a run, summed as tasks finish.  stages: wall and CPU seconds and number of tasks that ran, by stage."""
+def run_record(
+    run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float, interrupted: bool
+) -> RunRecord:
+    """The record of a run that ends now.
 
-    started: datetime.datetime
-    wall: float = 0.0
-    cpu: float = 0.0
-    peak_rss_mb: float = 0.0
-    stages: dict[str, dict[str, float]] = field(default_factory=dict)
-
-    def add(self, stage: str, wall: float, cpu: float, peak_rss_mb: float) -> None:
-        """Count a task that ran."""
-        row = self.stages.setdefault(stage, {"wall": 0.0, "cpu": 0.0, "tasks": 0})
-        row["wall"] += wall
-        row["cpu"] += cpu
-        row["tasks"] += 1
-        self.cpu += cpu
-        self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb)
-
-
-def run_record(run: str, plan: Plan, measures: Measures, finished: datetime.datetime, interrupted: bool) -> dict[str, Any]:
-    """run.json of a run."""
-    counts = dict.fromkeys(("cached", "ran", "rejected", "failed", "skipped"), 0)
-    for state in plan.states.values():
-        counts[state.outcome] += 1
-    pairs = [_pair(plan, pair) for pair in _pairs(plan)]
-    cameras = [_with_fruitless_pairs(_camera(plan, camera.id), pairs) for camera in plan.site.cameras]
-    fuse = plan.states.get(Task("fuse", ()))
-    return {
-        "run": run,
-        "site": plan.site.name,
-        "version": __version__,
-        "date": plan.night,
-        "started": measures.started.strftime(STAMP),
-        "finished": finished.strftime(STAMP),
-        "exit_code": 130 if interrupted else exit_code(plan, cameras),
-        "tasks": counts,
-        "seconds": {
-            "wall": round(measures.wall, 2),
-            "cpu": round(measures.cpu, 2),
-            "stages": {name: {k: round(v, 2) for k, v in row.items()} for name, row in measures.stages.items()},
-        },
-        "peak_rss_mb": round(measures.peak_rss_mb),
-        "cameras": cameras,
-        "pairs": pairs,
-        "cloud": _cloud(plan, Task("fuse", ())),
-        "other_clouds": [c for task in plan.states if task.stage == "fuse" and task.subject and (c := _cloud(plan, task))],
-        "poses": _poses(plan),
-        "reason": fuse.reason if fuse and not fuse.usable else None,
-    }
+    Parameters
+    ----------
+    run : str
+        Its id.
+    plan : Plan
+        With the states of all its tasks.
+    started : datetime
+        UTC.
+    seconds : Seconds
+        What it has cost.
+    peak_rss_mb : float
+        Memory of its largest worker.
+    interrupted : bool
+        Was it stopped from outside?
+    """
+    pairs = tuple(_pair(plan, pair) for pair in _pairs(plan))
+    cameras = tuple(_with_fruitless_pairs(_camera(plan, camera.id), pairs) for camera in plan.site.cameras)
+    product = stage_with(Role.PRODUCT).name
+    main = plan.states.get(Task(product))
+    others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == product and task.subject)
+    return RunRecord(
+        run,
+        plan.site.name,
+        __version__,
+        plan.night,
+        stamp(started),
+        stamp(datetime.datetime.now(datetime.UTC)),
+        exit_code(plan, cameras, interrupted),
+        TaskCounts(**Counter[str](state.outcome for state in plan.states.values())),
+        seconds,
+        round(peak_rss_mb),
+        cameras,
+        pairs,
+        cloud=_cloud(Task(product), main) if main else None,
+        other_clouds=tuple(cloud for cloud in others if cloud),
+        poses=_world(plan),
+        reason=main.reason if main and not main.usable else None,
+        code=_code(main) if main and not main.usable else None,
+    )
 
 
-def exit_code(plan: Plan, cameras: list[dict[str, Any]]) -> int:
-    """0 complete, 1 no cloud, 3 something failed."""
-    fuse = plan.states.get(Task("fuse", ()))
-    if any(stage.name == "fuse" for stage in plan.stages()) and not (fuse and fuse.usable):
-        return 1
-    lost = any(state.outcome == "failed" for state in plan.states.values()) or any(c["outcome"] != "ok" for c in cameras)
-    return 3 if lost else 0
+def exit_code(plan: Plan, cameras: tuple[CameraRecord, ...], interrupted: bool = False) -> ExitCode:
+    """How a run ends: the one place that decides it."""
+    if interrupted:
+        return ExitCode.INTERRUPTED
+    product = stage_with(Role.PRODUCT)
+    main = plan.states.get(Task(product.name))
+    if product in plan.stages() and not (main and main.usable):
+        return ExitCode.FAILED
+    lost = any(state.outcome == "failed" for state in plan.states.values()) or not all(camera.ok for camera in cameras)
+    return ExitCode.DEGRADED if lost else ExitCode.GOOD
 
 
-def _cloud(plan: Plan, task: Task) -> dict[str, Any] | None:
-    state = plan.states.get(task)
-    if state is None or not state.usable:
-        return None
-    figures = _figures(state)
-    return {"path": cloud_file(task), "points": figures["points_count"], "bounds": figures["bounds"]}
+def reported(scope: str) -> list[str]:
+    """Names of all figures that stages report of a camera or of a pair, in the order of the pipeline."""
+    names: dict[str, None] = {}
+    for stage in STAGES:
+        if stage.scope == scope and stage.reports:
+            names |= dict.fromkeys(stage.reports.fields)
+        if stage.world_reports:
+            names |= dict.fromkeys(stage.world_reports.cameras if scope == "camera" else stage.world_reports.pairs)
+    return list(names)
 
 
-def _poses(plan: Plan) -> dict[str, Any] | None:
-    """How the cameras came to stand where they do, without the cameras themselves (those are in cameras.json) and what is said
-    of each camera and pair elsewhere."""
-    state = plan.states.get(Task("poses", ()))
-    if state is None or not state.usable:
-        return None
-    return {name: _rounded(value) for name, value in _figures(state).items() if name not in {"verdicts", "checks"}}
-
-
-def _camera(plan: Plan, camera: str) -> dict[str, Any]:
-    states = [plan.states.get(Task(stage, (camera,))) for stage in ("frames", "features")]
-    record: dict[str, Any] = {"id": camera, "outcome": "ok", "keypoints": None, "reason": None, "notes": [], "pose": None}
-    for state in filter(None, states):
+def _camera(plan: Plan, camera: str) -> CameraRecord:
+    record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")))
+    for stage, reports in _reporting("camera"):
+        state = plan.states.get(Task(stage.name, (camera,)))
+        if state is None:
+            continue
         if not state.usable:
-            return record | {"outcome": state.outcome, "reason": state.reason}
-        record["notes"] = [*record["notes"], *_figures(state).get("notes", [])]
-        record["keypoints"] = _figures(state).get("xy_count", record["keypoints"])
-    poses = plan.states.get(Task("poses", ()))
-    solved = _figures(poses) if poses else {}
-    record["pose"] = _rounded(solved.get("checks", {}).get(camera))
-    if camera in solved.get("suspects", {}):
-        record["notes"] = [*record["notes"], solved["suspects"][camera]]
-    if camera in solved.get("unsolved", {}):
-        return record | {"outcome": "unsolved", "reason": solved["unsolved"][camera]}
+            return replace(record, outcome=state.outcome, reason=state.reason, code=_code(state))
+        notes = tuple(_figures(state).get(reports.notes, ()))
+        record = replace(record, notes=record.notes + notes, figures={**record.figures, **_told(state, reports)})
+    for solved, world in _worlds(plan):
+        told = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
+        note = solved.get(world.camera_notes, {}).get(camera)
+        record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
+        if camera in solved.get(world.lost_cameras, {}):
+            record = replace(record, outcome="unsolved", reason=solved[world.lost_cameras][camera])
     return record
 
 
-def _with_fruitless_pairs(camera: dict[str, Any], pairs: list[dict[str, Any]]) -> dict[str, Any]:
+def _with_fruitless_pairs(camera: CameraRecord, pairs: tuple[PairRecord, ...]) -> CameraRecord:
     """A camera none of whose pairs came to anything has been turned or moved, or sees something else: its notes say so."""
-    tried = [pair for pair in pairs if camera["id"] in (pair["left"], pair["right"]) and pair["outcome"] != "skipped"]
-    if camera["outcome"] != "ok" or not tried or any(pair["outcome"] == "ok" for pair in tried):
+    tried = [pair for pair in pairs if camera.id in (pair.left, pair.right) and pair.outcome != "skipped"]
+    if not camera.ok or not tried or any(pair.ok for pair in tried):
         return camera
-    reason = Counter(str(pair["reason"]) for pair in tried).most_common(1)[0][0]
+    reason = Counter(str(pair.reason) for pair in tried).most_common(1)[0][0]
     note = f"none of its {len(tried)} pairs could be used: {reason}; has it been moved?"
-    return camera | {"notes": [*camera["notes"], note]}
+    return replace(camera, notes=(*camera.notes, note))
+
+
+def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
+    record = PairRecord(*pair, "ok", figures=dict.fromkeys(reported("pair")))
+    for stage, reports in _reporting("pair"):
+        state = plan.states.get(Task(stage.name, pair))
+        if state is None:
+            continue
+        record = replace(record, figures={**record.figures, **_told(state, reports)})
+        if not state.usable and record.ok:
+            record = replace(record, outcome=state.outcome, reason=state.reason, code=_code(state), stage=stage.name)
+    for solved, world in _worlds(plan):
+        told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
+        record = replace(record, figures={**record.figures, **told})
+    return record
+
+
+def _reporting(scope: str) -> list[tuple[Stage, Reports]]:
+    return [(stage, stage.reports) for stage in STAGES if stage.scope == scope and stage.reports]
+
+
+def _worlds(plan: Plan) -> list[tuple[dict[str, Any], WorldReports]]:
+    """Figures of site-wide results, and what they report of cameras and pairs."""
+    return [(_figures(plan.states.get(Task(s.name))), s.world_reports) for s in STAGES if s.world_reports]
+
+
+def _told(state: State, reports: Reports) -> dict[str, Any]:
+    """Figures of a task by their names in the record."""
+    figures = _figures(state)
+    names = reports.fields if state.usable else {**reports.fields, **reports.rejected}
+    return {ours: figures[theirs] for ours, theirs in names.items() if theirs in figures}
+
+
+def _entry(figures: Mapping[str, Any], figure: str, subject: str, name: str) -> Any:
+    entry = figures.get(figure, {}).get(subject)
+    return entry.get(name) if entry is not None and name else entry
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
-    state = plan.states.get(Task("pairs", ()))
-    return [tuple(pair) for pair in _figures(state).get("pairs", [])] if state and state.usable else []
+    graph = stage_with(Role.PAIR_GRAPH)
+    state = plan.states.get(Task(graph.name))
+    return [tuple(pair) for pair in _figures(state).get(graph.lists, [])] if state and state.usable else []
 
 
-def _pair(plan: Plan, pair: tuple[str, str]) -> dict[str, Any]:
-    record: dict[str, Any] = {"left": pair[0], "right": pair[1], "outcome": "ok"}
-    record |= dict.fromkeys(("matches", "inliers", "angle_deg", "epipolar_px", "poses_px", "vertical_px", "density", "reason"))
-    names = {
-        "matches": {"x1_count": "matches"},
-        "geometry": {
-            "x1_count": "inliers",
-            "angle_deg": "angle_deg",
-            "epipolar_px": "epipolar_px",
-            "good_probability": "probability",
-        },
-        "rectify": {"angle_deg": "angle_deg", "vertical_px": "vertical_px", "method": "method"},
-        "disparity": {"density": "density"},
-    }
-    for stage, fields in names.items():
-        state = plan.states.get(Task(stage, pair))
-        if state is None:
-            continue
-        figures = _figures(state)
-        record |= {ours: _rounded(figures[theirs]) for theirs, ours in fields.items() if theirs in figures}
-        if not state.usable and record["outcome"] == "ok":
-            record |= {"outcome": state.outcome, "reason": state.reason, "stage": stage}
-            record["inliers"] = figures.get("inliers", record["inliers"])
-    poses = plan.states.get(Task("poses", ()))
-    verdict = _figures(poses).get("verdicts", {}).get("--".join(pair), {}) if poses else {}
-    return record | {"poses_px": _rounded(verdict.get("adjusted_px"))}
+def _cloud(task: Task, state: State) -> CloudRecord | None:
+    if not state.usable:
+        return None
+    figures = _figures(state)
+    low, high = figures["bounds"]
+    return CloudRecord(cloud_name(task.subject), figures["points_count"], (tuple(low), tuple(high)))
 
 
-def _figures(state: State) -> dict[str, Any]:
-    return state.receipt.figures if state.receipt else {}
+def _world(plan: Plan) -> WorldRecord | None:
+    """Without the cameras themselves, and without what is said of each camera and pair elsewhere."""
+    stage = stage_with(Role.WORLD)
+    state = plan.states.get(Task(stage.name))
+    if state is None or not state.usable:
+        return None
+    elsewhere = stage.world_reports.told_elsewhere() if stage.world_reports else set()
+    return WorldRecord({name: value for name, value in _figures(state).items() if name not in elsewhere})
 
 
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _rounded(entry) for key, entry in value.items()}
-    return round(value, 4) if isinstance(value, float) else value
+def _figures(state: State | None) -> dict[str, Any]:
+    return state.receipt.figures if state and state.receipt else {}
+
+
+def _code(state: State) -> str | None:
+    return state.receipt.code if state.receipt else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..graph.pipeline import Role, stage_with
 from ..night.plan import Plan
 from ..night.spec import TaskSpec
 from ..store.cache import Preimage, Receipt
@@ -32,10 +33,15 @@ def explain(plan: Plan) -> list[Line]:
     return [lines[task] for task in sorted(lines, key=lambda t: order[t.stage])]
 
 
+def pairs_to_come(plan: Plan) -> bool:
+    """Will pairs be matched that are not listed yet, because the pair graph is not there?"""
+    return not plan.pairs_known() and stage_with(Role.PAIR_GRAPH) in plan.stages()
+
+
 def _why(plan: Plan, spec: TaskSpec) -> str:
     if spec.force:
         return "forced"
-    last = plan.cache.newest(spec.task.stage, spec.task.subject)
+    last = plan.cache.newest(spec.task)
     if last is None:
         return "never run"
     return difference(last, spec.preimage()) or "its artifact is gone"
@@ -43,7 +49,7 @@ def _why(plan: Plan, spec: TaskSpec) -> str:
 
 def _pending(plan: Plan, task: Task) -> str:
     """How much of a waiting task's input is to be made anew (the same bytes may come out of it: then the task is not run)."""
-    last = plan.cache.newest(task.stage, task.subject)
+    last = plan.cache.newest(task)
     upstreams = plan.upstreams(task)
     pending = sum(upstream not in plan.states for upstream in upstreams)
     if last is None or not pending:
@@ -55,10 +61,9 @@ def difference(last: Receipt, now: Preimage) -> str:
     """What changed since a receipt, in words."""
     before = last.preimage
     found = []
-    if before.function != now.function:
-        found.append(f"function {before.function} → {now.function}")
-    elif before.code != now.code:
-        found.append("its code, or a library's version, changed")
+    if before.code != now.code:
+        renamed = before.function != now.function
+        found.append(f"function {before.function} → {now.function}" if renamed else "its code, or a library's version, changed")
     for name in sorted(before.parameters.keys() | now.parameters.keys()):
         old, new = before.parameters.get(name), now.parameters.get(name)
         if old != new:

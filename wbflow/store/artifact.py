@@ -15,10 +15,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..errors import WbflowError
+
 MAGIC = b"WBF1"
 
 
-class ArtifactError(ValueError):
+class ArtifactError(WbflowError, ValueError):
     """The bytes are not an intact artifact."""
 
 

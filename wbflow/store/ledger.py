@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
+from dataclasses import astuple, dataclass, fields
 
 from .cache import Cache, Receipt
+from .events import TaskEvent
+from .layout import WorkFolder
+from .record import RunRecord
+from .run_folder import NoSuchRun, RunFolder
 
 _SCHEMA = """
 create table if not exists runs (
@@ -22,21 +24,44 @@ create index if not exists uses_artifact on uses (artifact);
 """
 
 
-class Ledger:
-    """The ledger of one work folder; a context manager."""
+@dataclass(frozen=True)
+class LedgerRun:
+    """A run as the ledger knows it: the columns of its table."""
 
-    def __init__(self, work: Path) -> None:
-        self._path = work / "ledger.sqlite"
-        fresh = not self._path.exists()
+    run: str
+    date: str
+    started: str
+    finished: str
+    wall: float
+    cpu: float
+    cached: int
+    ran: int
+    rejected: int
+    failed: int
+    skipped: int
+    points: int | None
+    """Of the cloud; None where there is none."""
+    exit_code: int
+
+
+class Ledger:
+    """The ledger of one work folder; a context manager.  Whoever opens it can meet sqlite3.Error and OSError."""
+
+    def __init__(self, work: WorkFolder) -> None:
+        self.faults: list[str] = []
+        """What was wrong with it and has been put right, or left out, in words."""
+        self._work = work
+        fresh = not work.ledger.exists()
         try:
             self._db = self._open()
-        except sqlite3.DatabaseError:
-            for name in ("ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm"):
-                (work / name).unlink(missing_ok=True)
+        except sqlite3.DatabaseError as error:
+            self.faults.append(f"{work.ledger} was damaged ({error}): made again from receipts and records")
+            for path in work.ledger_files():
+                path.unlink(missing_ok=True)
             fresh = True
             self._db = self._open()
         if fresh:
-            self._rebuild(work)
+            self._rebuild()
 
     def __enter__(self) -> Ledger:
         return self
@@ -50,23 +75,24 @@ class Ledger:
         with self._db:
             self._db.executemany("insert or replace into artifacts values (?,?,?,?,?,?,?,?,?)", rows)
 
-    def record_run(self, record: dict[str, Any], uses: Iterable[tuple[str, str | None, str, str | None]]) -> None:
-        """Index a run: its run.json, and for each task (task, key, outcome, reason)."""
-        tasks, seconds, cloud = record["tasks"], record["seconds"], record.get("cloud") or {}
-        row = [record[k] for k in ("run", "date", "started", "finished")] + [seconds["wall"], seconds["cpu"]]
-        row += [tasks[k] for k in ("cached", "ran", "rejected", "failed", "skipped")] + [cloud.get("points"), record["exit_code"]]
+    def record_run(self, record: RunRecord, tasks: Iterable[TaskEvent]) -> None:
+        """Index a run, and what each of its tasks used."""
+        seconds, counts = record.seconds, record.tasks
+        times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
+        ended = (counts.cached, counts.ran, counts.rejected, counts.failed, counts.skipped)
+        points = record.cloud.points if record.cloud else None
+        row = astuple(LedgerRun(record.run, record.date, *times, *ended, points, int(record.exit_code)))
         with self._db:
             self._db.execute(f"insert or replace into runs values ({','.join('?' * len(row))})", row)
             self._db.executemany(
                 "insert or replace into uses values (?,?,?,?,?)",
-                [(record["run"], key, outcome, reason, task) for task, key, outcome, reason in uses],
+                [(record.run, task.key, task.outcome, task.reason, str(task.task)) for task in tasks],
             )
 
-    def runs(self) -> list[dict[str, Any]]:
+    def runs(self) -> list[LedgerRun]:
         """Every run, oldest first."""
-        cursor = self._db.execute("select * from runs order by run")
-        names = [column[0] for column in cursor.description]
-        return [dict(zip(names, row, strict=True)) for row in cursor]
+        columns = ", ".join(field.name for field in fields(LedgerRun))
+        return [LedgerRun(*row) for row in self._db.execute(f"select {columns} from runs order by run")]
 
     def keys_of_runs(self, runs: Iterable[str]) -> set[str]:
         """Keys of all artifacts that these runs used."""
@@ -78,20 +104,16 @@ class Ledger:
         return found
 
     def _open(self) -> sqlite3.Connection:
-        database = sqlite3.connect(self._path)
+        database = sqlite3.connect(self._work.ledger)
         database.execute("pragma journal_mode = wal")
         database.executescript(_SCHEMA)
         return database
 
-    def _rebuild(self, work: Path) -> None:
-        self.record_artifacts(Cache(work / "cache").receipts())
-        for path in sorted(work.glob("runs/*/run.json")):
-            if path.parent.is_symlink():
-                continue
+    def _rebuild(self) -> None:
+        self.record_artifacts(Cache(self._work).receipts())
+        for name in self._work.run_ids():
+            run = RunFolder.of(self._work, name)
             try:
-                record = json.loads(path.read_text())
-                lines = [json.loads(line) for line in (path.parent / "log.jsonl").read_text().splitlines()]
-                uses = [(e["task"], e["key"], e["outcome"], e["reason"]) for e in lines if e.get("event") == "task"]
-                self.record_run(record, uses)
-            except (OSError, ValueError, KeyError):
-                continue
+                self.record_run(run.record(), run.tasks().values())
+            except NoSuchRun as error:
+                self.faults.append(f"{error.what}: left out of the ledger")

@@ -12,9 +12,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from ..errors import ExitCode, WbflowError
 
-class Locked(Exception):
+
+class Locked(WbflowError):
     """Another run holds the work folder; the message says who and since when."""
+
+    exit_code = ExitCode.LOCKED
 
 
 @contextlib.contextmanager
@@ -34,7 +38,8 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
                 break
             except BlockingIOError:
                 if not wait:
-                    raise Locked(f"another run holds {path.parent}: {_holder(path)}") from None
+                    what = f"another run holds {path.parent}: {_holder(path)}"
+                    raise Locked(what, remedy="wait for it (--wait), or stop it") from None
                 time.sleep(0.2)
         file.truncate(0)
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

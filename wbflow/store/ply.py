@@ -40,21 +40,28 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
     ValueError
         Another PLY format, list properties, or fewer bytes than the header promises.
     """
+    try:
+        return columns_of(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def columns_of(data: bytes) -> dict[str, npt.NDArray[Any]]:
+    """Vertex columns of the bytes of a binary little-endian PLY by name.  Raises ValueError."""
     import numpy as np
 
-    data = path.read_bytes()
     end = data.find(b"end_header\n")
     lines = data[:end].decode("ascii", "replace").split("\n") if end >= 0 else []
     if lines[:2] != ["ply", "format binary_little_endian 1.0"]:
-        raise ValueError(f"{path}: not a binary little-endian PLY file")
+        raise ValueError("not a binary little-endian PLY file")
     sizes = {kind: code for code, kind in _TYPES.items()}
     words = [line.split() for line in lines]
     count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
     dtype: np.dtype[Any] = np.dtype([(w[2], "<" + sizes[w[1]]) for w in words if w and w[0] == "property"])
-    body = data[end + len(b"end_header\n") :]
-    if len(body) < count * dtype.itemsize:
-        raise ValueError(f"{path}: ends after {len(data):,} bytes, {count:,} points were promised")
-    table = np.frombuffer(body, dtype=dtype, count=count)
+    start = end + len(b"end_header\n")
+    if len(data) - start < count * dtype.itemsize:
+        raise ValueError(f"ends after {len(data):,} bytes, {count:,} points were promised")
+    table = np.frombuffer(data, dtype=dtype, count=count, offset=start)
     return {name: table[name].copy() for name in dtype.names or ()}
 
 

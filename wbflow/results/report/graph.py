@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from html import escape
-from typing import Any
+
+from ...store.record import PairRecord, RunRecord
 
 WIDTH, HEIGHT, MARGIN = 640, 420, 56
 
@@ -20,10 +21,10 @@ class Node:
     ok: bool
 
 
-def pair_graph_svg(record: dict[str, Any], centres: dict[str, tuple[float, float]]) -> str:
+def pair_graph_svg(record: RunRecord, centres: dict[str, tuple[float, float]]) -> str:
     """SVG text of a run's pairs.  centres: world (x, y) of cameras by id, as far as known."""
-    nodes = _layout([c["id"] for c in record["cameras"]], {c["id"] for c in record["cameras"] if c["outcome"] == "ok"}, centres)
-    lines = [_edge(nodes, pair) for pair in sorted(record["pairs"], key=lambda p: p["outcome"] == "ok")]
+    nodes = _layout([c.id for c in record.cameras], {c.id for c in record.cameras if c.ok}, centres)
+    lines = [_edge(nodes, pair) for pair in sorted(record.pairs, key=lambda p: p.ok)]
     dots = [_dot(node) for node in nodes.values()]
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" class="graph" role="img" aria-label="pair graph">{"".join(lines + dots)}</svg>'
 
@@ -43,13 +44,13 @@ def _layout(ids: list[str], ok: set[str], centres: dict[str, tuple[float, float]
     }
 
 
-def _edge(nodes: dict[str, Node], pair: dict[str, Any]) -> str:
-    a, b = nodes[pair["left"]], nodes[pair["right"]]
-    good = pair["outcome"] == "ok"
-    width = 1 + 4 * (pair["density"] or 0) if good else 1
-    note = f"{a.id}–{b.id}: {pair['inliers'] or 0} inliers" if good else f"{a.id}–{b.id}: {pair['outcome']}: {pair['reason']}"
-    style = f'class="{"good" if good else "bad"}" stroke-width="{width:.1f}"'
-    return f'<line x1="{a.x:.1f}" y1="{a.y:.1f}" x2="{b.x:.1f}" y2="{b.y:.1f}" {style}><title>{escape(note)}</title></line>'
+def _edge(nodes: dict[str, Node], pair: PairRecord) -> str:
+    a, b = nodes[pair.left], nodes[pair.right]
+    width = 1 + 4 * (pair.figures.get("density") or 0) if pair.ok else 1
+    note = f"{pair.figures.get('inliers') or 0} inliers" if pair.ok else f"{pair.outcome}: {pair.reason}"
+    style = f'class="{"good" if pair.ok else "bad"}" stroke-width="{width:.1f}"'
+    title = escape(f"{a.id}–{b.id}: {note}")
+    return f'<line x1="{a.x:.1f}" y1="{a.y:.1f}" x2="{b.x:.1f}" y2="{b.y:.1f}" {style}><title>{title}</title></line>'
 
 
 def _dot(node: Node) -> str:

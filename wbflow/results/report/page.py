@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import base64
-import json
+from collections.abc import Iterable, Mapping
 from html import escape
-from pathlib import Path
 from typing import Any
 
-from ...store.cache import Cache
+from ...errors import ExitCode
+from ...graph.pipeline import STAGES, Role, stage_with
+from ...store.events import Event, TaskEvent, WarningEvent
+from ...store.layout import WorkFolder
+from ...store.record import RunRecord
+from ...store.run_folder import RunFolder
+from ...task import Subject, Task
+from ..record import reported
 from .graph import pair_graph_svg
 
 STYLE = """
@@ -29,154 +35,170 @@ th:first-child, td:first-child, td.words, th.words { text-align: left; }
 """
 
 EXITS = {
-    0: "Complete: every camera and pair did its part.",
-    1: "No cloud could be made.",
-    3: "A cloud was made, but something failed.",
-    130: "Interrupted; everything finished is kept.",
+    ExitCode.GOOD: "Complete: every camera and pair did its part.",
+    ExitCode.FAILED: "No cloud could be made.",
+    ExitCode.DEGRADED: "A cloud was made, but something failed.",
+    ExitCode.INTERRUPTED: "Interrupted; everything finished is kept.",
 }
 
+UNITS = {"deg": "°", "px": "px"}
+"""How units at the end of a figure's name are shown."""
 
-def build_report(work: Path, folder: Path) -> str:
-    """HTML of the run in `folder` (its run.json and log.jsonl), with pictures from the cache of the work folder.
+Pictures = Mapping[Task, str]
+"""Pictures as data URLs, by task."""
 
-    Raises
-    ------
-    OSError, ValueError
-        The run's files are missing or unreadable.
+
+def rebuild_report(work: WorkFolder, folder: RunFolder) -> str:
+    """The report of a finished run.  Raises NoSuchRun for a folder that cannot be read."""
+    return build_report(work, folder.record(), folder.events(), folder.cameras())
+
+
+def build_report(work: WorkFolder, record: RunRecord, events: Iterable[Event], cameras: Mapping[str, Any]) -> str:
+    """HTML of a run.
+
+    Parameters
+    ----------
+    work : WorkFolder
+        Whose cache holds the pictures.
+    record : RunRecord
+        The run in figures.
+    events : iterable of Event
+        What happened.
+    cameras : mapping
+        The cameras that the cloud rests on by id, in the form of a calibration.
     """
-    record = json.loads((folder / "run.json").read_text())
-    events = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    pictures = _pictures(Cache(work / "cache"), events)
+    events = list(events)
+    pictures = _pictures(work, events)
     body = [
         _head(record),
         _faults(record, events),
         _cloud(record, pictures),
-        _graph(record, folder),
+        _graph(record, cameras),
         _cameras(record, pictures),
         _pairs(record, pictures),
         _timings(record),
     ]
-    title = escape(f"{record['site']} {record['date']}")
+    title = escape(f"{record.site} {record.date}")
     head = (
         f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title><style>{STYLE}</style>'
     )
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>'
 
 
-def _pictures(cache: Cache, events: list[dict[str, Any]]) -> dict[str, str]:
-    """Pictures as data URLs, by task name."""
+def _pictures(work: WorkFolder, events: Iterable[Event]) -> Pictures:
     found = {}
     for event in events:
-        if event.get("event") != "task" or not event.get("key"):
-            continue
-        path = cache.folder(event["stage"], tuple(event["subject"])) / f"{event['key']}.jpg"
-        if path.is_file():
-            found[event["task"]] = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
+        if isinstance(event, TaskEvent) and event.key:
+            path = work.picture(event.task, event.key)
+            if path.is_file():
+                found[event.task] = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
     return found
 
 
-def _head(record: dict[str, Any]) -> str:
-    code = record["exit_code"]
-    words = EXITS.get(code, f"Exit code {code}.")
-    good = sum(p["outcome"] == "ok" for p in record["pairs"])
-    cameras = sum(c["outcome"] == "ok" for c in record["cameras"])
-    facts = [f"{cameras} of {len(record['cameras'])} cameras", f"{good} of {len(record['pairs'])} pairs"]
-    if record["cloud"]:
-        facts.append(f"{record['cloud']['points']:,} points")
-    facts.append(f"{record['seconds']['wall']:.0f} s")
-    tasks = ", ".join(f"{count} {name}" for name, count in record["tasks"].items() if count)
+def _of_subject(pictures: Pictures, subject: Subject) -> list[str]:
+    """Pictures of a camera or pair in the order of the pipeline."""
+    return [picture for stage in STAGES if (picture := pictures.get(Task(stage.name, subject)))]
+
+
+def _head(record: RunRecord) -> str:
+    words = EXITS.get(ExitCode(record.exit_code), f"Exit code {record.exit_code}.")
+    good = sum(pair.ok for pair in record.pairs)
+    cameras = sum(camera.ok for camera in record.cameras)
+    facts = [f"{cameras} of {len(record.cameras)} cameras", f"{good} of {len(record.pairs)} pairs"]
+    if record.cloud:
+        facts.append(f"{record.cloud.points:,} points")
+    facts.append(f"{record.seconds.wall:.0f} s")
+    tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
     return (
-        f"<h1>{escape(record['site'])}, night of {escape(record['date'])}</h1>"
-        f'<p class="muted">run {record["run"]}, wbflow {escape(record["version"])}; tasks: {tasks}</p>'
-        f'<p class="verdict{"" if code == 0 else " bad"}">{words} {", ".join(facts)}.</p>'
+        f"<h1>{escape(record.site)}, night of {escape(record.date)}</h1>"
+        f'<p class="muted">run {record.run}, wbflow {escape(record.version)}; tasks: {tasks}</p>'
+        f'<p class="verdict{" bad" if record.exit_code else ""}">{words} {", ".join(facts)}.</p>'
     )
 
 
-def _faults(record: dict[str, Any], events: list[dict[str, Any]]) -> str:
+def _faults(record: RunRecord, events: Iterable[Event]) -> str:
     """Whatever failed, and why: what an operator has to act on comes first."""
-    failed = [e for e in events if e.get("outcome") == "failed"]
-    rows = "".join(
-        f'<li><b>{escape(e["task"])}</b>: <span class="reason">{escape(e["reason"] or "")}</span></li>' for e in failed
-    )
-    if record.get("reason"):
-        rows += f'<li><b>cloud</b>: <span class="reason">{escape(record["reason"])}</span></li>'
-    moved = (record.get("poses") or {}).get("suspects", {})
-    warnings = "".join(
-        f'<li><b>{escape(name)}</b>: <span class="reason">{escape(why)}</span></li>' for name, why in moved.items()
-    )
-    return (f"<h2>What failed</h2><ul>{rows}</ul>" if rows else "") + (
-        f"<h2>What has changed</h2><ul>{warnings}</ul>" if warnings else ""
-    )
+    failed = [(str(e.task), e.reason or "") for e in events if isinstance(e, TaskEvent) and e.outcome == "failed"]
+    if record.reason:
+        failed.append(("cloud", record.reason))
+    changed = list(record.poses.suspects.items()) if record.poses else []
+    survived = [
+        (str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in events if isinstance(e, WarningEvent)
+    ]
+    return _told("What failed", failed) + _told("What has changed", changed) + _told("What went wrong and was survived", survived)
 
 
-def _cloud(record: dict[str, Any], pictures: dict[str, str]) -> str:
-    if not record["cloud"]:
+def _told(title: str, rows: Iterable[tuple[str, str]]) -> str:
+    items = "".join(f'<li><b>{escape(name)}</b>: <span class="reason">{escape(why)}</span></li>' for name, why in rows)
+    return f"<h2>{title}</h2><ul>{items}</ul>" if items else ""
+
+
+def _cloud(record: RunRecord, pictures: Pictures) -> str:
+    cloud, poses = record.cloud, record.poses
+    if not cloud:
         return ""
-    low, high = record["cloud"]["bounds"]
-    size = " x ".join(f"{b - a:.1f}" for a, b in zip(low, high, strict=True))
-    picture = f'<p><img class="wide" src="{pictures["fuse"]}" alt="the cloud"></p>' if "fuse" in pictures else ""
-    poses = record.get("poses") or {}
-    unit = "m" if poses.get("metric", True) else "units (nothing says how long a metre is)"
-    words = f"<p><a href='cloud.ply'>cloud.ply</a>: {record['cloud']['points']:,} points, {size} {unit}</p>"
-    others = "".join(
-        f"<li><a href='{c['path']}'>{c['path']}</a>: {c['points']:,} points</li>" for c in record.get("other_clouds", [])
-    )
+    size = " x ".join(f"{b - a:.1f}" for a, b in zip(*cloud.bounds, strict=True))
+    shown = pictures.get(Task(stage_with(Role.PRODUCT).name))
+    picture = f'<p><img class="wide" src="{shown}" alt="the cloud"></p>' if shown else ""
+    unit = "m" if not poses or poses.metric else "units (nothing says how long a metre is)"
+    words = f"<p><a href='{cloud.path}'>{cloud.path}</a>: {cloud.points:,} points, {size} {unit}</p>"
+    others = "".join(f"<li><a href='{c.path}'>{c.path}</a>: {c.points:,} points</li>" for c in record.other_clouds)
     if others:
-        joins = "".join(f"<li>{escape(join)}</li>" for join in poses.get("joins", ()))
+        joins = "".join(f"<li>{escape(join)}</li>" for join in (poses.joins if poses else ()))
         words += f"<p>The pairs do not connect all cameras; the others have clouds of their own:</p><ul>{others}{joins}</ul>"
-    notes = "".join(f"<li>{escape(note)}</li>" for note in poses.get("notes", ()))
+    notes = "".join(f"<li>{escape(note)}</li>" for note in (poses.notes if poses else ()))
     return f"<h2>The cloud</h2>{picture}{words}<ul>{notes}</ul>"
 
 
-def _graph(record: dict[str, Any], folder: Path) -> str:
-    centres = {}
-    if (folder / "cameras.json").is_file():
-        cameras = json.loads((folder / "cameras.json").read_text())
-        centres = {name: (entry["C"][0], entry["C"][1]) for name, entry in cameras.items() if entry.get("C")}
+def _graph(record: RunRecord, cameras: Mapping[str, Any]) -> str:
+    centres = {name: (entry["C"][0], entry["C"][1]) for name, entry in cameras.items() if entry.get("C")}
     words = "<p class='muted'>Line width: how densely a pair was matched; dashed: not used (reason on hover).</p>"
     return f"<h2>Pair graph</h2>{pair_graph_svg(record, centres)}{words}"
 
 
-def _cameras(record: dict[str, Any], pictures: dict[str, str]) -> str:
+def _cameras(record: RunRecord, pictures: Pictures) -> str:
     cards = []
-    for camera in record["cameras"]:
-        bad = camera["outcome"] != "ok"
-        picture = pictures.get(f"frames {camera['id']}")
-        image = f'<img src="{picture}" alt="{escape(camera["id"])}">' if picture else ""
-        notes = "; ".join(camera.get("notes") or [])
-        words = f'<span class="reason">{escape(str(camera["reason"]))}</span>' if bad else f"{camera['keypoints']} keypoints"
+    for camera in record.cameras:
+        shown = _of_subject(pictures, (camera.id,))[:1]
+        image = "".join(f'<img src="{picture}" alt="{escape(camera.id)}">' for picture in shown)
+        notes = "; ".join(camera.notes)
+        counts = ", ".join(f"{value:,} {name}" for name, value in camera.figures.items() if isinstance(value, int))
+        words = counts if camera.ok else f'<span class="reason">{escape(str(camera.reason))}</span>'
         note = f"<br><span class='muted'>{escape(notes)}</span>" if notes else ""
-        cards.append(f'<div class="card{" bad" if bad else ""}">{image}<b>{escape(camera["id"])}</b> {words}{note}</div>')
+        kind = "card" if camera.ok else "card bad"
+        cards.append(f'<div class="{kind}">{image}<b>{escape(camera.id)}</b> {words}{note}</div>')
     return f'<h2>Cameras</h2><div class="cards">{"".join(cards)}</div>'
 
 
-def _pairs(record: dict[str, Any], pictures: dict[str, str]) -> str:
-    columns = ("matches", "inliers", "angle_deg", "epipolar_px", "poses_px", "vertical_px", "density")
-    names = ("matches", "inliers", "angle °", "epipolar px", "by the poses px", "vertical px", "density")
-    head = "<th>pair</th>" + "".join(f"<th>{n}</th>" for n in names) + '<th class="words">outcome</th>'
+def _pairs(record: RunRecord, pictures: Pictures) -> str:
+    columns = reported("pair")
+    head = "<th>pair</th>" + "".join(f"<th>{_title(c)}</th>" for c in columns) + '<th class="words">outcome</th>'
     rows, cards = [], []
-    for pair in record["pairs"]:
-        name = f"{pair['left']}--{pair['right']}"
-        cells = "".join(f"<td>{_number(pair.get(c))}</td>" for c in columns)
-        words = (
-            "ok" if pair["outcome"] == "ok" else f'<span class="reason">{pair["outcome"]}</span>: {escape(str(pair["reason"]))}'
+    for pair in record.pairs:
+        cells = "".join(f"<td>{_number(pair.figures.get(c))}</td>" for c in columns)
+        words = "ok" if pair.ok else f'<span class="reason">{pair.outcome}</span>: {escape(str(pair.reason))}'
+        rows.append(f'<tr><td>{escape(pair.name)}</td>{cells}<td class="words">{words}</td></tr>')
+        images = "".join(
+            f'<img src="{picture}" alt="{escape(pair.name)}">' for picture in _of_subject(pictures, (pair.left, pair.right))
         )
-        rows.append(f'<tr><td>{escape(name)}</td>{cells}<td class="words">{words}</td></tr>')
-        shown = [pictures[task] for task in (f"geometry {name}", f"disparity {name}") if task in pictures]
-        if shown:
-            images = "".join(f'<img src="{picture}" alt="{escape(name)}">' for picture in shown)
-            cards.append(f'<div class="card">{images}<b>{escape(name)}</b></div>')
+        if images:
+            cards.append(f'<div class="card">{images}<b>{escape(pair.name)}</b></div>')
     return f'<h2>Pairs</h2><table><tr>{head}</tr>{"".join(rows)}</table><div class="cards">{"".join(cards)}</div>'
 
 
-def _timings(record: dict[str, Any]) -> str:
+def _title(figure: str) -> str:
+    """The name of a figure with its unit, as people write it."""
+    name, _, unit = figure.rpartition("_")
+    return f"{name} {UNITS[unit]}" if unit in UNITS else figure
+
+
+def _timings(record: RunRecord) -> str:
+    seconds = record.seconds
     rows = "".join(
-        f"<tr><td>{escape(stage)}</td><td>{row['tasks']:.0f}</td><td>{row['wall']:.1f}</td><td>{row['cpu']:.1f}</td></tr>"
-        for stage, row in record["seconds"]["stages"].items()
+        f"<tr><td>{escape(stage)}</td><td>{row.tasks:.0f}</td><td>{row.wall:.1f}</td><td>{row.cpu:.1f}</td></tr>"
+        for stage, row in seconds.stages.items()
     )
-    total = (
-        f"wall {record['seconds']['wall']:.1f} s, CPU {record['seconds']['cpu']:.1f} s, peak {record['peak_rss_mb']} MB a worker"
-    )
+    total = f"wall {seconds.wall:.1f} s, CPU {seconds.cpu:.1f} s, peak {record.peak_rss_mb} MB a worker"
     table = f"<table><tr><th>stage</th><th>tasks</th><th>wall s</th><th>CPU s</th></tr>{rows}</table>" if rows else ""
     return f"<h2>Timings</h2><p>{total}</p>{table}"
 
@@ -184,4 +206,4 @@ def _timings(record: dict[str, Any]) -> str:
 def _number(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.2f}" if isinstance(value, float) else f"{value:,}"
+    return escape(value) if isinstance(value, str) else f"{value:.2f}" if isinstance(value, float) else f"{value:,}"

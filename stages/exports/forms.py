@@ -1,0 +1,112 @@
+"""The files of each form of export, from a run's results.  Each function yields name and content of its files.
+
+Raises ValueError, with the reason, where there is nothing to make.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..types import Camera, Cloud, DepthMap, Frame, Poses
+
+if TYPE_CHECKING:
+    import open3d
+
+    from .world import Georeference
+
+Files = Iterator[tuple[str, bytes]]
+
+
+def laz(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
+    """cloud.laz, on the map where the site is georeferenced.  day: for the file's header."""
+    from .las import laz_bytes  # here and below: each form has libraries of its own, some of them extras
+
+    yield "cloud.laz", laz_bytes(cloud, day, _georeference(poses))
+
+
+def heights(cloud: Cloud, poses: Poses) -> Files:
+    """heights.tif where the site is georeferenced, else heights.png, heights.pfm and heights.json."""
+    from .heights import geotiff, height_map, plain_files
+
+    points = cloud.points.astype(np.float64)
+    georeference = _georeference(poses)
+    if georeference is not None:
+        yield "heights.tif", geotiff(height_map(georeference.points(points)), georeference.epsg)
+        return
+    files, told = plain_files(height_map(points))
+    yield from files.items()
+    yield "heights.json", _json(told | {"unit": _unit(poses), "first_row": "largest y"})
+
+
+def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
+    """depth/<camera>.png and .pfm of every camera of the main component that has a depth map; depth/depth.json."""
+    from .depthmaps import depth_files
+
+    told = {}
+    for name, camera in _main_cameras(poses).items():
+        if name in depths:
+            files, steps = depth_files(depths[name])
+            for suffix, data in files.items():
+                yield f"depth/{name}{suffix}", data
+            pinhole = {"K": camera.K.tolist(), "R": camera.R.tolist(), "C": camera.C.tolist()}
+            told[name] = {"png_steps_per_unit": steps, "width": camera.width, "height": camera.height, **pinhole}
+    if not told:
+        raise ValueError("no camera has a depth map")
+    yield "depth/depth.json", _json({"unit": _unit(poses), "cameras": told})
+
+
+def mesh(cloud: Cloud) -> Files:
+    """mesh.ply: the surface through the cloud."""
+    from .mesh import mesh_bytes, poisson_mesh
+
+    yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
+
+
+def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
+    """colmap/sparse/*.txt and colmap/images/<camera>.png of the main component."""
+    from ..io.rasters import png
+    from .colmap import colmap_files
+
+    cameras = _main_cameras(poses)
+    for name, data in colmap_files(cameras, cloud).items():
+        yield f"colmap/sparse/{name}", data
+    for name in cameras:
+        if name not in frames:
+            raise ValueError(f"there is no frame of {name}")
+        yield f"colmap/images/{name}.png", png(frames[name].image)
+
+
+def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
+    """The cloud for open3d: points in metres, normals, and colours from 0 to 1."""
+    import open3d
+
+    made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
+    made.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
+    made.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255.0)
+    return made
+
+
+def _main_cameras(poses: Poses) -> dict[str, Camera]:
+    return {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+
+
+def _georeference(poses: Poses) -> Georeference | None:
+    """Where the site lies on the map, or None.  Raises ValueError for a place that no map has."""
+    if not poses.crs:
+        return None
+    from .world import georeference
+
+    return georeference(poses.crs)
+
+
+def _unit(poses: Poses) -> str:
+    return "m" if poses.metric else "arbitrary"
+
+
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=1) + "\n").encode()

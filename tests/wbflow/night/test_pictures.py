@@ -1,0 +1,88 @@
+"""Pictures: every pair has one, a repaired picture function reaches cached results, and what cannot be drawn is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+
+ORIGINAL = "def show(geometry, left, right):\n    return b'first' + bytes(left.image[0, 0, :1])\n"
+
+
+def pictures(toy: ToySite, stage: str) -> dict[str, bytes]:
+    return {path.parent.name: path.read_bytes() for path in (toy.work / "cache" / stage).rglob("*.jpg")}
+
+
+@pytest.fixture
+def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A picture function of the geometry that a test can change."""
+    import dataclasses
+
+    from wbflow.graph import pipeline
+
+    module = toy.folder / "painter.py"
+    module.write_text(ORIGINAL)
+    stage = pipeline.stage_with(pipeline.Role.GEOMETRY)
+    assert stage.picture
+    mine = dataclasses.replace(stage, picture=dataclasses.replace(stage.picture, function="painter:show"))
+    rows = tuple(mine if row is stage else row for row in pipeline.STAGES)
+    monkeypatch.setattr("wbflow.night.plan.STAGES", rows)
+    return module
+
+
+def forget(name: str) -> None:
+    import sys
+
+    sys.modules.pop(name, None)
+
+
+def test_every_pair_has_a_picture_of_its_inliers(toy: ToySite) -> None:
+    toy.run()
+    found = pictures(toy, "geometry")
+    assert len(found) == 6
+    assert all(data[:2] == b"\xff\xd8" for data in found.values())
+
+
+def test_a_picture_gets_what_it_asks_for_and_the_frames_rather_than_the_features(toy: ToySite, painter: Path) -> None:
+    toy.run()
+    assert all(data.startswith(b"first") for data in pictures(toy, "geometry").values())
+    forget("painter")
+
+
+def test_a_repaired_picture_function_reaches_cached_results_and_reruns_nothing(toy: ToySite, painter: Path) -> None:
+    toy.run()
+    forget("painter")
+    painter.write_text(ORIGINAL.replace("first", "second"))
+    record = toy.run()
+    assert record["tasks"]["ran"] == 0
+    assert all(data.startswith(b"second") for data in pictures(toy, "geometry").values())
+    forget("painter")
+
+
+def test_a_picture_that_cannot_be_drawn_costs_nothing_else_and_is_not_tried_every_night(toy: ToySite, painter: Path) -> None:
+    painter.write_text("def show(geometry, left):\n    raise RuntimeError('no paint')\n")
+    record = toy.run()
+    assert record["tasks"]["failed"] == 0
+    assert pictures(toy, "geometry") == {}
+    drawn = next((toy.work / "cache" / "geometry").rglob("*.drawn"))
+    assert "RuntimeError: no paint" in drawn.read_text()
+    forget("painter")
+    painter.write_text("raise SystemError('nobody asks')\ndef show(geometry, left):\n    raise RuntimeError('no paint')\n")
+    before = drawn.read_text()
+    assert toy.run()["tasks"]["ran"] == 0
+    assert drawn.read_text() != before, "other code is another try"
+    forget("painter")
+
+
+def test_a_lost_picture_is_drawn_again(toy: ToySite) -> None:
+    toy.run()
+    before = pictures(toy, "fuse")
+    assert before
+    for file in (toy.work / "cache" / "fuse").rglob("*.drawn"):
+        file.unlink()
+    for file in (toy.work / "cache" / "fuse").rglob("*.jpg"):
+        file.unlink()
+    assert toy.run()["tasks"]["ran"] == 0
+    assert pictures(toy, "fuse") == before

@@ -1,0 +1,266 @@
+"""wbflow from Python: load a site, run a night, open what a run left.
+
+>>> import wbflow
+>>> run = wbflow.run("yard/site.yaml", jobs=8)
+>>> run.record.exit_code, run.pairs["gate--roof"]
+>>> run.artifact("geometry gate--roof").F
+>>> run.cloud.get_max_bound()
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import sqlite3
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .config.load import Site
+from .config.load import load_site as _load_site
+from .errors import UsageError, WbflowError
+from .graph.exports import CLOUD_OBJECT
+from .graph.pipeline import STAGES
+from .night.journal import Costs, Journal
+from .night.night import open_night
+from .night.run import Options, terminate_as_interrupt, work
+from .results.artifacts import FinishedRun, function
+from .results.publish import publish
+from .store.events import Event, Listener
+from .store.layout import WorkFolder
+from .store.ledger import Ledger
+from .store.lock import hold
+from .store.record import CameraRecord, PairRecord, RunRecord
+from .store.run_folder import RunFolder, new_run
+from .task import Task
+
+if TYPE_CHECKING:
+    import open3d
+
+
+class Run:
+    """A finished run, and all that it left."""
+
+    def __init__(self, finished: FinishedRun) -> None:
+        self.finished = finished
+        """The same, for functions of wbflow."""
+
+    def __repr__(self) -> str:
+        cloud = self.record.cloud
+        what = f"{cloud.points:,} points" if cloud else f"no cloud ({self.record.reason or 'not asked for'})"
+        return f"Run({self.id!r}, site {self.record.site!r}, exit {self.record.exit_code}, {what})"
+
+    @property
+    def id(self) -> str:
+        """Its start, UTC: 20261120T031500Z."""
+        return self.finished.folder.id
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are: run.json, cloud.ply, cameras.json, report.html, log.jsonl."""
+        return self.finished.folder.paths.folder
+
+    @property
+    def record(self) -> RunRecord:
+        """The run in figures."""
+        return self.finished.record
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened, in order."""
+        return self.finished.folder.events()
+
+    @cached_property
+    def cameras(self) -> Mapping[str, CameraRecord]:
+        """What became of each camera, by id."""
+        return {camera.id: camera for camera in self.record.cameras}
+
+    @cached_property
+    def pairs(self) -> Mapping[str, PairRecord]:
+        """What became of each pair, by "left--right"."""
+        return {pair.name: pair for pair in self.record.pairs}
+
+    @cached_property
+    def calibration(self) -> Mapping[str, Any]:
+        """The cameras that the cloud rests on, by id: K, R, C, width, height, as a site file's `calibration` takes them."""
+        return self.finished.folder.cameras()
+
+    @cached_property
+    def cloud(self) -> open3d.geometry.PointCloud:
+        """The cloud with normals and colours.
+
+        Raises
+        ------
+        WbflowError
+            The run made none.
+        """
+        made: open3d.geometry.PointCloud = function(CLOUD_OBJECT)(self.finished.cloud())
+        return made
+
+    @property
+    def tasks(self) -> list[Task]:
+        """The tasks that left an artifact."""
+        return [task for task, event in self.finished.tasks.items() if event.usable]
+
+    def artifact(self, task: Task | str) -> Any:
+        """What a task made: a dataclass of `wbflow_stages.types`.
+
+        Parameters
+        ----------
+        task : Task or str
+            Such as "geometry gate--roof", "frames gate" or "poses".
+
+        Raises
+        ------
+        UsageError
+            The run had no such task, or it made nothing; the message says why.
+        WbflowError
+            The cache does not hold it any more.
+        """
+        task = _task(task) if isinstance(task, str) else task
+        event = self.finished.tasks.get(task)
+        if event is None:
+            known = ", ".join(dict.fromkeys(str(t) for t in self.finished.tasks if t.stage == task.stage)) or "none of this stage"
+            raise UsageError(f"run {self.id} had no task '{task}'; it had {known}")
+        if not event.usable:
+            raise UsageError(f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}")
+        return self.finished.load(task)
+
+
+def load_site(path: str | Path, work: str | Path | None = None) -> Site:
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder than the file names.
+
+    Raises
+    ------
+    SiteError
+        With every problem that was found.
+    """
+    return _load_site(Path(path), Path(work).resolve() if work else None)
+
+
+def run(
+    site: Site | str | Path,
+    *,
+    date: datetime.date | None = None,
+    jobs: int | None = None,
+    until: str | None = None,
+    force: Iterable[str] = (),
+    wait: bool = False,
+    backend: str = "loky",
+    scheduler: str | None = None,
+    listen: Listener | None = None,
+) -> Run:
+    """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
+
+    Parameters
+    ----------
+    site : Site, str or Path
+        A site, or its file.
+    date : date, optional
+        The night; the newest that has captures, if not given.
+    jobs : int, optional
+        Workers; as many as there are cores, if not given.
+    until : str, optional
+        Stop after this stage.
+    force : iterable of str
+        Stages, or tasks such as "matches gate--roof", to be done again.
+    wait : bool
+        Wait for another run of the same work folder.
+    backend : str
+        Where tasks run: loky (processes), threading or dask.
+    scheduler : str, optional
+        Address of the Dask scheduler.
+    listen : callable, optional
+        Told of every event as it happens.
+
+    Returns
+    -------
+    Run
+        Whatever came of it: `record.exit_code` and `record.reason` tell.
+
+    Raises
+    ------
+    SiteError
+        The site file cannot be used.
+    UsageError
+        There is no such stage, or no Dask.
+    Locked
+        Another run holds the work folder.
+    WbflowError
+        The work folder cannot be written.
+    """
+    site = site if isinstance(site, Site) else load_site(site)
+    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler)
+    options.check()
+    try:
+        return _run(site, options, listen or _quiet)
+    except OSError as error:
+        what = f"{error.filename or site.work}: {error.strerror or error}"
+        raise WbflowError(what, remedy="check the disk and the rights on the work folder") from error
+
+
+def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
+    """A run that is finished.
+
+    Parameters
+    ----------
+    where : Site, str or Path
+        The site, its file or folder, or the folder of the run itself.
+    run_id : str, optional
+        Which of the site's runs; "latest" is the newest that made a cloud; the newest, if not given.
+
+    Raises
+    ------
+    NoSuchRun
+        There is none.
+    SiteError
+        The site file cannot be used.
+    """
+    if not isinstance(where, Site) and run_id is None and RunFolder.is_one(Path(where)):
+        folder = RunFolder.at(Path(where))
+        return Run(FinishedRun.open(WorkFolder.of_run(folder.paths), folder))
+    place = WorkFolder((where if isinstance(where, Site) else load_site(where)).work)
+    return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
+
+
+def _run(site: Site, options: Options, listen: Listener) -> Run:
+    place = WorkFolder(site.work)
+    with hold(place.lock, options.wait), terminate_as_interrupt():
+        name, started = new_run(place)
+        costs = Costs(started)
+        place.start_writing()
+        night = open_night(site, options.date, options.until, options.force)
+        journal = Journal(listen)
+        worked = work(night, options, journal, costs)
+        finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
+        _tell_ledger(finished, journal)
+        place.done_writing()
+    return Run(finished)
+
+
+def _tell_ledger(run: FinishedRun, journal: Journal) -> None:
+    """Index the run.  The ledger is made again from what it indexes, so a fault there costs nothing, but is told of."""
+    told = len(journal.events)
+    try:
+        with Ledger(run.work) as ledger:
+            fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
+            ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
+            ledger.record_run(run.record, run.tasks.values())
+            for fault in ledger.faults:
+                journal.warn(fault)
+    except (OSError, sqlite3.Error, WbflowError) as error:
+        journal.warn(f"the ledger was not written: {error}", remedy="delete it: the next run makes it again")
+    for event in journal.events[told:]:
+        run.folder.add(event)
+
+
+def _quiet(event: Event) -> None:
+    """A listener that says nothing."""
+
+
+def _task(name: str) -> Task:
+    stage, _, subject = name.partition(" ")
+    if stage not in {row.name for row in STAGES}:
+        raise UsageError(f"{name!r}: there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+    return Task(stage, tuple(subject.split("--")) if subject else ())

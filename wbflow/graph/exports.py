@@ -1,0 +1,53 @@
+"""The forms in which results leave the engine: which function of the vision makes each, and of what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from .pipeline import Role
+
+
+@dataclass(frozen=True)
+class Export:
+    """A form in which a run is exported: one option of `wbflow export`.
+
+    The function gets what it needs by name and yields names and bytes of files; a ValueError says why there is nothing to make.
+    """
+
+    name: str
+    function: str
+    """Dotted: package.module:function."""
+    needs: Mapping[str, tuple[Role, ...]]
+    """By argument name: the cloud, the world, or of every camera (as a mapping) what the first of these roles gave."""
+    dated: bool = False
+    """Takes the night's date, too, as `day`."""
+    extra: str = ""
+    """The extra of this package that it needs."""
+    extra_on_the_map: str = ""
+    """The extra that it needs where the site is georeferenced."""
+
+
+_CLOUD, _WORLD = (Role.PRODUCT,), (Role.WORLD,)
+
+EXPORTS: tuple[Export, ...] = (
+    Export("laz", "wbflow_stages.exports.forms:laz", {"cloud": _CLOUD, "poses": _WORLD}, dated=True, extra="las"),
+    Export("heights", "wbflow_stages.exports.forms:heights", {"cloud": _CLOUD, "poses": _WORLD}, extra_on_the_map="geo"),
+    Export("depth", "wbflow_stages.exports.forms:depth", {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)}),
+    Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD}),
+    Export("colmap", "wbflow_stages.exports.forms:colmap", {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)}),
+)
+
+PAIR_FILES = "wbflow_stages.io.pairfiles:pair_files"
+"""Makes the files of `wbflow pair` of two frames and what `PAIR_RESULTS` names, and figures for its summary."""
+
+PAIR_RESULTS: Mapping[str, Role] = {
+    "matches": Role.MATCHES,
+    "geometry": Role.GEOMETRY,
+    "rectification": Role.RECTIFICATION,
+    "disparity": Role.DISPARITY,
+}
+"""By argument name; what a pair did not come to is None."""
+
+CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
+"""Makes of a cloud the object that people work with in Python."""

@@ -1,0 +1,85 @@
+"""What a run tells while it works, and what it costs."""
+
+from __future__ import annotations
+
+import datetime
+import time
+from dataclasses import dataclass, field
+
+from ..store.events import Event, Listener, TaskEvent, WarningEvent, now
+from ..store.record import Seconds, StageSeconds
+from ..task import Task
+from .plan import Plan
+from .state import State
+from .worker import Done
+
+
+@dataclass
+class Journal:
+    """Everything that happened in a run so far: each event is kept for the log, and the listener is told of it."""
+
+    listen: Listener
+    events: list[Event] = field(default_factory=list)
+    _told: set[Task] = field(default_factory=set)
+
+    def tell(self, plan: Plan, done: Done | None = None) -> None:
+        """Tell of every task that has been settled since the last time, once.  done: the one that a worker has just finished."""
+        for task, state in plan.states.items():
+            if task not in self._told:
+                self._told.add(task)
+                self._add(_event(task, state, done if done and done.task == task else None))
+
+    def retract(self, task: Task) -> None:
+        """A task has to be done again, and will be told of again."""
+        self._told.discard(task)
+
+    def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
+        """Tell of something that went wrong and was survived."""
+        self._add(WarningEvent(what, now(), task, remedy, trace))
+
+    def _add(self, event: Event) -> None:
+        self.events.append(event)
+        self.listen(event)
+
+
+def _event(task: Task, state: State, done: Done | None) -> TaskEvent:
+    receipt = state.receipt
+    return TaskEvent(
+        task,
+        state.outcome,
+        now(),
+        fresh=done is not None and done.outcome != "cached",
+        reason=state.reason,
+        code=receipt.code if receipt else None,
+        key=receipt.key if receipt else None,
+        cpu=round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
+        trace=done.trace if done else None,
+    )
+
+
+class Costs:
+    """The costs of a run, summed as tasks finish."""
+
+    def __init__(self, started: datetime.datetime) -> None:
+        self.started = started
+        self.peak_rss_mb = 0.0
+        """Of the largest worker."""
+        self._stages: dict[str, StageSeconds] = {}
+        self._wall, self._cpu = time.perf_counter(), time.process_time()
+
+    def add(self, done: Done) -> None:
+        """Count a task that a worker has finished, if it ran."""
+        receipt = done.receipt
+        if receipt is None or done.outcome not in {"ran", "rejected"}:
+            return
+        so_far = self._stages.get(done.task.stage, StageSeconds(0.0, 0.0, 0))
+        wall, cpu = so_far.wall + receipt.wall, so_far.cpu + receipt.cpu
+        self._stages[done.task.stage] = StageSeconds(wall, cpu, so_far.tasks + 1)
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+
+    def seconds(self, own_process: bool) -> Seconds:
+        """The sum, until now.  own_process: the tasks ran in this process, whose CPU time holds theirs already."""
+        wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
+        if not own_process:
+            cpu += sum(stage.cpu for stage in self._stages.values())
+        return Seconds(wall, cpu, self._stages)

@@ -1,0 +1,31 @@
+"""Functions by dotted name, also from modules that are not installed but lie beside the site file."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+class _Beside(str):
+    """An entry of the module path that was added for a site."""
+
+
+def offer(folder: Path | None) -> None:
+    """Let modules in a folder be imported, after all that Python finds elsewhere; those of another site are forgotten."""
+    for other in [entry for entry in sys.path if isinstance(entry, _Beside) and entry != str(folder)]:
+        sys.path.remove(other)
+        for name, module in list(sys.modules.items()):
+            if Path(getattr(module, "__file__", None) or "/").is_relative_to(other):
+                del sys.modules[name]
+    if folder and str(folder) not in sys.path:
+        sys.path.append(_Beside(folder))
+
+
+def load(dotted: str) -> Callable[..., Any]:
+    """The function, or class, "package.module:name"."""
+    module, _, name = dotted.partition(":")
+    function: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return function

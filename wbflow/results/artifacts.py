@@ -1,0 +1,124 @@
+"""What a finished run made, by task: from the run's folder and the cache; nothing is run again."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..errors import WbflowError
+from ..graph.pipeline import Role, stage_named, stage_with
+from ..store.cache import Cache, Receipt
+from ..store.events import TaskEvent
+from ..store.layout import WorkFolder
+from ..store.ply import columns_of, read_ply
+from ..store.record import CloudRecord, RunRecord
+from ..store.run_folder import RunFolder
+from ..task import Subject, Task
+
+
+class Gone(WbflowError):
+    """The run made it, but it is not there any more."""
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run with all that it made."""
+
+    work: WorkFolder
+    folder: RunFolder
+    record: RunRecord
+    tasks: Mapping[Task, TaskEvent] = field(repr=False)
+    """How each of its tasks ended."""
+
+    @staticmethod
+    def open(work: WorkFolder, folder: RunFolder) -> FinishedRun:
+        """Raises NoSuchRun for a folder that cannot be read."""
+        return FinishedRun(work, folder, folder.record(), folder.tasks())
+
+    def receipt(self, task: Task) -> Receipt | None:
+        """The receipt of a task that gave a result in this run, or None.
+
+        Raises
+        ------
+        Gone
+            The cache does not hold it any more.
+        """
+        event = self.tasks.get(task)
+        if event is None or not event.usable or event.key is None:
+            return None
+        receipt = Cache(self.work).by_key(task, event.key)
+        if receipt is None:
+            raise Gone(f"the cache no longer holds '{task}' of run {self.folder.id}", remedy="run the night again")
+        return receipt
+
+    def load(self, task: Task) -> Any:
+        """What a task made (a dataclass of `wbflow_stages.types`), or None where it gave nothing.
+
+        Raises
+        ------
+        Gone, DamagedArtifact
+            The cache does not hold it any more, or its disk has lost something.
+        """
+        receipt = self.receipt(task)
+        table = stage_named(task.stage).table
+        if receipt is None:
+            return None
+        if table is None:
+            return Cache(self.work).load(task, receipt)
+        path = Cache(self.work).path(receipt)
+        return function(table.restore)(columns_of(Cache(self.work).read(task, path, receipt.digest)))
+
+    def by_role(self, role: Role, subject: Subject = ()) -> Any:
+        """What the stage with a role made of a subject, or None."""
+        return self.load(Task(stage_with(role).name, subject))
+
+    def of_cameras(self, *roles: Role) -> Mapping[str, Any]:
+        """What the first of these roles that gave something made of each camera; read when it is asked for."""
+        return _OfCameras(self, roles)
+
+    def cloud(self, cloud: CloudRecord | None = None) -> Any:
+        """A cloud as it was published; the main one if none is named.
+
+        Raises
+        ------
+        Gone
+            The run made none, or its file cannot be read.
+        """
+        cloud = cloud or self.record.cloud
+        path = self.folder.cloud(cloud) if cloud else None
+        if path is None or not path.is_file():
+            raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
+        table = stage_with(Role.PRODUCT).table
+        assert table is not None
+        try:
+            return function(table.restore)(read_ply(path))
+        except ValueError as error:
+            raise Gone(str(error), remedy="run the night again") from None
+
+
+class _OfCameras(Mapping[str, Any]):
+    def __init__(self, run: FinishedRun, roles: tuple[Role, ...]) -> None:
+        self._run = run
+        tasks = [[Task(stage_with(role).name, (camera.id,)) for role in roles] for camera in run.record.cameras]
+        made = [[task for task in group if (event := run.tasks.get(task)) and event.usable] for group in tasks]
+        self._tasks = {group[0].subject[0]: group[0] for group in made if group}
+
+    def __getitem__(self, camera: str) -> Any:
+        return self._run.load(self._tasks[camera])
+
+    def __contains__(self, camera: object) -> bool:
+        return camera in self._tasks  # without reading it
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tasks)
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+
+def function(dotted: str) -> Any:
+    """A function by its dotted name, package.module:function."""
+    module, _, name = dotted.partition(":")
+    return getattr(importlib.import_module(module), name)

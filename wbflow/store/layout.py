@@ -1,0 +1,195 @@
+"""Where everything in the work folder lies.  No other file of the engine spells one of these names.
+
+cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
+runs/<run id>/                       what a night left for people and programs
+runs/latest                          link to the newest run that made a cloud
+quarantine/                          artifacts whose bytes were not what their receipts promised
+ledger.sqlite                        an index of all this; can be deleted
+lock                                 held by the one run that may write
+"""
+
+from __future__ import annotations
+
+import datetime
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..task import Task
+
+_RUN_ID = "%Y%m%dT%H%M%SZ"
+_UNFINISHED = ".tmp"
+
+
+def run_id(moment: datetime.datetime) -> str:
+    """The id of a run that starts at `moment` (UTC, to the second): ids sort as the runs did."""
+    return moment.strftime(_RUN_ID)
+
+
+@dataclass(frozen=True)
+class RunPaths:
+    """The files in the folder of one run."""
+
+    folder: Path
+
+    @property
+    def record(self) -> Path:
+        """The run in figures (see `store.record`)."""
+        return self.folder / "run.json"
+
+    @property
+    def log(self) -> Path:
+        """What happened, one event a line (see `store.events`)."""
+        return self.folder / "log.jsonl"
+
+    @property
+    def cameras(self) -> Path:
+        """The cameras that the cloud rests on, in the form of a calibration."""
+        return self.folder / "cameras.json"
+
+    @property
+    def report(self) -> Path:
+        """The run for people."""
+        return self.folder / "report.html"
+
+    @property
+    def cloud(self) -> Path:
+        """The cloud of the main component."""
+        return self.folder / cloud_name()
+
+
+def cloud_name(component: tuple[str, ...] = ()) -> str:
+    """The name of a component's cloud in a run's folder; () is the main one."""
+    return f"cloud{''.join(f'-{name}' for name in component)}.ply"
+
+
+@dataclass(frozen=True)
+class WorkFolder:
+    """Every path of a work folder."""
+
+    root: Path
+
+    @staticmethod
+    def beside(site_file: Path, site: str) -> WorkFolder:
+        """The work folder of a site whose file names none."""
+        return WorkFolder(site_file.resolve().parent / ".wbflow" / site)
+
+    @staticmethod
+    def of_run(run: RunPaths) -> WorkFolder:
+        """The work folder that a run's folder stands in."""
+        return WorkFolder(run.folder.parent.parent)
+
+    @property
+    def cache(self) -> Path:
+        """The folder of all artifacts."""
+        return self.root / "cache"
+
+    def task(self, task: Task) -> Path:
+        """Where the artifacts of a task lie, whatever their key."""
+        return self.cache / task.stage / ("--".join(task.subject) or "site")
+
+    def artifact(self, task: Task, key: str, suffix: str) -> Path:
+        """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
+        return self.task(task) / f"{key}{suffix}"
+
+    def picture(self, task: Task, key: str) -> Path:
+        """A picture of an artifact, for the report."""
+        return self.artifact(task, key, ".jpg")
+
+    def drawing(self, task: Task, key: str) -> Path:
+        """What the picture was drawn by, and why there is none."""
+        return self.artifact(task, key, ".drawn")
+
+    def receipt(self, task: Task, key: str) -> Path:
+        """What is known of an artifact; without it there is none."""
+        return self.artifact(task, key, ".json")
+
+    def receipt_beside(self, artifact: Path) -> Path:
+        """The receipt of the artifact in a file."""
+        return artifact.with_suffix(".json")
+
+    def of_key(self, task: Task, key: str) -> list[Path]:
+        """All files of a task under a key, the receipt first."""
+        first = self.receipt(task, key)
+        return [first, *(p for p in sorted(self.task(task).glob(f"{key}.*")) if p != first)]
+
+    def receipts(self, task: Task | None = None) -> list[Path]:
+        """The receipts of a task under whatever key, or of all tasks, by name."""
+        return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
+
+    def quarantined(self, path: Path) -> Path:
+        """Where a damaged file of the cache is put."""
+        return self.quarantine / "--".join(path.relative_to(self.cache).parts)
+
+    @property
+    def quarantine(self) -> Path:
+        """The folder of damaged artifacts."""
+        return self.root / "quarantine"
+
+    @property
+    def captures_memo(self) -> Path:
+        """Digests of captures, remembered from run to run."""
+        return self.cache / "captures.json"
+
+    @property
+    def functions_memo(self) -> Path:
+        """What was read of the stages' functions, remembered from run to run."""
+        return self.cache / "functions.json"
+
+    @property
+    def runs(self) -> Path:
+        """The folder of all runs."""
+        return self.root / "runs"
+
+    def run(self, name: str) -> RunPaths:
+        """The folder of a run."""
+        return RunPaths(self.runs / name)
+
+    def unfinished_run(self, name: str) -> RunPaths:
+        """The folder of a run that is being put together."""
+        return RunPaths(self.runs / f".{name}{_UNFINISHED}")
+
+    @property
+    def latest(self) -> Path:
+        """A link to the newest run that made a cloud."""
+        return self.runs / "latest"
+
+    def run_ids(self) -> list[str]:
+        """Every published run, oldest first."""
+        found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
+        return sorted(p.name for p in found if not p.name.startswith("."))
+
+    @property
+    def ledger(self) -> Path:
+        """The index of runs and artifacts."""
+        return self.root / "ledger.sqlite"
+
+    def ledger_files(self) -> list[Path]:
+        """The ledger and what SQLite keeps beside it."""
+        return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
+
+    @property
+    def lock(self) -> Path:
+        """Held while somebody writes."""
+        return self.root / "lock"
+
+    def start_writing(self) -> None:
+        """Clear away what a killed run left half-written, and mark that there may be such again.  The caller holds the lock."""
+        if self._writing.exists():
+            for path in self.cache.rglob(f".*{_UNFINISHED}"):
+                path.unlink(missing_ok=True)
+            for folder in self.runs.glob(f".*{_UNFINISHED}"):
+                if folder.is_symlink():
+                    folder.unlink()
+                else:
+                    shutil.rmtree(folder)
+        self._writing.parent.mkdir(parents=True, exist_ok=True)
+        self._writing.touch()
+
+    def done_writing(self) -> None:
+        """All that was begun is finished."""
+        self._writing.unlink(missing_ok=True)
+
+    @property
+    def _writing(self) -> Path:
+        return self.cache / ".writing"
