@@ -298,6 +298,22 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
         _say(file)
 
 
+@main.command()
+@click.argument("stage", metavar="[STAGE]", required=False)
+def stages(stage: str | None) -> None:
+    """Every parameter of every stage, with default, unit and meaning; of one stage, if it is named."""
+    from .graph.describe import describe, describe_all, lines
+    from .graph.functions import FunctionReader
+    from .graph.pipeline import STAGES
+
+    chosen = [row for row in STAGES if row.name == stage]
+    if stage and not chosen:
+        _stop(ExitCode.USAGE, f"there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+    reader = FunctionReader()
+    rows = [describe(row, reader) for row in chosen] or describe_all(reader)
+    _say("\n\n".join("\n".join(lines(row)) for row in rows))
+
+
 def _day(date: datetime.datetime | None) -> datetime.date | None:
     return date.date() if date else None
 
@@ -307,7 +323,10 @@ def _load(path: Path, work: Path | None) -> Site:
     from .config.positions import SiteError
 
     try:
-        return load_site(path, work.resolve() if work else None)
+        site = load_site(path, work.resolve() if work else None)
+        for note in site.notes:
+            _say(f"note: {note}", err=True)
+        return site
     except SiteError as error:
         count = len(error.problems)
         raise UsageError(f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done") from None

@@ -11,11 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..errors import ExitCode, WbflowError
+
 Matrix = list[list[float]]
 
 
-class CalibrationError(ValueError):
+class CalibrationError(WbflowError, ValueError):
     """A calibration file cannot be used; the message says what and where."""
+
+    exit_code = ExitCode.USAGE
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a site file says of the ground: geodetic positions, known distances, control points; in plain values for the stages.
+"""Positions in a site file, by x, y, z or by latitude and longitude.
 
 Geodetic positions become metres east, north and up of the first one that the file states (z up, so poses mean the same as ever).
 """
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from .positions import Document, Place, Problem
+from .positions import Document, Place, SiteProblem
 
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 GEODETIC = ("latitude", "longitude", "height")
@@ -76,7 +76,9 @@ class LocalFrame:
         return [float(v) for v in self._transformer.transform(longitude, latitude, height)]
 
 
-def local_frame(positions: Iterator[tuple[Place, Position]], document: Document, problems: list[Problem]) -> LocalFrame | None:
+def local_frame(
+    positions: Iterator[tuple[Place, Position]], document: Document, problems: list[SiteProblem]
+) -> LocalFrame | None:
     """The frame of all geodetic positions of a site; None where there are none.  Says where both kinds are mixed."""
     listed = list(positions)
     geodetic = [(place, p.geodetic) for place, p in listed if p.geodetic is not None]
@@ -94,42 +96,3 @@ def local_frame(positions: Iterator[tuple[Place, Position]], document: Document,
         what, remedy = "latitude and longitude need the package pyproj", "pip install pyproj"
         problems.append(document.problem(geodetic[0][0], what, remedy))
         return None
-
-
-def read_survey(
-    cameras: list[str],
-    distances: list[list[Any]],
-    points: list[ControlPoint],
-    frame: LocalFrame | None,
-    document: Document,
-    problems: list[Problem],
-) -> dict[str, Any]:
-    """The fields of `wbflow_stages.types.Survey`, as far as they say something."""
-    number = {camera: k for k, camera in enumerate(cameras)}
-
-    def camera_at(place: Place, camera: Any) -> int:
-        if camera not in number:
-            problems.append(document.problem(place, f"there is no camera {camera!r}", "use ids from 'cameras'"))
-        return number.get(camera, 0)
-
-    rows = []
-    for k, (left, right, metres) in enumerate(distances):
-        i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
-        if not isinstance(metres, int | float) or isinstance(metres, bool) or metres <= 0:
-            what = f"{metres!r} is no distance in metres"
-            problems.append(document.problem(("distances", k, 2), what, "write [camera, camera, metres]"))
-        elif i == j:
-            problems.append(document.problem(("distances", k), "a camera has no distance from itself", "name two cameras"))
-        else:
-            rows.append([float(i), float(j), float(metres)])
-    observations = []
-    for k, point in enumerate(points):
-        if len(point.pixels) < 2:
-            remedy = "point at it in the captures of two cameras or more, better three"
-            problems.append(document.problem(("control_points", k), "fewer than two cameras see it", remedy))
-        for camera, (x, y) in point.pixels.items():
-            observations.append([float(k), float(camera_at(("control_points", k, "pixels", camera), camera)), x, y])
-    where = [frame.metres(*point.geodetic) if frame and point.geodetic else point.position or [0.0] * 3 for point in points]
-    found: dict[str, Any] = {"cameras": tuple(cameras), "crs": frame.crs if frame else ""}
-    found |= {"distances": rows} if rows else {}
-    return found | ({"points": where, "observations": observations} if points else {})

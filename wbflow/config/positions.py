@@ -8,6 +8,8 @@ from typing import Any
 
 import yaml
 
+from ..errors import ExitCode, WbflowError
+
 Place = tuple[str | int, ...]
 """Where a value is: keys and list positions from the top."""
 
@@ -18,13 +20,15 @@ except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One thing that is wrong with an input file.  line and column count from 1; 0 where there is no such place."""
+class SiteProblem:
+    """One thing that is wrong with an input file."""
 
     file: Path
     line: int
+    """From 1; 0 where there is no such place."""
     column: int
     where: str
+    """The place in words: `cameras[3].intrinsics`."""
     what: str
     remedy: str = ""
 
@@ -34,10 +38,12 @@ class Problem:
         return f"{head}\n  {self.remedy}" if self.remedy else head
 
 
-class SiteError(Exception):
+class SiteError(WbflowError, ValueError):
     """The site file, or a file that it names, cannot be used.  `problems` holds everything found, not just the first."""
 
-    def __init__(self, problems: list[Problem]) -> None:
+    exit_code = ExitCode.USAGE
+
+    def __init__(self, problems: list[SiteProblem]) -> None:
         super().__init__("\n".join(map(str, problems)))
         self.problems = problems
 
@@ -52,14 +58,14 @@ class Document:
     key_marks: dict[Place, tuple[int, int]] = field(default_factory=dict)
     texts: dict[Place, str] = field(default_factory=dict)
 
-    def problem(self, place: Place, what: str, remedy: str = "", key: bool = False) -> Problem:
+    def problem(self, place: Place, what: str, remedy: str = "", key: bool = False) -> SiteProblem:
         """A problem at a place; where that place is not in the file, at the nearest one around it."""
         marks = self.key_marks if key else self.marks
         at = place
         while at and at not in marks:
             at = at[:-1]
         line, column = marks.get(at, (1, 1))
-        return Problem(self.path, line, column, spell(place), what, remedy)
+        return SiteProblem(self.path, line, column, spell(place), what, remedy)
 
 
 def spell(place: Place) -> str:
@@ -80,7 +86,7 @@ def load_yaml(path: Path) -> Document:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
-        raise SiteError([Problem(path, 0, 0, "", f"cannot be read: {reason}", "give the path of a site file")]) from None
+        raise SiteError([SiteProblem(path, 0, 0, "", f"cannot be read: {reason}", "give the path of a site file")]) from None
     loader = _Loader(text)
     try:
         node = loader.get_single_node()
@@ -89,13 +95,13 @@ def load_yaml(path: Path) -> Document:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         remedy = "check indentation, colons and quotes around this place"
-        raise SiteError([Problem(path, line, column, "", f"not valid YAML: {error.problem}", remedy)]) from None
+        raise SiteError([SiteProblem(path, line, column, "", f"not valid YAML: {error.problem}", remedy)]) from None
     except yaml.YAMLError as error:
-        raise SiteError([Problem(path, 1, 1, "", f"not valid YAML: {error}")]) from None
+        raise SiteError([SiteProblem(path, 1, 1, "", f"not valid YAML: {error}")]) from None
     finally:
         loader.dispose()
     document = Document(path, data)
-    problems: list[Problem] = []
+    problems: list[SiteProblem] = []
     if node is not None:
         _walk(node, (), document, problems)
     if problems:
@@ -103,7 +109,7 @@ def load_yaml(path: Path) -> Document:
     return document
 
 
-def _walk(node: Any, place: Place, document: Document, problems: list[Problem]) -> None:
+def _walk(node: Any, place: Place, document: Document, problems: list[SiteProblem]) -> None:
     document.marks[place] = (node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
@@ -112,7 +118,7 @@ def _walk(node: Any, place: Place, document: Document, problems: list[Problem]) 
                 mark = key.start_mark
                 first = document.key_marks[inner][0]
                 what, remedy = f"{key.value!r} stands here and on line {first}", "keep one of them"
-                problems.append(Problem(document.path, mark.line + 1, mark.column + 1, spell(inner), what, remedy))
+                problems.append(SiteProblem(document.path, mark.line + 1, mark.column + 1, spell(inner), what, remedy))
             document.key_marks[inner] = (key.start_mark.line + 1, key.start_mark.column + 1)
             _walk(value, inner, document, problems)
     elif isinstance(node, yaml.SequenceNode):

@@ -88,19 +88,14 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     return Binding(stage, function, method, _only(inputs, asked), parameters)
 
 
-def methods(stage: Stage, reader: FunctionReader) -> dict[str, FunctionInfo]:
-    """The methods of a stage's table by name; none where it does not choose.  Raises FunctionError."""
-    table = reader.table(stage.method.table) if stage.method else {}
-    return {name: reader.read(dotted) for name, dotted in table.items()}
-
-
 def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
-    """Parameters of each method of a stage's table that the stage has not itself."""
-    own = reader.read(stage.function, stage.method.table if stage.method else "").signature.parameters
-    inputs = {*stage.needs, *stage.offers, *(stage.method.given if stage.method else ())}
+    """Parameters of each method of a stage's table that the stage has not itself.  Raises FunctionError."""
+    if stage.method is None:
+        return {}
+    taken = {*stage.needs, *stage.offers, *stage.method.given, *reader.signature(stage.function).parameters}
     return {
-        name: {n: p for n, p in info.signature.parameters.items() if n not in inputs and n not in own}
-        for name, info in methods(stage, reader).items()
+        name: {n: p for n, p in reader.signature(dotted).parameters.items() if n not in taken}
+        for name, dotted in reader.table(stage.method.table).items()
     }
 
 

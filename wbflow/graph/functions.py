@@ -69,14 +69,21 @@ class FunctionReader:
         assert path is not None
         home, _, own_table = table.partition(":")
         left_out = own_table if home == module else ""
-        signature = self._remembered("signatures", dotted, path, lambda: _packed(*read_signature(self.modules, dotted)))
         digest = self._remembered(
             "functions",
             f"{dotted} {left_out}",
             path,
             lambda: ({"digest": function_digest(self.modules, module, path, name, left_out)}, {path}),
         )
-        return FunctionInfo(dotted, _unpacked(signature), fingerprint(digest["digest"], module, self._closure(module)))
+        return FunctionInfo(dotted, self.signature(dotted), fingerprint(digest["digest"], module, self._closure(module)))
+
+    def signature(self, dotted: str) -> Signature:
+        """What a function asks for.  Raises FunctionError."""
+        path = self.modules.file(dotted.partition(":")[0])
+        if path is None:
+            self.modules.function(dotted)  # says what is wrong
+        assert path is not None
+        return _unpacked(self._remembered("signatures", dotted, path, lambda: _packed(*read_signature(self.modules, dotted))))
 
     def table(self, dotted: str) -> dict[str, str]:
         """A table of methods: name -> dotted function.  Raises FunctionError."""

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..config.load import Site, SiteCamera
+from ..config.site import Site, SiteCamera
 from ..store.artifact import file_digest
 from ..store.atomic import write_atomic
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from dataclasses import dataclass
 
-from ..config.load import Site
+from ..config.site import Site
 from ..store.cache import Cache
 from ..store.layout import WorkFolder
 from .captures import CaptureFile, Digests, find_captures, night

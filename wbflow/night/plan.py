@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..config.load import Site, SiteCamera
+from ..config.site import Site, SiteCamera, plain
 from ..graph.binding import Binding, bind
 from ..graph.pipeline import (
     SITE_TYPES,
@@ -339,7 +339,7 @@ class Plan:
     def _from_site(self, need: FromSite, task: Task) -> Input:
         what = need.value
         if what is SiteValue.SURVEY:
-            return Value(SITE_TYPES[what], self.site.survey)
+            return Value(SITE_TYPES[what], plain(self.site.survey))
         if need.which is Which.ALL:
             return Joined({(camera.id,): self._stated(camera, what) for camera in self.site.cameras})
         camera = self._camera(task.subject[0])
@@ -353,7 +353,7 @@ class Plan:
     @staticmethod
     def _stated(camera: SiteCamera, what: SiteValue) -> Value:
         """What the site file says of a camera."""
-        return Value(SITE_TYPES[what], camera.lens if what is SiteValue.LENS else camera.placement)
+        return Value(SITE_TYPES[what], plain(camera.lens if what is SiteValue.LENS else camera.placement))
 
     def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""

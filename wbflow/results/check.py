@@ -69,7 +69,7 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
             found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", ExitCode.DEGRADED))
         for file in files:
             size, problem = _look_at(file)
-            stated = (camera.lens["width"], camera.lens["height"])
+            stated = (camera.lens.width, camera.lens.height)
             if problem:
                 found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", ExitCode.DEGRADED))
             elif stated[0] and size != stated:

@@ -37,7 +37,7 @@ def test_a_good_site_file(tmp_path: Path) -> None:
     assert [camera.id for camera in site.cameras] == ["gate", "roof"]
     assert site.work == tmp_path / ".wbflow" / "yard"
     assert site.resolution == 1600
-    assert site.cameras[1].placement["R"][2] == pytest.approx([10 / 125**0.5, 0, -5 / 125**0.5])
+    assert site.cameras[1].placement.R[2] == pytest.approx([10 / 125**0.5, 0, -5 / 125**0.5])
     assert not site.posed
 
 
@@ -167,10 +167,10 @@ def test_a_calibration_gives_lens_and_pose_and_the_site_file_overrides_it(tmp_pa
         "C": [1, 2, 3],
     }
     site = calibrated(tmp_path, {"gate.jpg": entry, "roof.jpg": entry})
-    assert site.cameras[0].lens["K"] == entry["K"]
+    assert entry["K"] == site.cameras[0].lens.K
     assert site.cameras[0].posed
-    assert site.cameras[1].lens["K"] == entry["K"], "a field of view is only a guess beside a calibration"
-    assert site.cameras[1].placement["C"] == [0, 0, 5]
+    assert entry["K"] == site.cameras[1].lens.K, "a field of view is only a guess beside a calibration"
+    assert site.cameras[1].placement.C == [0, 0, 5]
 
 
 def test_a_bare_position_gives_way_to_the_pose_that_was_solved_from_it(tmp_path: Path) -> None:
@@ -185,8 +185,8 @@ def test_a_bare_position_gives_way_to_the_pose_that_was_solved_from_it(tmp_path:
     text = GOOD.replace(", look_at: [10, 0, 0]", "") + "calibration: cameras.json\n"
     site = load_site(site_at(tmp_path, text))
     assert site.posed
-    assert site.cameras[1].placement["C"] == [1, 2, 3]
-    assert site.cameras[1].placement["metric"] is False
+    assert site.cameras[1].placement.C == [1, 2, 3]
+    assert site.cameras[1].placement.metric is False
 
 
 def test_distances_and_control_points_count_cameras_by_their_place(tmp_path: Path) -> None:
@@ -194,14 +194,14 @@ def test_distances_and_control_points_count_cameras_by_their_place(tmp_path: Pat
         "distances: [[roof, gate, 7]]\ncontrol_points: [{position: [1, 2, 3], pixels: {gate: [5, 6.5], roof: [7, 8]}}]\n"
     )
     survey = load_site(site_at(tmp_path, text)).survey
-    assert survey["distances"] == [[1.0, 0.0, 7.0]]
-    assert survey["points"] == [[1, 2, 3]]
-    assert survey["observations"] == [[0.0, 0.0, 5, 6.5], [0.0, 1.0, 7, 8]]
+    assert survey.distances == [[1.0, 0.0, 7.0]]
+    assert survey.points == [[1, 2, 3]]
+    assert survey.observations == [[0.0, 0.0, 5, 6.5], [0.0, 1.0, 7, 8]]
 
 
 def test_a_distance_between_cameras_whose_ids_are_numbers(tmp_path: Path) -> None:
     text = GOOD.replace("- gate", "- 0000") + "distances: [[0000, roof, 7]]\n"
-    assert load_site(site_at(tmp_path, text)).survey["distances"] == [[0.0, 1.0, 7.0]]
+    assert load_site(site_at(tmp_path, text)).survey.distances == [[0.0, 1.0, 7.0]]
 
 
 def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) -> None:
@@ -212,12 +212,12 @@ def test_geodetic_positions_become_east_north_up_of_the_first(tmp_path: Path) ->
     )
     site = load_site(site_at(tmp_path, text))
     gate, roof = (camera.placement for camera in site.cameras)
-    assert gate["C"] == pytest.approx([0, 0, 0], abs=1e-6)
-    assert gate["sigma_m"] == 3.0, "as a plain receiver gives it"
+    assert pytest.approx([0, 0, 0], abs=1e-6) == gate.C
+    assert gate.sigma_m == 3.0, "as a plain receiver gives it"
     # a thousandth of a degree of latitude is 111.3 m here; the ellipsoid falls away by 1 mm
-    assert roof["C"] == pytest.approx([0, 111.29, 5.0], abs=0.01)
-    assert roof["sigma_m"] == 0.5
-    assert "+lat_0=53.5 +lon_0=10.0" in site.survey["crs"]
+    assert pytest.approx([0, 111.29, 5.0], abs=0.01) == roof.C
+    assert roof.sigma_m == 0.5
+    assert "+lat_0=53.5 +lon_0=10.0" in site.survey.crs
     assert not site.posed
 
 
@@ -250,12 +250,19 @@ def test_a_calibration_that_cannot_be_used_says_why(tmp_path: Path, entries: obj
 
 
 def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
-    from wbflow.config import load as module
+    from wbflow.config import schema as module
     from wbflow.config.positions import load_yaml
 
     template = Path(__file__).parents[3] / "sites" / "template.yaml"
     text = template.read_text()
     load_yaml(template)
-    for model in (module._Site, module._Captures, module._Camera, module._Intrinsics, module._Pose, module._Pairs):
+    for model in (
+        module.SiteSection,
+        module.CapturesSection,
+        module.CameraSection,
+        module.IntrinsicsSection,
+        module.PoseSection,
+        module.PairsSection,
+    ):
         for key in model.model_fields:
             assert f"{key}:" in text, key

@@ -54,11 +54,12 @@ def test_the_site_file_is_valid_and_finds_every_capture(written: Path) -> None:
 def test_the_site_file_states_the_true_cameras(written: Path) -> None:
     for camera in load_site(written).cameras:
         truth = small_yard()[camera.id]
-        assert truth.lens.K is not None
-        assert np.allclose(camera.lens["K"], truth.lens.K)
-        assert np.allclose(camera.lens["distortion"], truth.lens.distortion)
-        assert np.allclose(camera.placement["R"], truth.camera.R)
-        assert np.allclose(camera.placement["C"], truth.camera.C)
+        assert truth.lens.K is not None and camera.lens.K is not None
+        assert camera.placement.R is not None and camera.placement.C is not None
+        assert np.allclose(camera.lens.K, truth.lens.K)
+        assert np.allclose(camera.lens.distortion, truth.lens.distortion)
+        assert np.allclose(camera.placement.R, truth.camera.R)
+        assert np.allclose(camera.placement.C, truth.camera.C)
 
 
 def test_captures_and_masks_have_the_stated_size(written: Path) -> None:

@@ -1,0 +1,89 @@
+"""The cameras of a site file, with what its calibration knows of them."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
+from .geodesy import LocalFrame
+from .positions import Document, Place, SiteProblem
+from .schema import CameraSection, SiteSection
+from .site import SiteCamera, StatedLens, StatedPlacement
+
+ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+"""What a camera, and a site, may be called."""
+
+
+def beside(file: Path, path: str) -> Path:
+    """A path as a site file states it: relative to the file."""
+    return Path(os.path.normpath(file.resolve().parent / Path(path).expanduser()))
+
+
+def read_cameras(
+    model: SiteSection, frame: LocalFrame | None, document: Document, problems: list[SiteProblem]
+) -> list[SiteCamera]:
+    calibrated: dict[str, Calibrated] = {}
+    if model.calibration:
+        try:
+            calibrated = read_calibration(beside(document.path, model.calibration))
+        except CalibrationError as error:
+            problems.append(
+                document.problem(("calibration",), str(error), "give the path of cameras.json or of a COLMAP text model")
+            )
+    seen: dict[str, int] = {}
+    found = []
+    for i, camera in enumerate(model.cameras):
+        place: Place = ("cameras", i)
+        if not ID.fullmatch(camera.id) or not camera.id.strip("."):
+            what, remedy = f"{camera.id!r} is not a camera id", "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
+            problems.append(document.problem(place, what, remedy))
+        if camera.id in seen:
+            first = document.marks.get(("cameras", seen[camera.id]), (0, 0))[0]
+            what, remedy = f"camera {camera.id!r} is named twice, first on line {first}", "give each camera its own id"
+            problems.append(document.problem(place, what, remedy))
+        seen.setdefault(camera.id, i)
+        entry = find_camera(calibrated, camera.id)
+        if calibrated and entry is None and camera.intrinsics is None:
+            what = f"{model.calibration} has no camera {camera.id!r}; it has {_shown(calibrated)}"
+            problems.append(
+                document.problem(place, what, "correct the id, add the camera to that file, or give its intrinsics here")
+            )
+        mask = beside(document.path, camera.mask) if camera.mask else None
+        if mask and not mask.is_file():
+            remedy = "give the path of an image of the capture's size, white where pixels may be used"
+            problems.append(document.problem((*place, "mask"), f"there is no file {mask}", remedy))
+        lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
+        images = tuple(camera.images) if camera.images is not None else None
+        found.append(SiteCamera(camera.id, lens, placement, mask, images, place))
+    return found
+
+
+def _shown(names: dict[str, Any], most: int = 5) -> str:
+    listed = list(names)[:most]
+    return ", ".join(listed) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _lens(camera: CameraSection, entry: Calibrated | None) -> StatedLens:
+    K, width, height, distortion, hfov = None, 0, 0, [0.0] * 5, None
+    if entry:
+        K, width, height, distortion = entry.K, entry.width, entry.height, entry.distortion or distortion
+    if (own := camera.intrinsics) and not (entry and own.hfov is not None):  # a calibration knows better than a field of view
+        hfov, width, height = own.hfov, own.width or 0, own.height or 0
+        K = None
+        if own.fx is not None and own.fy is not None and own.cx is not None and own.cy is not None:
+            K = [[own.fx, 0.0, own.cx], [0.0, own.fy, own.cy], [0.0, 0.0, 1.0]]
+    if camera.distortion is not None:
+        distortion = (camera.distortion + [0.0] * 5)[:5]
+    return StatedLens(K, distortion, hfov, width, height)
+
+
+def _placement(camera: CameraSection, entry: Calibrated | None, frame: LocalFrame | None) -> StatedPlacement:
+    rough = camera.pose is not None and (camera.pose.matrix() is None or camera.pose.sigma_m > 0)
+    if (pose := camera.pose) and not (rough and entry and entry.R and entry.C):  # what was solved from it knows better
+        geodetic = pose.geodetic
+        C = frame.metres(*geodetic) if frame and geodetic else pose.position
+        return StatedPlacement(pose.matrix(), C, pose.sigma_m)
+    return StatedPlacement(entry.R, entry.C, metric=entry.metric) if entry else StatedPlacement()

@@ -1,0 +1,86 @@
+"""What a site file's validation finds, in the words of a site file; and what is left of it without its faults."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from pydantic import ValidationError
+
+from .geodesy import PLACE_REMEDY, ControlPoint
+from .positions import Document, Place, SiteProblem
+from .schema import CameraSection, CapturesSection, IntrinsicsSection, PairsSection, PoseSection, SiteSection
+
+_REMEDIES = {
+    "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
+    "pose": f"{PLACE_REMEDY}; where known too, one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3",
+    "distances": "write [camera, camera, metres], e.g. distances: [[gate, roof, 12.4]]",
+    "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
+    "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
+    "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
+    "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them",
+    "site": "give the site a name: site: harbour",
+    "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
+    "degree": "give a whole number, e.g. degree: 6",
+    "min_angle": "give degrees, e.g. min_angle: 4",
+    "max_angle": "give degrees, e.g. max_angle: 60",
+    "include": "give two camera ids: include: [[gate, roof]]",
+    "exclude": "give two camera ids: exclude: [[gate, roof]]",
+}
+
+
+def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
+    """pydantic's findings in the words of a site file."""
+    found = []
+    for item in error.errors():
+        place: Place = tuple(item["loc"])
+        kind, last = item["type"], str(item["loc"][-1]) if item["loc"] else ""
+        section = next((str(step) for step in reversed(place) if step in _REMEDIES), "")
+        remedy = _REMEDIES.get(section, "see sites/template.yaml")
+        if kind == "extra_forbidden":
+            allowed = _fields_at(place[:-1])
+            close = difflib.get_close_matches(last, allowed, 1)
+            remedy = f"did you mean {close[0]!r}?" if close else f"known here: {', '.join(allowed)}"
+            found.append(document.problem(place, f"unknown key {last!r}", remedy, key=True))
+        elif kind == "missing":
+            found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
+        else:
+            what = item["msg"]
+            if kind not in {"intrinsics", "pose", "place", "pattern"}:
+                shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
+                what = f"{what[0].lower()}{what[1:]}{shown}"
+            found.append(document.problem(place, what, remedy))
+    return sorted(found, key=lambda p: (p.line, p.column))
+
+
+def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:
+    """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
+    data = {**data, "cameras": list(data.get("cameras") or [])}
+    for item in error.errors():
+        section, *rest = item["loc"]
+        if section == "cameras" and rest and isinstance(rest[0], int):
+            camera = data["cameras"][rest[0]]
+            data["cameras"][rest[0]] = (
+                {"id": camera.get("id"), "intrinsics": {"hfov": 60.0}} if isinstance(camera, dict) else None
+            )
+        else:
+            data.pop(str(section), None)
+    try:
+        return SiteSection.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **data})
+    except ValidationError:
+        return None
+
+
+def _fields_at(place: Place) -> list[str]:
+    model: Any = SiteSection
+    sections = {
+        "captures": CapturesSection,
+        "cameras": CameraSection,
+        "intrinsics": IntrinsicsSection,
+        "pose": PoseSection,
+        "pairs": PairsSection,
+        "control_points": ControlPoint,
+    }
+    for step in place:
+        model = sections.get(str(step), model)
+    return list(model.model_fields)

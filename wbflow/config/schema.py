@@ -1,0 +1,140 @@
+"""What may stand in a site file: its sections as validation models."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from .geodesy import ControlPoint, Distance, Position
+from .rotations import look_at, yaw_pitch_roll
+
+GEODETIC_SIGMA_M = 3.0
+"""Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
+
+
+class Section(BaseModel):
+    """A mapping of a site file: unknown keys are refused, and nothing is converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class CapturesSection(Section):
+    """Where captures are, and what they are called."""
+
+    root: str = "."
+    pattern: str
+
+    @field_validator("pattern")
+    @classmethod
+    def _known_fields(cls, pattern: str) -> str:
+        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date"}]
+        if unknown:
+            raise PydanticCustomError("pattern", f"{{{unknown[0]}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, * and **")
+        return pattern
+
+
+class IntrinsicsSection(Section):
+    """Intrinsics of a camera, or its field of view."""
+
+    fx: float | None = Field(None, gt=0)
+    fy: float | None = Field(None, gt=0)
+    cx: float | None = None
+    cy: float | None = None
+    width: int | None = Field(None, gt=0)
+    height: int | None = Field(None, gt=0)
+    hfov: float | None = Field(None, gt=1, lt=179)
+
+    @model_validator(mode="after")
+    def _complete(self) -> IntrinsicsSection:
+        if self.hfov is not None:
+            if self.fx is not None or self.fy is not None:
+                raise PydanticCustomError("intrinsics", "'hfov' and 'fx', 'fy' say the same thing twice")
+            return self
+        missing = [name for name in ("fx", "fy", "cx", "cy", "width", "height") if getattr(self, name) is None]
+        if missing:
+            names = ", ".join(f"'{name}'" for name in missing)
+            raise PydanticCustomError("intrinsics", f"{names} {'is' if len(missing) == 1 else 'are'} missing")
+        return self
+
+
+class PoseSection(Position):
+    """Where a camera is, and which way it looks."""
+
+    position_sigma_m: float | None = Field(None, ge=0)
+    rotation: Matrix3 | None = None
+    look_at: Vector3 | None = None
+    yaw_pitch_roll: Vector3 | None = None
+
+    @model_validator(mode="after")
+    def _one_direction(self) -> PoseSection:
+        given = [n for n in ("rotation", "look_at", "yaw_pitch_roll") if getattr(self, n) is not None]
+        if len(given) > 1:
+            raise PydanticCustomError("pose", f"{' and '.join(given)} are both given")
+        if self.look_at is not None and self.position is None:
+            raise PydanticCustomError("pose", "'look_at' needs 'position' in the same coordinates")
+        self.matrix()
+        return self
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position: as stated, else what a satellite receiver gives, else exact."""
+        if self.position_sigma_m is not None:
+            return self.position_sigma_m
+        return GEODETIC_SIGMA_M if self.geodetic else 0.0
+
+    def matrix(self) -> list[list[float]] | None:
+        """R, whichever way it is stated; None where only the position is."""
+        try:
+            if self.look_at is not None and self.position is not None:
+                return look_at(self.position, self.look_at)
+            if self.yaw_pitch_roll is not None:
+                return yaw_pitch_roll(*self.yaw_pitch_roll)
+        except ValueError as error:
+            raise PydanticCustomError("pose", str(error)) from None
+        R = self.rotation
+        if R is not None and any(
+            abs(sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j)) > 1e-3 for i in range(3) for j in range(3)
+        ):
+            raise PydanticCustomError("pose", "'rotation' is not a rotation matrix (rows of unit length, at right angles)")
+        return R
+
+
+class CameraSection(Section):
+    """One camera."""
+
+    id: str
+    intrinsics: IntrinsicsSection | None = None
+    distortion: Annotated[list[float], Field(min_length=1, max_length=5)] | None = None
+    pose: PoseSection | None = None
+    mask: str | None = None
+    images: list[str] | None = None
+
+
+class PairsSection(Section):
+    """Which pairs are worth matching."""
+
+    degree: int = Field(6, ge=1)
+    min_angle: float = Field(4.0, ge=0, lt=180)
+    max_angle: float = Field(60.0, gt=0, le=180)
+    include: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
+    exclude: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
+
+
+class SiteSection(Section):
+    """The whole file."""
+
+    site: str
+    captures: CapturesSection
+    cameras: Annotated[list[CameraSection], Field(min_length=1)]
+    calibration: str | None = None
+    distances: list[Distance] = Field(default_factory=list)
+    control_points: list[ControlPoint] = Field(default_factory=list)
+    resolution: int | None = Field(1600, ge=64)
+    pairs: PairsSection = PairsSection.model_validate({})
+    stages: dict[str, Any] = Field(default_factory=dict)
+    work: str | None = None

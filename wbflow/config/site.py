@@ -1,0 +1,122 @@
+"""A valid site description, in plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..graph.functions import FunctionReader
+from .positions import Document, Place, SiteProblem
+
+Matrix = list[list[float]]
+
+
+@dataclass(frozen=True)
+class StatedLens:
+    """Intrinsics of a camera as the site states them."""
+
+    K: Matrix | None = None
+    """3x3, pixels; None where unknown."""
+    distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
+    """k1 k2 p1 p2 k3."""
+    hfov_deg: float | None = None
+    """Horizontal field of view, used where K is None."""
+    width: int = 0
+    """Of the image that this is for, pixels; 0: unstated."""
+    height: int = 0
+
+
+@dataclass(frozen=True)
+class StatedPlacement:
+    """Where a camera is said to be: x ~ K R (X - C)."""
+
+    R: Matrix | None = None
+    """3x3; None where unknown."""
+    C: list[float] | None = None
+    """Metres."""
+    sigma_m: float = 0.0
+    """Standard deviation of C; 0 where it is to be held."""
+    metric: bool = True
+    """C is in metres."""
+
+
+@dataclass(frozen=True)
+class StatedSurvey:
+    """What is known of the ground besides the cameras.  Cameras count by their position in the site file."""
+
+    cameras: tuple[str, ...] = ()
+    distances: Matrix = field(default_factory=list)
+    """Rows of camera, camera, metres."""
+    points: Matrix = field(default_factory=list)
+    """Control points, metres."""
+    observations: Matrix = field(default_factory=list)
+    """Rows of control point, camera, x, y in pixels of the capture."""
+    crs: str = ""
+    """Coordinate system of the world; "" where it is local."""
+
+
+def plain(stated: StatedLens | StatedPlacement | StatedSurvey) -> dict[str, Any]:
+    """The fields that say something, by name."""
+    nothing = type(stated)()
+    values = {f.name: getattr(stated, f.name) for f in dataclasses.fields(stated)}
+    return {name: value for name, value in values.items() if value != getattr(nothing, name)}
+
+
+@dataclass(frozen=True)
+class SiteCamera:
+    """One camera of a site."""
+
+    id: str
+    lens: StatedLens
+    placement: StatedPlacement
+    mask: Path | None = None
+    images: tuple[str, ...] | None = None
+    """File names below the captures' root, where the site file lists them."""
+    place: Place = ()
+    """Where it stands in the site file."""
+
+    @property
+    def posed(self) -> bool:
+        """Are intrinsics and pose both given, to be taken as they are?"""
+        stated = self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
+        return stated and not self.placement.sigma_m
+
+
+@dataclass(frozen=True)
+class StageSettings:
+    """What the site file says of one stage: another function for it (`use`), parameters, or that it is off."""
+
+    use: str | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
+    enabled: bool = True
+
+
+@dataclass(frozen=True)
+class Site:
+    """A valid site description."""
+
+    name: str
+    document: Document
+    root: Path
+    pattern: str
+    cameras: tuple[SiteCamera, ...]
+    resolution: int | None
+    pairs: dict[str, Any]
+    stages: dict[str, StageSettings]
+    work: Path
+    reader: FunctionReader
+    survey: StatedSurvey = field(default_factory=StatedSurvey)
+    notes: tuple[SiteProblem, ...] = ()
+    """What still works, but should be written otherwise."""
+
+    @property
+    def file(self) -> Path:
+        """The site file."""
+        return self.document.path
+
+    @property
+    def posed(self) -> bool:
+        """Are the intrinsics and poses of all cameras given?"""
+        return all(camera.posed for camera in self.cameras)

@@ -1,0 +1,46 @@
+"""What a site file says of the ground: known distances and control points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .geodesy import ControlPoint, LocalFrame
+from .positions import Document, Place, SiteProblem
+from .site import StatedSurvey
+
+
+def read_survey(
+    cameras: list[str],
+    distances: list[list[Any]],
+    points: list[ControlPoint],
+    frame: LocalFrame | None,
+    document: Document,
+    problems: list[SiteProblem],
+) -> StatedSurvey:
+    """Distances and control points; what is wrong with them is added to `problems`."""
+    number = {camera: k for k, camera in enumerate(cameras)}
+
+    def camera_at(place: Place, camera: Any) -> int:
+        if camera not in number:
+            problems.append(document.problem(place, f"there is no camera {camera!r}", "use ids from 'cameras'"))
+        return number.get(camera, 0)
+
+    rows = []
+    for k, (left, right, metres) in enumerate(distances):
+        i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
+        if not isinstance(metres, int | float) or isinstance(metres, bool) or metres <= 0:
+            what = f"{metres!r} is no distance in metres"
+            problems.append(document.problem(("distances", k, 2), what, "write [camera, camera, metres]"))
+        elif i == j:
+            problems.append(document.problem(("distances", k), "a camera has no distance from itself", "name two cameras"))
+        else:
+            rows.append([float(i), float(j), float(metres)])
+    observations = []
+    for k, point in enumerate(points):
+        if len(point.pixels) < 2:
+            remedy = "point at it in the captures of two cameras or more, better three"
+            problems.append(document.problem(("control_points", k), "fewer than two cameras see it", remedy))
+        for camera, (x, y) in point.pixels.items():
+            observations.append([float(k), float(camera_at(("control_points", k, "pixels", camera), camera)), x, y])
+    where = [frame.metres(*point.geodetic) if frame and point.geodetic else point.position or [0.0] * 3 for point in points]
+    return StatedSurvey(tuple(cameras), rows, where, observations, frame.crs if frame else "")
