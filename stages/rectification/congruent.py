@@ -1,8 +1,8 @@
 """Rectification by structural congruency: the free row of H1 makes the *net* of matches congruent in both images.
 
 Hao (2011, section 4.3) joins the matches by a Delaunay net and minimises the differences of its edges (4-6).  Taken literally,
-edges across depth jumps are noise in the regressor and shrink x.  Two steps together cure it: one control point for each cell of a
-grid (that work's own future work), and weights that let edges across depth jumps go.
+edges across depth jumps are noise in the regressor and shrink x.  Two steps together cure it: one control point for each cell of
+a grid (that work's own future work), and weights that let edges across depth jumps go.
 """
 
 from __future__ import annotations

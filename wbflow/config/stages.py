@@ -75,10 +75,11 @@ class _Section:
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; present name by old name."""
-        own = self.reader.read(use).signature.parameters if use else {}
+        known = set(self.reader.signature(use or self.stage.function).parameters)
+        known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
         found = {}
         for old, row in self.stage.renamed.items():
-            if old not in values or old in own or (use and row.now not in own):
+            if old not in values or row.now not in known or (row.now != old and old in known):
                 continue
             value = values[old]
             changed = isinstance(value, str) and value in row.values

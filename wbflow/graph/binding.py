@@ -50,7 +50,8 @@ class Binding:
         offered = {*self.stage.needs, *self.stage.offers}
         found = _faults(self.function, self.stage, offered)
         if self.method and self.stage.method:
-            found += _faults(self.method, self.stage, offered | set(self.stage.method.given))
+            handed_on = offered & _asked(self.function.signature)
+            found += _faults(self.method, self.stage, handed_on | set(self.stage.method.given))
         return found
 
 

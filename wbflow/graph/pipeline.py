@@ -92,6 +92,10 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow_stages.features:detect",
         needs={"frame": FromStage("frames")},
         reports=Reports({"keypoints": "xy_count"}, notes="notes"),
+        renamed={
+            "keypoints": Renamed("max_keypoints"),
+            "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
+        },
     ),
     Stage(
         "overlap",
@@ -120,6 +124,7 @@ STAGES: tuple[Stage, ...] = (
         needs=_SIDES,
         offers=_FRAMES_TOO,
         role=Role.MATCHES,
+        method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
         reports=Reports({"matches": "x1_count"}),
     ),
     Stage(
@@ -175,6 +180,8 @@ STAGES: tuple[Stage, ...] = (
         },
         offers=_FRAMES_TOO | _FEATURES_TOO,
         role=Role.RECTIFICATION,
+        method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
+        renamed={"method": Renamed("method", {"seed": "literal"})},
         reports=Reports({"angle_deg": "angle_deg", "vertical_px": "vertical_px", "method": "method"}),
     ),
     Stage(
@@ -184,6 +191,8 @@ STAGES: tuple[Stage, ...] = (
         needs={**_FRAMES, "rectification": FromStage("rectify")},
         offers={"geometry": FromStage("geometry"), **_FEATURES_TOO},
         role=Role.DISPARITY,
+        method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
+        renamed={"speck_share": Renamed("speckle_share")},
         picture=Picture("wbflow_stages.io.previews:disparity_preview"),
         reports=Reports({"density": "density"}),
     ),
@@ -227,6 +236,7 @@ STAGES: tuple[Stage, ...] = (
         },
         role=Role.PRODUCT,
         component_parameter="component",
+        renamed={"strict": Renamed("min_consistent_pairs")},
         table=PointTable(
             columns="wbflow_stages.io.clouds:cloud_columns",
             restore="wbflow_stages.io.clouds:cloud_of",
