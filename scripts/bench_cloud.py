@@ -31,8 +31,9 @@ import numpy as np
 from pairs_with_truth import read_rgb
 
 from wbflow.store.ply import read_ply
-from wbflow_stages.evaluate import align, compare_clouds, voxel_means
-from wbflow_stages.twoview.epipolar import backproject, project, relative_pose, scaled_intrinsics
+from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
+from wbflow_stages.core.similarity import similarity_between
+from wbflow_stages.evaluate import compare_clouds, voxel_means
 from wbflow_stages.types import Camera, Float32s, Float64s, Uint8s
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,7 +43,7 @@ MODES: dict[str, dict[str, Any]] = {
     "refined": {},
     "pairs": {"refine": False},
     "sgbm": {"refine": False, "disparity": {"matcher": "sgbm"}},
-    "strict": {"fuse": {"strict": 2}},
+    "strict": {"fuse": {"min_consistent_pairs": 2}},
 }
 TAUS = (0.01, 0.02, 0.05, 0.10)
 LAUNCHER = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
@@ -165,7 +166,7 @@ def run(mode: str, cameras: str, size: int, poses: str, reference: Float64s) -> 
 def in_true_frame(points: Float64s, solved: dict[str, Any]) -> Float64s:
     truth = true_cameras(3072)
     common = [name for name in solved if solved[name].get("C") and Path(name).stem in truth]
-    moved = align(np.array([solved[n]["C"] for n in common]), np.array([truth[Path(n).stem].C for n in common]))
+    moved = similarity_between(np.array([solved[n]["C"] for n in common]), np.array([truth[Path(n).stem].C for n in common]))
     return np.asarray(moved.scale * points @ moved.R.T + moved.t, dtype=np.float64)
 
 

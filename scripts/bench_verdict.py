@@ -24,9 +24,10 @@ from time import process_time
 import numpy as np
 from pairs_with_truth import TrueView, correct, on_one_thread, photographed, pose_error_deg, rendered, walls
 
+from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.twoview.pair_score import STANDS_ALONE, rotation_angle_deg, site_verdict
+from wbflow_stages.sfm.loops import STANDS_ALONE, check_loops
 from wbflow_stages.twoview.robust import pose_of_fundamental
 from wbflow_stages.types import Frame, Geometry, Matches, Pair
 
@@ -120,8 +121,8 @@ def measure(name: str, cache: Path) -> tuple[Result, list[Judged]]:
     found = [judge(a, b, not name.endswith("noK"), related) for a, b in pairs]
     seconds = (process_time() - start) / max(len(pairs), 1)
     judged = [j for j in found if j is not None]
-    verdicts = site_verdict({j.pair: j.geometry for j in judged}) if related else {}
-    believed = {pair for pair, verdict in verdicts.items() if verdict.reason is None}
+    checks = check_loops({j.pair: j.geometry for j in judged}) if related else {}
+    believed = {pair for pair, check in checks.items() if check.rejected is None}
     right, wrong = [j for j in judged if j.right], [j for j in judged if not j.right]
     result = Result(
         name, len(pairs), len(right), sum(j.geometry.score > 0 for j in right), len(wrong),
@@ -152,7 +153,7 @@ def small_sites(name: str, judged: list[Judged], views: dict[str, TrueView], dra
                 break
             chosen = set(rng.choice(list(views), size, replace=False).tolist())
             mine = {pair: g for pair, g in geometries.items() if set(pair) <= chosen}
-            believed = {pair for pair, verdict in site_verdict(mine).items() if verdict.reason is None}
+            believed = {pair for pair, check in check_loops(mine).items() if check.rejected is None}
             sites += 1
             turned += worst_turn_deg(believed, geometries, views) > MAX_ROTATION_DEG
             usable += len(right & set(mine))
@@ -167,7 +168,7 @@ def worst_turn_deg(believed: set[Pair], geometries: dict[Pair, Geometry], views:
         R = geometries[a, b].cam2_R_cam1
         if R is not None:
             true_R = views[b].camera.R @ views[a].camera.R.T
-            errors.append(rotation_angle_deg(true_R.T @ R))
+            errors.append(angle_between_deg(true_R, R))
     return max(errors)
 
 

@@ -17,16 +17,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
-from wbflow_stages.twoview.epipolar import (
-    backproject,
-    fundamental_from_cameras,
-    project,
-    relative_pose,
-    scaled_intrinsics,
-    symmetric_epipolar_distance,
-)
+from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:
@@ -65,7 +59,7 @@ class TrueView:
         descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
         responses = np.array([k.response for k in found], np.float32)
         xy, tilts = np.array([k.pt for k in found], np.float64), np.zeros(len(found), np.uint8)
-        return Features(xy, frames, descriptors, responses, tilts, self.frame.view, keypoints=len(found))
+        return Features(xy, frames, descriptors, responses, tilts, self.frame.view, plain_keypoints=len(found))
 
     def without_lens(self) -> Features:
         """The features of a camera whose intrinsics nobody knows."""

@@ -14,8 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from .core.cameras import backproject, project
 from .core.jit import kernel
-from .twoview.epipolar import backproject, project, symmetric_epipolar_distance
+from .core.rotations import angle_between_deg, nearest_rotation
+from .core.similarity import Similarity, similarity_between
+from .twoview.epipolar import symmetric_epipolar_distance
 from .types import Bools, Camera, Float32s, Float64s, Uint8s
 
 Points = npt.NDArray[np.floating]
@@ -97,37 +100,6 @@ def _nearest(points: Float64s, others: Float64s) -> Float64s:
 
 
 @dataclass(frozen=True)
-class Similarity:
-    """X -> scale R X + t."""
-
-    scale: float
-    R: Float64s
-    t: Float64s
-
-    def __call__(self, X: Points) -> Float64s:
-        return np.asarray(self.scale * X.astype(np.float64) @ self.R.T + self.t, np.float64)
-
-
-def align(source: Float64s, target: Float64s, *, with_scale: bool = True) -> Similarity:
-    """The least-squares similarity from (n, 3) points to their counterparts.
-
-    Raises ValueError for fewer than three points, or points on a line.
-
-    References
-    ----------
-    S. Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991.
-    """
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    U, S, Vt = np.linalg.svd(b.T @ a / max(len(a), 1))
-    if len(source) < 3 or S[1] < 1e-9 * S[0]:
-        raise ValueError("an alignment needs three points that are not on a line")
-    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    R = U @ D @ Vt
-    scale = float(np.trace(np.diag(S) @ D) / (a**2).sum(axis=1).mean()) if with_scale else 1.0
-    return Similarity(scale, R, target.mean(axis=0) - scale * R @ source.mean(axis=0))
-
-
-@dataclass(frozen=True)
 class PoseErrors:
     """cameras: ids compared; rotation_deg: (n,) angle between orientations; position: (n,) distance between centres, in the
     truth's unit; alignment: what was applied to the estimate first, None for nothing."""
@@ -143,11 +115,11 @@ def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *,
     names = tuple(name for name in truth if name in estimated)
     centres = np.array([estimated[n].C for n in names]).reshape(-1, 3)
     true_centres = np.array([truth[n].C for n in names]).reshape(-1, 3)
-    moved = align(centres, true_centres) if aligned else None
+    moved = similarity_between(centres, true_centres) if aligned else None
     if moved is not None:
-        centres = moved(centres)
+        centres = moved.points(centres)
     turn = np.eye(3) if moved is None else moved.R
-    rotation = np.array([angle_deg(estimated[n].R @ turn.T, truth[n].R) for n in names])
+    rotation = np.array([angle_between_deg(estimated[n].R @ turn.T, truth[n].R) for n in names])
     return PoseErrors(names, rotation, np.linalg.norm(centres - true_centres, axis=1), moved)
 
 
@@ -157,14 +129,8 @@ def turn_errors_deg(estimated: Mapping[str, Camera], truth: Mapping[str, Camera]
     `pose_errors` takes that turn from the centres: where these lie almost in a row, their errors turn all cameras.
     """
     names = [name for name in truth if name in estimated]
-    U, _, Vt = np.linalg.svd(np.sum([estimated[n].R.T @ truth[n].R for n in names], axis=0))
-    turn = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return np.array([angle_deg(estimated[n].R @ turn, truth[n].R) for n in names])
-
-
-def angle_deg(R1: Float64s, R2: Float64s) -> float:
-    """Angle (degrees) of the rotation between two orientations, accurate for small ones."""
-    return float(np.degrees(2 * np.arcsin(min(np.linalg.norm(R1 - R2) / np.sqrt(8), 1.0))))
+    turn = nearest_rotation(np.sum([estimated[n].R.T @ truth[n].R for n in names], axis=0))
+    return np.array([angle_between_deg(estimated[n].R @ turn, truth[n].R) for n in names])
 
 
 def true_correspondences(

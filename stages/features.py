@@ -17,10 +17,10 @@ from .matching.neighbours import nearest_elsewhere
 from .reasons import Reason, Rejected
 from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s, View
 
-Light = Literal["auto", "plain", "robust"]
+Preprocessing = Literal["auto", "none", "clahe"]
 
 DARK_GREY, FLAT_RANGE = 50.0, 25.0
-"""Grey levels of 255: a median below the first, or a span of the middle 80 % below the second, asks for robust light."""
+"""Grey levels of 255: a median below the first, or a span from 10 to 90 % below the second, asks for CLAHE."""
 ANGLE_SEAM_DEG = 45.0
 """SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
 alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
@@ -37,12 +37,12 @@ and begin at multiples of it, so that coarse scales are sampled at the same plac
 def detect(
     frame: Frame,
     *,
-    keypoints: int = 6000,
+    max_keypoints: int = 6000,
     tilted_keypoints: int = 3000,
     contrast_threshold: float = 0.01,
     grid_columns: int = 6,
     crowding: float = 2.0,
-    light: Light = "auto",
+    preprocessing: Preprocessing = "auto",
     min_keypoints: int = 50,
 ) -> Features | Rejected:
     """Detect and describe the keypoints of a frame.
@@ -50,13 +50,13 @@ def detect(
     Parameters
     ----------
     frame : the clean frame; keypoints on or at the edge of masked pixels are left out.
-    keypoints : how many to keep in the plain view.
+    max_keypoints : how many to keep in the plain view.
     tilted_keypoints : how many to keep in the view compressed by 2 in x; 0 leaves that view out.
     contrast_threshold : least contrast of a keypoint, as share of the grey range (OpenCV's meaning).
     grid_columns : square cells across the image among which the keypoints are spread.
     crowding : a cell gives at most this many times its even share, as long as others have keypoints to give; no unit.
-    light : "robust" smooths the noise and equalises the local contrast first, for night, lamps and fog; "auto" looks at the
-        image to decide, because by day this finds less.
+    preprocessing : "clahe" smooths the noise and equalises the local contrast first, for night, lamps and fog; "auto" looks at
+        the image to decide between that and "none", because by day this finds less.
     min_keypoints : fewer than this in the plain view reject the frame.
 
     Returns
@@ -64,33 +64,33 @@ def detect(
     Features, or Rejected when the frame shows too little.
     """
     grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-    robust = light == "robust" or (light == "auto" and _needs_robust_light(grey, frame.mask))
-    if robust:
+    equalise = preprocessing == "clahe" or (preprocessing == "auto" and _low_contrast(grey, frame.mask))
+    if equalise:
         grey = _equalised(grey)
     sift = cv2.SIFT.create(contrastThreshold=contrast_threshold, enable_precise_upscale=True)
-    plain = _detect_view(sift, grey, frame.mask, keypoints, grid_columns, crowding)
+    plain = _detect_view(sift, grey, frame.mask, max_keypoints, grid_columns, crowding)
     if len(plain[0]) < min_keypoints:
         figures = {"keypoints": len(plain[0]), "needed": min_keypoints, "usable_share": float(frame.mask.mean())}
         return Rejected(Reason.TOO_FEW_KEYPOINTS, figures)
     views = [plain]
     if tilted_keypoints > 0:
         views.append(_detect_tilted(sift, grey, frame.mask, tilted_keypoints, grid_columns, crowding))
-    return _features(views, frame.view, "robust" if robust else "plain")
+    return _features(views, frame.view, "clahe" if equalise else "none")
 
 
 _View = tuple[Float64s, Float64s, Float32s, Float32s]
 """xy, frames, descriptors and responses of one view's keypoints."""
 
 
-def _features(views: list[_View], view: View, light: str) -> Features:
+def _features(views: list[_View], view: View, preprocessing: str) -> Features:
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
     plain = len(views[0][0])
     lookalikes = nearest_elsewhere(descriptors, xy, plain)
-    return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, light)
+    return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, preprocessing)
 
 
-def _needs_robust_light(grey: Uint8s, mask: Bools) -> bool:
+def _low_contrast(grey: Uint8s, mask: Bools) -> bool:
     """True for a dark image (night, lamps), or one that lives in a small part of the grey range (fog)."""
     if not mask.any():
         return False

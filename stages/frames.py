@@ -13,8 +13,9 @@ from math import atan, degrees, radians, tan
 import cv2
 import numpy as np
 
+from .core.cameras import scaled_intrinsics
 from .io.exif import focal_in_long_sides
-from .twoview.epipolar import scaled_intrinsics
+from .io.jpeg import SCAN, jpeg_segments
 from .types import Bools, Capture, Float64s, Frame, Lens, Uint8s, View
 
 
@@ -135,10 +136,10 @@ def merge(images: Sequence[Uint8s]) -> Uint8s:
     reference = np.median(small, axis=0)
     stack = [_with_gain(image, _gain(thumbnail, reference)) for image, thumbnail in zip(images, small, strict=True)]
     merged = np.empty_like(images[0])
-    middle = len(stack) // 2
+    median = len(stack) // 2
     for top in range(0, len(merged), 64):  # by strips: a night's stack is held once, as bytes
         strip = np.stack([image[top : top + 64] for image in stack])
-        merged[top : top + 64] = np.partition(strip, middle, axis=0)[middle]
+        merged[top : top + 64] = np.partition(strip, median, axis=0)[median]
     return merged
 
 
@@ -220,7 +221,7 @@ def _most_common_size(
 def _refuse_truncated(name: str, data: bytes) -> None:
     """JPEG must have an end marker after its first scan, PNG a last chunk; decoders pad the rest with grey and only mutter."""
     if data[:3] == b"\xff\xd8\xff":
-        scan = _jpeg_scan(data)
+        scan = next((start for marker, start, _ in jpeg_segments(data) if marker == SCAN), None)
         whole = scan is not None and data.find(b"\xff\xd9", scan) >= 0
     elif data[:8] == b"\x89PNG\r\n\x1a\n":
         whole = data.rfind(b"IEND") >= 0
@@ -228,19 +229,6 @@ def _refuse_truncated(name: str, data: bytes) -> None:
         return
     if not whole:
         raise TruncatedImage(f"{name} ends after {len(data):,} bytes: the image is truncated")
-
-
-def _jpeg_scan(data: bytes) -> int | None:
-    """Where the first scan begins, found by stepping over the segments: a thumbnail inside one has markers of its own."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        if data[at + 1] == 0xFF:  # fill byte
-            at += 1
-        elif data[at + 1] == 0xDA:
-            return at + 2
-        else:
-            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return None
 
 
 def _decoded(data: Uint8s, flags: int) -> Uint8s | None:

@@ -1,6 +1,6 @@
 """Depths of all views become one coloured point cloud.
 
-Three passes over the views, few of them in memory at a time: a glance at each (`fusion.glance`), from which follow what can be
+Three passes over the views, few of them in memory at a time: each subsampled (`fusion.subsampled`), from which follow what can be
 compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.visibility`); points that
 survive, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the pixel's footprint and the depth's
 propagated error, so a desk and a quarry are treated alike.
@@ -14,13 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from .core.cameras import backproject
 from .fusion.exposure import exposure_gains
-from .fusion.glance import glance, natural_voxel, nearest_views
 from .fusion.pair_depth import world_normals
-from .fusion.visibility import Verdict, cross_check
+from .fusion.subsampled import natural_voxel, nearest_views, subsample
+from .fusion.visibility import CrossCheck, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
-from .twoview.epipolar import backproject
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
@@ -34,7 +34,7 @@ def fuse(
     refined: Mapping[str, DepthMap] | None = None,
     *,
     component: int = 0,
-    strict: int = 1,
+    min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
     neighbours: int = 5,
     check_views: int = 16,
@@ -51,7 +51,7 @@ def fuse(
         Depth of views refined over all views around them: taken for these instead.
     component
         Only cameras of this component: those that share a world.
-    strict
+    min_consistent_pairs
         A point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the same: 2 trades
         completeness for accuracy.
     voxel_m
@@ -71,51 +71,51 @@ def fuse(
     def depth_of(name: str) -> DepthMap:
         return better[name] if name in better else depths[name]
 
-    glances = {name: glance(frames[name], depth_of(name)) for name in cameras}
-    if not any(np.isfinite(view.depth).any() for view in glances.values()):
+    small = {name: subsample(frames[name], depth_of(name)) for name in cameras}
+    if not any(np.isfinite(view.depth).any() for view in small.values()):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
-    near = {name: nearest_views(name, cameras, glances, check_views) for name in cameras}
-    gains = exposure_gains(cameras, glances, near)
-    edge = voxel_m or natural_voxel(cameras, glances)
+    near = {name: nearest_views(name, cameras, small, check_views) for name in cameras}
+    gains = exposure_gains(cameras, small, near)
+    edge = voxel_m or natural_voxel(cameras, small)
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
     for name, camera in cameras.items():
-        verdict = cross_check(name, near[name], cameras, depth_of)
-        grid.add(_samples(frames[name], camera, depth_of(name), verdict, gains[name], strict))
+        check = cross_check(name, near[name], cameras, depth_of)
+        grid.add(_samples(frames[name], camera, depth_of(name), check, gains[name], min_consistent_pairs))
     depth_of.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
     if not parts:
-        figures = {"cameras": len(cameras), "min_consistent_pairs": strict, "neighbours": neighbours}
+        figures = {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs, "neighbours": neighbours}
         return Rejected(Reason.NO_SUPPORTED_POINT, figures)
     return Cloud(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cloud)))
 
 
-def _samples(frame: Frame, camera: Camera, depth: DepthMap, verdict: Verdict, gains: Float64s, strict: int) -> Samples:
+def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int) -> Samples:
     """The points of one view that its own and the other views' evidence leaves standing.
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.
     """
-    supported = frame.mask & (depth.sure | (verdict.agreeing > 0))
-    if strict > 1:
-        supported &= verdict.agreeing >= strict
-    supported &= (verdict.pairs >= strict) & (4 * (verdict.agreeing + 1.0) >= verdict.visible + 1.0)
-    y, x = np.nonzero(np.isfinite(depth.depth) & supported & (2 * verdict.violating <= verdict.agreeing))
+    supported = frame.mask & (depth.sure | (check.agreeing > 0))
+    if min_pairs > 1:
+        supported &= check.agreeing >= min_pairs
+    supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
+    y, x = np.nonzero(np.isfinite(depth.depth) & supported & (2 * check.violating <= check.agreeing))
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     return Samples(
         backproject(camera, np.column_stack([x, y]).astype(np.float64), z),
         world_normals(camera, depth, y, x).astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
         (1.0 / sigma**2).astype(np.float32),
-        _confidence(verdict, depth, y, x),
-        verdict.cameras[y, x].astype(np.float32),
+        _confidence(check, depth, y, x),
+        check.cameras[y, x].astype(np.float32),
         (z / camera.K[0, 0]).astype(np.float32),
     )
 
 
-def _confidence(verdict: Verdict, depth: DepthMap, y: np.ndarray, x: np.ndarray) -> Float32s:
+def _confidence(check: CrossCheck, depth: DepthMap, y: np.ndarray, x: np.ndarray) -> Float32s:
     """0 to 1: each further pair halves the doubt; views that look through the point add to it."""
-    confidence = (1.0 - 0.5 ** verdict.pairs[y, x]) * 0.6 ** verdict.violating[y, x]
+    confidence = (1.0 - 0.5 ** check.pairs[y, x]) * 0.6 ** check.violating[y, x]
     return np.asarray(confidence, dtype=np.float32)
 
 

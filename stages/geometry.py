@@ -12,7 +12,7 @@ from .matching.candidates import searched_view_pairs
 from .matching.structural import match_guided
 from .reasons import Reason, Rejected
 from .twoview.epipolar import homogeneous, symmetric_epipolar_distance
-from .twoview.intrinsics_prior import ODDEST, TwoCameras, refine_with_plausible_lenses
+from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
 from .twoview.pair_score import (
     GRID_COLUMNS,
     GRID_ROWS,
@@ -266,8 +266,10 @@ def _weighted(
     F, noise = refine_two_view(found.F, x1[inside], x2[inside], size[inside])
     lenses = None
     if not (_known(view1) and _known(view2)):
-        lenses = refine_with_plausible_lenses([F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, how.use_intrinsics))
-    if lenses is not None and lenses.oddness <= ODDEST:
+        lenses = refine_with_plausible_intrinsics(
+            [F], x1[inside], x2[inside], noise, *_lenses_to_use(matches, how.use_intrinsics)
+        )
+    if lenses is not None and lenses.implausibility <= MOST_IMPLAUSIBLE:
         F = lenses.F
     inliers = supporters(F, x1, x2, how.threshold_px)
     better = None if inliers.sum() < 8 else TwoView(F, inliers)
@@ -275,7 +277,7 @@ def _weighted(
 
 
 def _plausible(matches: Matches, bare: TwoView, size: Float64s, how: _How) -> TwoView:
-    """F of two cameras with lenses as cameras have, unless these are odd or it has far fewer inliers than the bare F."""
+    """F of two cameras with lenses as cameras have, unless these are implausible or it has far fewer inliers than the bare F."""
     x1, x2 = matches.x1, matches.x2
     views = _lenses_to_use(matches, how.use_intrinsics)
     one = estimate_with_one_lens(x1, x2, *views, how.threshold_px, how.seed)
@@ -283,8 +285,8 @@ def _plausible(matches: Matches, bare: TwoView, size: Float64s, how: _How) -> Tw
     either = np.any([c.inliers for c in candidates], axis=0)
     noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
     noise = size[either] * (noise[0] / size[bare.inliers][0])
-    found = refine_with_plausible_lenses([c.F for c in candidates], x1[either], x2[either], noise, *views)
-    if found is None or found.oddness > ODDEST:
+    found = refine_with_plausible_intrinsics([c.F for c in candidates], x1[either], x2[either], noise, *views)
+    if found is None or found.implausibility > MOST_IMPLAUSIBLE:
         return bare
     inliers = supporters(found.F, x1, x2, how.threshold_px)
     return TwoView(found.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare
@@ -299,7 +301,7 @@ def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
 
 def _told(lenses: TwoCameras | None) -> dict[str, Any]:
     """The fields of `Geometry` that say which lenses go with F."""
-    return {} if lenses is None else {"lens1": lenses.K1, "lens2": lenses.K2, "lens_oddness": lenses.oddness}
+    return {} if lenses is None else {"lens1": lenses.K1, "lens2": lenses.K2, "implausibility": lenses.implausibility}
 
 
 def _sizes(matches: Matches, left: Features, right: Features) -> Float64s:

@@ -17,7 +17,7 @@ from math import radians
 
 import numpy as np
 
-from .twoview.epipolar import backproject, project
+from .core.cameras import backproject, project, ray_angles
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Overlap, Placement, View
 
 
@@ -34,7 +34,7 @@ def estimate_overlap(
     Parameters
     ----------
     views
-        The pinhole of every camera that has a frame tonight, in the order of the site.
+        The pinhole of every camera that has a frame, in the order of the site.
     placements
         Poses where known.
     features
@@ -140,9 +140,7 @@ def _visible(camera: Camera, points: Float64s) -> Bools:
 
 def _median_angle(points: Float64s, C1: Float64s, C2: Float64s) -> float:
     """Median angle in radians at which two centres see the points."""
-    a, b = points - C1, points - C2
-    cosine = np.einsum("ni,ni->n", a, b) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) + 1e-300)
-    return float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return float(np.median(ray_angles(points - C1, points - C2)))
 
 
 def _largest(features: Features, count: int) -> Float32s:

@@ -12,10 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from .core.cameras import camera_of
+from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
 from .sfm.pose_check import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
-from .twoview.epipolar import camera_of, rotation_between_deg
-from .types import Camera, Geometry, Pair, PairVerdict, Placement, PoseCheck, Poses, Survey, View
+from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
 """A sentence lists so many cameras at most."""
@@ -66,7 +67,7 @@ def solve_poses(
         found = _as_stated(views, placements, stated, survey)
         if isinstance(found, Rejected):
             return found
-        return replace(found, verdicts=_verdicts(found.cameras, seen), checks=checks, notes=notes)
+        return replace(found, verdicts=_fit(found.cameras, seen), checks=checks, notes=notes)
     # here, so that a night whose poses are all known and right does not wait for what solves poses
     from .sfm.solve import solve_from_pairs
 
@@ -95,14 +96,14 @@ def _check(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -
     return wrong, unclear
 
 
-def _verdicts(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, PairVerdict]:
+def _fit(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, PairCheck]:
     """How known poses fit each pair; whether it can be used, rectification decides."""
     found = {}
     for pair, geometry in geometries.items():
         error = epipolar_error_px(cameras, pair, geometry)
         reason = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else ""
         turned = turned_deg(cameras, pair, geometry)
-        found["--".join(pair)] = PairVerdict(True, reason, geometry.epipolar_px, error, turned, bool(reason))
+        found["--".join(pair)] = PairCheck(True, reason, "", geometry.epipolar_px, error, turned, bool(reason))
     return found
 
 
@@ -113,7 +114,7 @@ def _moved(stated: Camera, solved: Camera | None, name: str, geometries: Mapping
     if solved is None or solved.component != 0:
         return PoseCheck(len(mine), inliers, float("nan"), True)
     length = float(np.linalg.norm(solved.C - stated.C))
-    return PoseCheck(len(mine), inliers, float("nan"), True, length, rotation_between_deg(solved.R, stated.R))
+    return PoseCheck(len(mine), inliers, float("nan"), True, length, angle_between_deg(solved.R, stated.R))
 
 
 def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:

@@ -6,13 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+_LOOPS = (
+    " (score {score:.1f}, {distinct_cells:.0f} cells with distinctive matches, {closed:.0f} of {triangles:.0f} triangles close)"
+)
+
 
 class Reason(StrEnum):
     """All reasons of the stages.  The value is the code; `template` makes the words from the figures of a `Rejected`."""
 
     template: str
 
-    def __new__(cls, code: str, template: str) -> Reason:
+    def __new__(cls, code: str, template: str = "") -> Reason:
         member = str.__new__(cls, code)
         member._value_ = code
         member.template = template
@@ -43,6 +47,19 @@ class Reason(StrEnum):
     NO_GEOMETRY = "no-geometry", "no two cameras could be placed: no pair has a geometry"
     PAIRS_CONTRADICT = "pairs-contradict", "no two cameras could be placed: the pairs contradict each other"
     TOO_FEW_POINTS = "too-few-points", "no two cameras could be placed: too few points are seen at an angle"
+
+    UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOPS
+    LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOPS
+    AMBIGUOUS = "ambiguous", "ambiguous: another pose fits as well" + _LOOPS
+    NOT_BELIEVED = "not-believed", "wrong" + _LOOPS
+    TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees against the pairs that are believed most"
+    CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is {off_deg:.0f} degrees off"
+    CONTRADICTS_CAMERAS = (
+        "contradicts-cameras",
+        "contradicts the other pairs: its inliers are {epipolar_px:.1f} px off the epipolar lines of the solved cameras",
+    )
+    CAMERA_NOT_PLACED = "camera-not-placed", "a camera of it could not be placed"
+    CAMERAS_APART = "cameras-apart", "its cameras could not be brought into one frame"
 
     UNLIKELY_GEOMETRY = "unlikely-geometry", "F is more likely wrong than right: too few distinctive matches agree with it"
     IMPLAUSIBLE_INTRINSICS = (
@@ -79,6 +96,8 @@ class Rejected:
     why: Reason | str
     figures: Mapping[str, float] = field(default_factory=dict)
     """The numbers behind it, of which the words name some."""
+    words: str = ""
+    """Made by the stage that knew the figures, where it was another one."""
 
     def __post_init__(self) -> None:
         _ = self.reason  # a figure that the words need and nobody gave shows where it is forgotten
@@ -91,6 +110,6 @@ class Rejected:
     @property
     def reason(self) -> str:
         """In words.  Raises KeyError when a figure is missing that they need."""
-        if not isinstance(self.why, Reason):
-            return self.why
+        if self.words or not isinstance(self.why, Reason):
+            return self.words or self.why
         return self.why.template.format_map(self.figures).replace("%", " %")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .core.cameras import rays
 from .core.methods import bind
 from .core.nearest_points import nearest_points
 from .core.order_statistics import median, percentiles
@@ -22,9 +23,9 @@ from .rectification.placement import frame_grid, place
 from .rectification.polar import polar
 from .rectification.quality import line_uncertainty, order_agreement, parallax_px
 from .rectification.warping import Side, from_rectified, rectified_size, resampling, to_rectified
-from .twoview.epipolar import fundamental_from_cameras, rays, symmetric_epipolar_distance, triangulate_depth
-from .twoview.intrinsics_prior import ODDEST, freedoms
-from .types import Camera, Float64s, Geometry, PairVerdict, Rectification
+from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
+from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, freedoms
+from .types import Camera, Float64s, Geometry, PairCheck, Rectification
 
 METHODS = {
     "congruent": "wbflow_stages.rectification.congruent:congruent",
@@ -63,7 +64,7 @@ def rectify(
     geometry: Geometry,
     left: Camera | None,
     right: Camera | None,
-    verdict: PairVerdict | None = None,
+    verdict: PairCheck | None = None,
     *,
     method: str = "congruent",
     fallback: bool = True,
@@ -117,7 +118,7 @@ def rectify(
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
     if verdict is not None and not verdict.kept:
-        return Rejected(verdict.reason)
+        return Rejected(Reason(verdict.code), words=verdict.reason)
     pair = _obeying(geometry, left, right)
     rectifier = bind(METHODS, method, {"pair": pair, "geometry": geometry, "left": left, "right": right}, options)
     refusal = _unbelievable(geometry, pair) or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
@@ -146,8 +147,8 @@ def _unbelievable(geometry: Geometry, pair: MatchedPair) -> Rejected | None:
     if pair.camera1 is None and geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
         return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
-    if pair.camera1 is None and geometry.lens_oddness > ODDEST:
-        return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, {"lens_oddness": geometry.lens_oddness, "allowed": ODDEST})
+    if pair.camera1 is None and geometry.implausibility > MOST_IMPLAUSIBLE:
+        return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, {"implausibility": geometry.implausibility, "allowed": MOST_IMPLAUSIBLE})
     return None
 
 

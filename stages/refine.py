@@ -18,8 +18,9 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from .fusion.pair_depth import NoiseModel, transfer
-from .mvs.propagation import PlaneSweep, Scalar
+from .core.cameras import ray_angles, transfer
+from .fusion.pair_depth import NoiseModel
+from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
 from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s
@@ -79,24 +80,24 @@ def refine(
     planes = np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
     known = np.isfinite(planes[0])
     nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
-    sweep = PlaneSweep(image, frame.mask, sources, M, b, taps)
-    cost = sweep.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
+    propagation = Propagation(image, frame.mask, sources, M, b, taps)
+    cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
-    said = sweep.judge(planes, max_cost)
-    kept = frame.mask & (said.first < max_cost)
+    support = propagation.support(planes, max_cost)
+    kept = frame.mask & (support.first < max_cost)
     z = np.where(kept, 1.0 / planes[0].astype(np.float64), np.nan)
     noise = NoiseModel(noise_px=noise_px)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / said.parallax + noise.floor**2)
+        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / support.parallax + noise.floor**2)
     return DepthMap(
         z.astype(np.float32),
         sigma.astype(np.float32),
         planes[1],
         planes[2],
-        said.support,
+        support.sources,
         tuple(around),
-        kept & (known | (said.second < 0.3)),
+        kept & (known | (support.second < 0.3)),
     )
 
 
@@ -116,19 +117,17 @@ def _sources(
     angles = []
     for name, other in others.items():
         if other.component == camera.component:
-            a, b = camera.C - points, other.C - points
-            cosine = np.sum(a * b, axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
-            angles.append((float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))), name))
+            angles.append((float(np.degrees(np.median(ray_angles(camera.C - points, other.C - points)))), name))
     return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
 
 
-def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> Scalar:
+def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:
     """How far a pixel moves per unit of inverse depth, in the median over sources and a few pixels."""
     y, x = np.nonzero(np.isfinite(q[::16, ::16]))
     p = np.stack([16.0 * x, 16.0 * y, np.ones(len(x))])
     seen = M @ p + b[:, :, None] * q[::16, ::16][y, x]
     moved = (b[:, :2, None] - seen[:, :2] / seen[:, 2:] * b[:, 2:, None]) / seen[:, 2:]
-    return Scalar(np.median(np.linalg.norm(moved, axis=1)))
+    return np.float32(np.median(np.linalg.norm(moved, axis=1)))
 
 
 def _stack(images: list[Float32s]) -> Float32s:

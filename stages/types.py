@@ -148,8 +148,8 @@ class Features:
     tilts: Uint8s
     view: View
     lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
-    keypoints: int = 0
-    light: str = "plain"
+    plain_keypoints: int = 0
+    preprocessing: str = "none"
 
 
 PLAIN, TILTED = 0, 1
@@ -194,7 +194,7 @@ class Geometry:
     the clear matches found without geometry that F explains, half_rotation_deg: angle between the rotations that the two halves
     of the inliers tell (nan without K), stretch: median log ratio of the axes of the local affine maps;
     noise_px: (n,) float32, standard deviation of the distance of each inlier to its epipolar line, None where nobody knows;
-    lens1, lens2: (3, 3) intrinsics that go with F where they had to be guessed, else None; lens_oddness: how far these are from
+    lens1, lens2: (3, 3) intrinsics that go with F where they had to be guessed, else None; implausibility: how far these are from
     what cameras have, in squared standard deviations, nan where they are known;
     warnings: named degenerate cases that did not reject the pair.
     """
@@ -225,7 +225,7 @@ class Geometry:
     noise_px: Float32s | None = None
     lens1: Float64s | None = None
     lens2: Float64s | None = None
-    lens_oddness: float = float("nan")
+    implausibility: float = float("nan")
     warnings: tuple[str, ...] = ()
 
 
@@ -246,21 +246,23 @@ class Overlap:
 
 
 @dataclass(frozen=True)
-class PairVerdict:
-    """What the cameras of a whole site say of one pair.
-
-    kept: the pair agrees with them, or they say nothing of it; reason: why it is not kept, or what is to be known;
-    estimated_px, adjusted_px: median epipolar distance of its inliers to its own F, and to the F of the adjusted cameras;
-    rotation_off_deg: between its own relative rotation and that of the cameras; flagged: the adjusted F is noticeably worse than
-    the pair's own.  Figures are nan where there is nothing to compare.
-    """
+class PairCheck:
+    """What the cameras of a whole site say of one pair.  Figures are nan where there is nothing to compare."""
 
     kept: bool
+    """The pair agrees with the cameras, or they say nothing of it."""
     reason: str = ""
+    """Why it is not kept, or what is to be known of it."""
+    code: str = ""
+    """Of a pair that is not kept: which `Reason`."""
     estimated_px: float = float("nan")
+    """Median epipolar distance of its inliers to its own F..."""
     adjusted_px: float = float("nan")
+    """...and to the F of the adjusted cameras."""
     rotation_off_deg: float = float("nan")
+    """Between its own relative rotation and that of the cameras."""
     flagged: bool = False
+    """The adjusted F is noticeably worse than the pair's own."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +301,7 @@ class Poses:
     dropped: Mapping[str, str]
     metric: bool
     source: str
-    verdicts: Mapping[str, PairVerdict] = field(default_factory=dict)
+    verdicts: Mapping[str, PairCheck] = field(default_factory=dict)
     suspects: Mapping[str, str] = field(default_factory=dict)
     focals: tuple[str, ...] = ()
     components: tuple[tuple[str, ...], ...] = ()

@@ -6,24 +6,24 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..core.cameras import transfer
 from ..types import Camera, Float32s, Float64s, Uint8s
-from .glance import STEP, Glance
-from .pair_depth import transfer
+from .subsampled import STEP, Subsampled
 
 
 def exposure_gains(
-    cameras: Mapping[str, Camera], glances: Mapping[str, Glance], neighbours: Mapping[str, Sequence[str]]
+    cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], neighbours: Mapping[str, Sequence[str]]
 ) -> dict[str, Float64s]:
     """(3,) factor for each camera; their geometric mean over the cameras is one.
 
     The ratio of two cameras is the median over pixels whose depths agree; the cameras' gains fit all ratios by least squares, a
     camera without ratios keeps one.
     """
-    names = list(glances)
+    names = list(small)
     rows, ratios, weights = [], [], []
     for i, name in enumerate(names):
         for other in neighbours[name]:
-            ratio, count = _ratio(cameras[name], cameras[other], glances[name], glances[other])
+            ratio, count = _ratio(cameras[name], cameras[other], small[name], small[other])
             if count >= 50:
                 row = np.zeros(len(names))
                 row[i], row[names.index(other)] = 1.0, -1.0
@@ -39,7 +39,7 @@ def exposure_gains(
     return dict(zip(names, np.exp(log_gains), strict=True))
 
 
-def _ratio(camera: Camera, other: Camera, ours: Glance, theirs: Glance) -> tuple[Float64s, int]:
+def _ratio(camera: Camera, other: Camera, ours: Subsampled, theirs: Subsampled) -> tuple[Float64s, int]:
     """Median log ratio (3,) of the two cameras' colours over surfaces that both see, and over how many pixels."""
     pixels, z = ours.points(2)
     M, b = transfer(camera, other)
@@ -57,7 +57,7 @@ def _ratio(camera: Camera, other: Camera, ours: Glance, theirs: Glance) -> tuple
 
 
 def _at(values: Uint8s | Float32s, places: Float64s) -> np.ndarray:
-    """(n, ...) what a glance holds at positions of the full size."""
+    """(n, ...) what a subsampled view holds at positions of the full size."""
     h, w = values.shape[:2]
     x, y = (places[:, :2].T + 0.5).astype(int) // STEP
     return np.asarray(values[np.minimum(y, h - 1), np.minimum(x, w - 1)])

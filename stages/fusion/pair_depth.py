@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.cameras import transfer
 from ..core.jit import kernel
 from ..rectification.warping import Side, disparity_px, from_rectified, to_rectified
-from ..twoview.epipolar import relative_pose
 from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
 _SMOOTH_PX = 2.5
@@ -63,12 +63,6 @@ def pair_depth(
         partner = from_rectified(rectification, 2 if side == 1 else 1, at)
         _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
     return depth, gain
-
-
-def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
-    """M (3, 3), b (3,): pixel p of `camera` at depth z is seen by `other` at z M p + b, whose third entry is the depth there."""
-    R, t = relative_pose(camera, other)
-    return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
 
 
 @kernel

@@ -8,27 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..core.cameras import transfer
 from ..core.jit import kernel
 from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s, Uint16s, Uint32s
-from .pair_depth import transfer
 
 Uint64s = npt.NDArray[np.uint64]
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Per pixel of a view, (h, w): pairs: distinct pairs that support the depth; cameras: distinct cameras in them;
-    visible: other views that have the point in their image and nothing in front of it; agreeing, violating: those among them
-    whose own depth agrees, or lies behind, so that they look through the point."""
+class CrossCheck:
+    """What other views say of each pixel of a view, (h, w) each."""
 
     pairs: Uint8s
+    """Distinct pairs that support the depth..."""
     cameras: Uint16s
+    """...and distinct cameras in them."""
     visible: Uint8s
+    """Other views that have the point in their image and nothing in front of it."""
     agreeing: Uint8s
+    """Those among them whose own depth agrees..."""
     violating: Uint8s
+    """...or lies behind, so that they look through the point."""
 
 
-def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera], depth_of: Callable[[str], DepthMap]) -> Verdict:
+def cross_check(
+    name: str, others: Sequence[str], cameras: Mapping[str, Camera], depth_of: Callable[[str], DepthMap]
+) -> CrossCheck:
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three sigmas of both and 0.2 % of the depth; it looks through the point when its own depth lies more than
@@ -48,7 +53,7 @@ def cross_check(name: str, others: Sequence[str], cameras: Mapping[str, Camera],
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
-    return Verdict(count, seen_by, visible, agreeing, violating)
+    return CrossCheck(count, seen_by, visible, agreeing, violating)
 
 
 class _PairNumbers:

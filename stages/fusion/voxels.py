@@ -104,7 +104,7 @@ class VoxelGrid:
 
 @kernel
 def _locate(points: Float64s, level: Int64s, origin: Float64s, edge: float, keys: Int64s, away: Float32s) -> None:
-    """Key of each point's voxel, -1 where it is too far out, and where the point lies from the voxel's middle."""
+    """Key of each point's voxel, -1 where it is too far out, and where the point lies from the voxel's centre."""
     for n in range(len(points)):
         size = edge * 2.0 ** level[n]
         key, inside = level[n], True

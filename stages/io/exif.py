@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from ..types import Uint8s
+from .jpeg import APP1, jpeg_segments
 
 EXIF_POINTER, FOCAL_LENGTH_35MM = 0x8769, 0xA405
 FILM_WIDTH_MM = 36.0
@@ -36,12 +37,7 @@ def focal_in_long_sides(data: Uint8s) -> float | None:
 
 def _tiff(data: bytes) -> bytes | None:
     """The TIFF block of a JPEG's EXIF segment."""
-    if data[:2] != b"\xff\xd8":
-        return None
-    at = 2
-    while data[at : at + 1] == b"\xff" and at + 4 <= len(data):
-        length = int.from_bytes(data[at + 2 : at + 4], "big")
-        if data[at + 1] == 0xE1 and data[at + 4 : at + 10] == b"Exif\0\0":
-            return data[at + 10 : at + 2 + length]
-        at += 2 + length
+    for marker, start, end in jpeg_segments(data):
+        if marker == APP1 and data[start : start + 6] == b"Exif\0\0":
+            return data[start + 6 : end]
     return None

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ..types import Camera, Float64s, Survey, View
-from .similarity import Landmark
+from .alignment import Landmark
 from .tracks import Tracks, without_distortion
 from .triangulation import triangulate
 

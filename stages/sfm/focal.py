@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..twoview.epipolar import camera_of
+from ..core.cameras import camera_of
 from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, View
 from .tracks import Edge

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import poselib
 
-from ..twoview.epipolar import backproject, project, triangulate_depth
+from ..core.cameras import backproject, project, ray_angles
+from ..twoview.epipolar import triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
 from .tracks import Edge, Tracks, spread_tracks, straightened, without_distortion
@@ -238,8 +239,7 @@ def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> 
     projected, depth = project(right, X)
     with np.errstate(invalid="ignore"):
         meet = (np.linalg.norm(projected - x2, axis=1) < LOOSE_PX) & (depth > 0)
-        rays = [(X - camera.C) / np.linalg.norm(X - camera.C, axis=1, keepdims=True) for camera in (left, right)]
-        angle = np.arccos(np.clip(np.einsum("ni,ni->n", *rays), -1, 1))
+    angle = ray_angles(X - left.C, X - right.C)
     return np.where(meet & np.isfinite(angle), angle, 0.0)
 
 

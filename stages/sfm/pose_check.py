@@ -1,4 +1,4 @@
-"""Known poses compared with tonight's images: has a camera been knocked, turned or moved since it was measured?
+"""Known poses compared with the images: has a camera been knocked, turned or moved since it was measured?
 
 Two kinds of evidence, each for a few cameras at once.  A pair: how far its inliers lie from the epipolar lines of the stated
 poses.  Three cameras: points that two of them see, projected into the third; this also tells what moves along the epipolar lines.
@@ -12,15 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..twoview.epipolar import (
-    backproject,
-    fundamental_from_cameras,
-    project,
-    relative_pose,
-    rotation_between_deg,
-    symmetric_epipolar_distance,
-    triangulate_depth,
-)
+from ..core.cameras import backproject, project, ray_angles, relative_pose
+from ..core.rotations import angle_between_deg
+from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..types import Camera, Float64s, Geometry, Pair, PoseCheck
 from .tracks import same_places
 
@@ -37,8 +31,8 @@ TURNED_DEG = 0.5
 """The relative rotation of a pair's poses and that of its matches differ by more than this if one of the cameras was turned."""
 BELIEVED = 0.5
 """Pairs that are less probable than this are no witnesses."""
-MIN_ANGLE_COSINE = np.cos(np.radians(3.0))
-"""Points are made of rays that meet at more than this."""
+MIN_ANGLE = np.radians(3.0)
+"""Points are made of rays that meet at more than this, radians."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) ->
     """Angle between a pair's relative rotation and that of its matches; nan where these have none."""
     if geometry.cam2_R_cam1 is None:
         return float("nan")
-    return rotation_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
+    return angle_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
 
 
 def contradicted(evidence: list[Evidence]) -> tuple[list[str], list[str]]:
@@ -148,9 +142,7 @@ def _points(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> Fl
     left, right = (cameras[name] for name in pair)
     depth, _ = triangulate_depth(left, right, geometry.x1, geometry.x2)
     X = backproject(left, geometry.x1, depth)
-    rays = [(X - c.C) / np.linalg.norm(X - c.C, axis=1, keepdims=True) for c in (left, right)]
-    with np.errstate(invalid="ignore"):
-        X[~(np.einsum("ni,ni->n", *rays) < MIN_ANGLE_COSINE)] = np.nan
+    X[~(ray_angles(X - left.C, X - right.C) > MIN_ANGLE)] = np.nan
     return X
 
 

@@ -8,45 +8,19 @@ inliers it has: look-alikes agree among themselves.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeVar
 
+import networkx as nx
 import numpy as np
 
-from ..twoview.epipolar import skew
+from ..core.rotations import rotation_matrix, rotation_vector
 from ..types import Float64s, Int64s
 from .tracks import Edge
 
 ROUNDS = 40
 
-
-def rotation_vector(R: Float64s) -> Float64s:
-    """(..., 3) axis times angle (radians) of rotations (..., 3, 3)."""
-    v = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    sine = np.linalg.norm(v, axis=-1, keepdims=True)
-    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1)[..., None]
-    angle = np.arctan2(sine, cosine)
-    # near half a turn the axis comes from the symmetric part, cos I + (1 - cos) a a^T
-    S = 0.5 * (R + np.swapaxes(R, -1, -2))
-    k = np.argmax(np.diagonal(S, axis1=-2, axis2=-1), axis=-1)
-    column = np.take_along_axis(S - cosine[..., None] * np.eye(3), k[..., None, None], axis=-1)[..., 0]
-    column /= np.linalg.norm(column, axis=-1, keepdims=True)
-    sign = np.where((column * v).sum(-1, keepdims=True) < 0, -1.0, 1.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        plain = np.where(sine > 1e-9, v * angle / np.maximum(sine, 1e-300), v)
-    return np.asarray(np.where(cosine < -0.99, sign * column * angle, plain), dtype=np.float64)
-
-
-def rotation_matrix(v: Float64s) -> Float64s:
-    """(3, 3) the rotation about v by |v| radians."""
-    angle = float(np.linalg.norm(v))
-    W = skew(v)
-    if angle < 1e-12:
-        return np.eye(3) + W
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * W + (1 - np.cos(angle)) / angle**2 * (W @ W), dtype=np.float64)
-
-
-def angle_between(A: Float64s, B: Float64s) -> float:
-    """Radians between two rotations."""
-    return float(np.linalg.norm(rotation_vector(A.T @ B)))
+View = TypeVar("View", int, str)
+"""A view by number or by id."""
 
 
 def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, float]) -> dict[int, Float64s]:
@@ -54,7 +28,7 @@ def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, 
 
     weights: only the order matters; the spanning tree takes the largest first.
     """
-    R = _along_tree(relative, weights)
+    R = rotations_along_tree(relative, weights)
     views = sorted(R)
     number = {view: k for k, view in enumerate(views)}
     edges = list(relative)
@@ -77,36 +51,32 @@ def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, 
 
 def components(edges: list[Edge], views: list[int]) -> list[list[int]]:
     """Views that the edges connect; largest part first, then by the number of its first view."""
-    parent = {view: view for view in views}
-
-    def root(view: int) -> int:
-        while parent[view] != view:
-            parent[view] = view = parent[parent[view]]
-        return view
-
-    for i, j in edges:
-        a, b = sorted((root(i), root(j)))
-        parent[b] = a
-    parts: dict[int, list[int]] = {}
-    for view in views:
-        parts.setdefault(root(view), []).append(view)
-    return sorted(parts.values(), key=lambda part: (-len(part), part[0]))
+    graph = nx.Graph()
+    graph.add_nodes_from(views)
+    graph.add_edges_from(edges)
+    return sorted((sorted(part) for part in nx.connected_components(graph)), key=lambda part: (-len(part), part[0]))
 
 
-def _along_tree(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, float]) -> dict[int, Float64s]:
-    """Rotations along the maximum spanning tree (Prim: the strongest pair that leads to a new view)."""
-    R: dict[int, Float64s] = {}
-    for start in sorted({view for edge in relative for view in edge}):
-        if start in R:
+def rotations_along_tree(
+    relative: Mapping[tuple[View, View], Float64s], weights: Mapping[tuple[View, View], float]
+) -> dict[View, Float64s]:
+    """R of each view along the maximum spanning tree of the pairs; each connected part has its first view at identity.
+
+    relative: `cam2_R_cam1` of each pair; weights: only the order matters.
+    """
+    graph = nx.Graph()
+    for a, b in sorted(relative):
+        graph.add_edge(a, b, weight=weights[a, b])
+    tree = nx.maximum_spanning_tree(graph)
+    world: dict[View, Float64s] = {}
+    for root in sorted(tree.nodes):
+        if root in world:
             continue
-        R[start] = np.eye(3)
-        while border := [edge for edge in relative if (edge[0] in R) != (edge[1] in R)]:
-            i, j = max(border, key=lambda edge: weights[edge])
-            if i in R:
-                R[j] = relative[i, j] @ R[i]
-            else:
-                R[i] = relative[i, j].T @ R[j]
-    return R
+        world[root] = np.eye(3)
+        for a, b in nx.bfs_edges(tree, root):
+            R = relative[a, b] if (a, b) in relative else relative[b, a].T
+            world[b] = R @ world[a]
+    return world
 
 
 def _least_squares(i: Int64s, j: Int64s, given: Float64s, off: Float64s, weight: Float64s, count: int) -> Float64s:

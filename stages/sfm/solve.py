@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..reasons import Rejected
-from ..twoview.epipolar import fundamental_from_cameras, relative_pose, symmetric_epipolar_distance
-from ..types import Camera, Geometry, Pair, PairVerdict, Placement, Poses, Survey, View
+from ..core.cameras import relative_pose
+from ..core.rotations import angle_between_deg
+from ..reasons import Reason, Rejected
+from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
+from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
-from .problem import Problem
-from .rotation_averaging import angle_between
 from .tracks import Edge, without_distortion
+from .view_graph import ViewGraph
 from .world import World, to_world
 
 WORSE = 1.25
@@ -33,21 +34,21 @@ def solve_from_pairs(
     max_epipolar_px: float,
 ) -> Poses | Rejected:
     """See `poses.solve_poses`.  stated: cameras whose intrinsics and poses are both known."""
-    problem = Problem.of(views, geometries)
-    trusted, dropped = problem.consistent(np.radians(max_rotation_error_deg))
-    models = problem.models(trusted)
+    graph = ViewGraph.of(views, geometries)
+    trusted, dropped = graph.consistent(max_rotation_error_deg)
+    models = graph.models(trusted)
     if not models:
         figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
-        return Rejected(problem.why_nothing(trusted), figures)
-    worlds = [to_world(problem, refine(model, rounds=3), placements, survey) for model in models]
-    return _collect(problem, worlds, stated, dropped, max_epipolar_px, survey)
+        return Rejected(graph.why_nothing(trusted), figures)
+    worlds = [to_world(graph, refine(model, rounds=3), placements, survey) for model in models]
+    return _collect(graph, worlds, stated, dropped, max_epipolar_px, survey)
 
 
 def _collect(
-    problem: Problem,
+    graph: ViewGraph,
     worlds: list[World],
     stated: Mapping[str, Camera],
-    dropped: dict[Edge, str],
+    dropped: dict[Edge, Rejected],
     max_epipolar_px: float,
     survey: Survey,
 ) -> Poses:
@@ -59,8 +60,8 @@ def _collect(
         if not (world.placed and groups):
             groups.append([])
         for view, camera in world.model.cameras.items():
-            cameras[problem.names[view]] = replace(camera, component=len(groups) - 1)
-            groups[-1].append(problem.names[view])
+            cameras[graph.names[view]] = replace(camera, component=len(groups) - 1)
+            groups[-1].append(graph.names[view])
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
     notes = [*suspects.values(), *(note for world in worlds for note in world.notes)]
     if worlds[0].placed:
@@ -69,11 +70,9 @@ def _collect(
                 cameras[name] = camera
                 groups[0].append(name)
                 notes.append(f"{name}: pose as stated; no pair could check it")
-    order = [name for name in problem.names if name in cameras]
-    verdicts = {
-        problem.pair(edge): _verdict(problem, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in problem.geometries
-    }
-    unsolved = {name: _why_unsolved(problem, name, dropped) for name in problem.names if name not in cameras}
+    order = [name for name in graph.names if name in cameras]
+    checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
+    unsolved = {name: _why_unsolved(graph, name, dropped) for name in graph.names if name not in cameras}
     notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
     if bent := {name: px for name in order if (px := _bent_px(cameras[name])) > BENT_PX}:
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
@@ -83,14 +82,14 @@ def _collect(
     return Poses(
         cameras={name: cameras[name] for name in order},
         unsolved=unsolved,
-        dropped={pair: verdict.reason for pair, verdict in verdicts.items() if not verdict.kept},
+        dropped={pair: check.reason for pair, check in checks.items() if not check.kept},
         metric=main.metric,
         source="mixed" if set(stated) & set(cameras) - set(suspects) else "solved",
-        verdicts=verdicts,
+        verdicts=checks,
         suspects=suspects,
-        focals=tuple(name for view, name in enumerate(problem.names) if view in problem.lenses.solved and name in cameras),
+        focals=tuple(name for view, name in enumerate(graph.names) if view in graph.lenses.solved and name in cameras),
         components=tuple(tuple(name for name in order if name in group) for group in groups),
-        joins=_joins(problem, groups),
+        joins=_joins(graph, groups),
         scale=main.scale,
         crs=survey.crs if main.placed else "",
         notes=tuple(notes),
@@ -99,28 +98,34 @@ def _collect(
     )
 
 
-def _verdict(problem: Problem, edge: Edge, cameras: Mapping[str, Camera], why: str | None, max_epipolar_px: float) -> PairVerdict:
+def _check(
+    graph: ViewGraph, edge: Edge, cameras: Mapping[str, Camera], why: Rejected | None, max_epipolar_px: float
+) -> PairCheck:
     """What the solved cameras say of a pair."""
-    geometry = problem.geometries[edge]
+    geometry = graph.geometries[edge]
     own = float(np.median(symmetric_epipolar_distance(geometry.F, geometry.x1, geometry.x2)))
-    left, right = (cameras.get(problem.names[view]) for view in edge)
+    left, right = (cameras.get(graph.names[view]) for view in edge)
     if left is None or right is None:
-        return PairVerdict(why is None, why or "a camera of it could not be placed", own)
+        unplaced = why or Rejected(Reason.CAMERA_NOT_PLACED)
+        return PairCheck(why is None, unplaced.reason, unplaced.code, own)
     if left.component != right.component:
-        return PairVerdict(False, why or "its cameras could not be brought into one frame", own)
+        apart = why or Rejected(Reason.CAMERAS_APART)
+        return PairCheck(False, apart.reason, apart.code, own)
     F = fundamental_from_cameras(left, right)
     adjusted = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
     x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
     straight = float(np.median(symmetric_epipolar_distance(F, x1, x2)))
-    R = problem.rotations.get(edge)
-    off = float("nan") if R is None else float(np.degrees(angle_between(R, relative_pose(left, right)[0])))
+    R = graph.rotations.get(edge)
+    off = float("nan") if R is None else angle_between_deg(R, relative_pose(left, right)[0])
     if straight <= max_epipolar_px:
         why = None  # cameras that were solved without the pair agree with it after all
     elif why is None:
-        why = f"contradicts the other pairs: its inliers are {straight:.1f} px off the epipolar lines of the solved cameras"
+        why = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": straight})
     flagged = adjusted > max(WORSE * own, own + WORSE_PX)
     note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
-    return PairVerdict(why is None, why or note, own, adjusted, off, flagged)
+    if why is not None:
+        return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged)
+    return PairCheck(True, note, "", own, adjusted, off, flagged)
 
 
 def _bent_px(camera: Camera) -> float:
@@ -129,10 +134,10 @@ def _bent_px(camera: Camera) -> float:
     return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
-def _why_unsolved(problem: Problem, name: str, dropped: Mapping[Edge, str]) -> str:
-    view = problem.names.index(name)
-    mine = [edge for edge in problem.geometries if view in edge]
-    if view not in problem.lenses.K:
+def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected]) -> str:
+    view = graph.names.index(name)
+    mine = [edge for edge in graph.geometries if view in edge]
+    if view not in graph.lenses.K:
         return "no focal length: none given, and no pair tells it"
     if not mine:
         return "no pair with it has a geometry"
@@ -141,16 +146,16 @@ def _why_unsolved(problem: Problem, name: str, dropped: Mapping[Edge, str]) -> s
     return "too few points in common with the solved cameras"
 
 
-def _joins(problem: Problem, groups: list[list[str]]) -> tuple[str, ...]:
+def _joins(graph: ViewGraph, groups: list[list[str]]) -> tuple[str, ...]:
     """For each further component the pair that would join it to the main one best.
 
     Of cameras that already see much: the one with most inliers on each side.
     """
 
     def strength(name: str) -> int:
-        view = problem.names.index(name)
-        return sum(geometry.inliers for edge, geometry in problem.geometries.items() if view in edge)
+        view = graph.names.index(name)
+        return sum(geometry.inliers for edge, geometry in graph.geometries.items() if view in edge)
 
     best = [max(group, key=lambda name: (strength(name), name)) for group in groups]
-    order = {name: k for k, name in enumerate(problem.names)}
+    order = {name: k for k, name in enumerate(graph.names)}
     return tuple("--".join(sorted((best[0], other), key=order.__getitem__)) for other in best[1:])

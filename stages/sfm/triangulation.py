@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..core.cameras import ray_angles
 from ..core.jit import kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
@@ -43,12 +44,9 @@ def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bool
     track = tracks.track[rows]
     d = X[track] - _stacked(cameras, tracks)[1][tracks.view[rows]]
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    total = np.column_stack([np.bincount(track, np.nan_to_num(d[:, i]), tracks.count) for i in range(3)])
-    with np.errstate(invalid="ignore"):
-        mean = total / np.linalg.norm(total, axis=1, keepdims=True)
-    off = np.arccos(np.clip(np.einsum("ni,ni->n", d, mean[track]), -1, 1))
+    total: Float64s = np.column_stack([np.bincount(track, np.nan_to_num(d[:, i]), tracks.count) for i in range(3)])
     widest = np.zeros(tracks.count)
-    np.maximum.at(widest, track, np.nan_to_num(off))
+    np.maximum.at(widest, track, np.nan_to_num(ray_angles(d, total[track])))
     return 2 * widest
 
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.similarity import Similarity
 from ..types import Camera, Float64s, Placement, Survey
+from .alignment import Landmark, align, upward
 from .control_points import control_landmarks
 from .incremental import Model, refine, replace_cameras
-from .problem import Problem
-from .similarity import Landmark, Similarity, align, upward
+from .view_graph import ViewGraph
 
 EXACT_SHARE = 1e-4
 """An exact position without a rotation counts as known to this share of the scene's distance..."""
@@ -35,30 +36,30 @@ class World:
     notes: tuple[str, ...] = ()
 
 
-def to_world(problem: Problem, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
+def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
     """The model in the frame and scale of what is known, which then stays."""
     cameras = model.cameras
-    placed = {view: placements[name] for view in cameras if (name := problem.names[view]) in placements}
+    placed = {view: placements[name] for view in cameras if (name := graph.names[view]) in placements}
     landmarks = [
-        Landmark(problem.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
+        Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
         for view, p in placed.items()
         if p.C is not None
     ]
-    landmarks += control_landmarks(cameras, problem.names, problem.views, survey)
+    landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
     metric = all(p.metric for p in placed.values() if p.C is not None)
     up = upward(list(cameras.values()))
     depth = _median_depth(model)
-    scale, scale_notes = _scale_of_distances(problem, cameras, survey)
+    scale, scale_notes = _scale_of_distances(graph, cameras, survey)
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
         known_scale = scale is not None
-        factor = scale if scale is not None else 1 / _median_baseline(problem, cameras)
+        factor = scale if scale is not None else 1 / _median_baseline(graph, cameras)
         similarity = _own_frame(cameras, landmarks, up, factor)
         model = _moved(model, similarity)
         why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
         return World(model, bool(landmarks), known_scale, why, {}, scale_notes)
     model = _moved(model, alignment.similarity)
-    number = {name: view for view, name in enumerate(problem.names)}
+    number = {name: view for view, name in enumerate(graph.names)}
     held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) >= 2:
         stated = {view: _at(model.cameras[view], placed[view]) for view in held}
@@ -83,13 +84,13 @@ def _source(trusted: tuple[str, ...], known: int) -> str:
     return " and ".join(f"{count} {what}" for count, what in parts if count)
 
 
-def _scale_of_distances(problem: Problem, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
+def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
     """Metres for each unit of the model from the known distances, and a note where they disagree."""
     ratios = []
     for i, j, metres in survey.distances:
         a, b = survey.cameras[int(i)], survey.cameras[int(j)]
-        if a in problem.names and b in problem.names:
-            u, v = problem.names.index(a), problem.names.index(b)
+        if a in graph.names and b in graph.names:
+            u, v = graph.names.index(a), graph.names.index(b)
             if u in cameras and v in cameras:
                 ratios.append(metres / np.linalg.norm(cameras[u].C - cameras[v].C))
     if not ratios:
@@ -132,9 +133,9 @@ def _median_depth(model: Model) -> float:
     return float(np.median(np.concatenate(depths)))
 
 
-def _median_baseline(problem: Problem, cameras: Mapping[int, Camera]) -> float:
+def _median_baseline(graph: ViewGraph, cameras: Mapping[int, Camera]) -> float:
     """Over the pairs that were matched."""
-    lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in problem.geometries if i in cameras and j in cameras]
+    lengths = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
     return float(np.median(lengths))
 
 

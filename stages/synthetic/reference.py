@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..core.cameras import backproject
 from ..evaluate import count_views
-from ..twoview.epipolar import backproject
 from ..types import Camera, Cloud, Float32s, Float64s, Uint8s, Uint16s
 
 

@@ -104,7 +104,7 @@ def _tensor(array: Any) -> Any:
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
 
 
-class Stage:
+class PreparedScene:
     """A scene made ready to be looked at: rays, light, atlas of its textures, sky visibility (computed where not given)."""
 
     def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
@@ -157,7 +157,7 @@ def spiral(n: int) -> Float32s:
 
 
 def render_rays(
-    stage: Stage, centre: Float64s, directions: Float32s, spread: float, jitter: Float32s
+    prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float, jitter: Float32s
 ) -> tuple[Float32s, Float32s, Int32s]:
     """What n rays from one point see.
 
@@ -165,8 +165,8 @@ def render_rays(
     of the sun's disc that each sample asks.  Returns radiance (n, 3), distance (n,) and facet (n,), -1 for sky.
     """
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
-    distance, facet = stage.cast(origins, directions)
-    scene, atlas, light = stage.scene, stage.atlas, stage.light
+    distance, facet = prepared.cast(origins, directions)
+    scene, atlas, light = prepared.scene, prepared.atlas, prepared.light
     hit = facet >= 0
     radiance = np.empty_like(directions)
     radiance[~hit] = sky_radiance(light, directions[~hit])
@@ -183,41 +183,41 @@ def render_rays(
     )  # fmt: skip
     received = np.empty_like(points)
     _sky_light(
-        received, points, facing, stage.sky.open, stage.sky.corner, stage.sky.cell_m,
+        received, points, facing, prepared.sky.open, prepared.sky.corner, prepared.sky.cell_m,
         np.array(light.sky, np.float32), np.array(light.ground, np.float32),
     )  # fmt: skip
     lifted = points + facing * np.float32(0.004) * np.maximum(far * np.float32(0.05), 1)[:, None]
-    _add_sun(stage, received, lifted, facing, jitter[hit])
+    _add_sun(prepared, received, lifted, facing, jitter[hit])
     for lamp in light.lamps:
-        _add_lamp(stage, received, lifted, facing, lamp)
+        _add_lamp(prepared, received, lifted, facing, lamp)
     if light.lamps:
         received[scene.kinds[on] == GLOWING] = 1.2
     radiance[hit] = albedo * received
     return radiance, distance, facet
 
 
-def _add_sun(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
+def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
     """Sunlight on lit facets, with the sun widened to 1 degree for soft edges."""
-    sun = np.asarray(stage.light.sun_direction, np.float32)
+    sun = np.asarray(prepared.light.sun_direction, np.float32)
     side = np.cross(sun, (0, 0, 1)).astype(np.float32)
     side /= np.linalg.norm(side)
     cosine = facing @ sun
     lit = np.flatnonzero(cosine > 0)
-    if not len(lit) or max(stage.light.sun) <= 0:
+    if not len(lit) or max(prepared.light.sun) <= 0:
         return
     towards = sun + np.float32(0.009) * (jitter[lit, :1] * side + jitter[lit, 1:] * np.cross(side, sun).astype(np.float32))
-    clear = stage.reaches(points[lit], towards.astype(np.float32))
-    received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(stage.light.sun, np.float32)
+    clear = prepared.reaches(points[lit], towards.astype(np.float32))
+    received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(prepared.light.sun, np.float32)
 
 
-def _add_lamp(stage: Stage, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
+def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
     """Light of one lamp, where it is bright enough to matter."""
     place, power = np.asarray(lamp.position, np.float32), np.asarray(lamp.power, np.float32)
     strength = np.empty(len(points), np.float32)
     _lamp_strength(strength, points, facing, place, float(0.012 / power.max()))
     lit = np.flatnonzero(strength)
     if len(lit):
-        clear = stage.reaches(points[lit], place - points[lit], far=0.97)
+        clear = prepared.reaches(points[lit], place - points[lit], far=0.97)
         received[lit] += (strength[lit] * clear)[:, None] * power
 
 

@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ..twoview.epipolar import project
+from ..core.cameras import project
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 from .cameras import Viewpoint, camera_at, distort, pixel_rays
 from .reference import reference_cloud
-from .renderer import Light, SkyGrid, Stage, build_atlas, render_rays, truth_mask
+from .renderer import Light, PreparedScene, SkyGrid, build_atlas, render_rays, truth_mask
 from .scene import Scene, joined
 from .sensor import burn_clock, clock_mask, develop, sensor_of
 
@@ -85,8 +85,8 @@ class Night:
 class _Shoot:
     """A night made ready to be looked at: the empty scene, and the scene with its movers at each capture."""
 
-    empty: Stage
-    busy: tuple[Stage, ...]
+    empty: PreparedScene
+    busy: tuple[PreparedScene, ...]
     movers: tuple[Scene, ...]
     light: Daytime
     seed: int
@@ -118,8 +118,8 @@ def photograph(night: Night, size: tuple[int, int], seed: int, light: Daytime, v
     """
     scenes = [joined(night.still, each) for each in night.traffic]
     atlas = build_atlas(scenes[0].textures)
-    empty = Stage(night.still, night.lighting, atlas, night.sky)
-    busy = tuple(Stage(scene, empty.light, atlas, empty.sky) for scene in scenes)
+    empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
+    busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
     shoot = _Shoot(empty, busy, night.traffic, light, seed)
     with ThreadPoolExecutor(threads) as pool:
         done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, size), night.viewpoints))
@@ -149,13 +149,15 @@ def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> t
     return DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement), normals
 
 
-def render_view(stage: Stage, camera: Camera, lens: Lens | None) -> Float32s:
+def render_view(stage: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
     """Linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
     every = np.arange(camera.width * camera.height)
     return render_pixels(stage, camera, lens, every).reshape(camera.height, camera.width, 3)
 
 
-def render_pixels(stage: Stage, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536) -> Float32s:
+def render_pixels(
+    stage: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
+) -> Float32s:
     """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     spread = 1.0 / (SAMPLES * camera.K[0, 0])
@@ -171,7 +173,7 @@ def render_pixels(stage: Stage, camera: Camera, lens: Lens | None, pixels: npt.N
     return out
 
 
-def true_depth(stage: Stage, camera: Camera) -> tuple[Float32s, Float32s]:
+def true_depth(stage: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
     """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))

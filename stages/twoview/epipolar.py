@@ -1,10 +1,12 @@
-"""The geometry of two views that several stages share: F and E, epipoles, residuals, projection and triangulation."""
+"""The geometry of two views that several stages share: F and E, homographies, epipoles, residuals and triangulation."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..types import Camera, Float64s, View
+from ..core.cameras import rays, relative_pose
+from ..core.rotations import skew
+from ..types import Camera, Float64s
 
 
 def homogeneous(x: Float64s) -> Float64s:
@@ -16,35 +18,6 @@ def apply_homography(H: Float64s, x: Float64s) -> Float64s:
     """Map (n, 2) points by a (3, 3) homography."""
     X, Y, z = H[:, :2] @ x.T + H[:, 2:]  # coordinate by coordinate: numpy is slow along short rows
     return np.column_stack([X / z, Y / z])
-
-
-def skew(t: Float64s) -> Float64s:
-    """The (3, 3) matrix [t]x with [t]x v = t x v."""
-    return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-
-
-def scaled_intrinsics(K: Float64s, sx: float, sy: float) -> Float64s:
-    """K of an image resized by (sx, sy); pixel centres stay at integers, so the principal point moves by half a pixel."""
-    S = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
-    return S @ K
-
-
-def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
-    """The camera of a view."""
-    captured = view.captured_width or view.width, view.captured_height or view.height
-    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion)
-
-
-def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
-    """`cam2_R_cam1` (3, 3) and `cam2_t_cam1` (3,) in world lengths: x_2 = R x_1 + t in camera axes."""
-    return camera2.R @ camera1.R.T, camera2.R @ (camera1.C - camera2.C)
-
-
-def rotation_between_deg(A: Float64s, B: Float64s) -> float:
-    """Degrees between two rotations (3, 3)."""
-    turn = A.T @ B
-    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    return float(np.degrees(np.arctan2(sine, np.trace(turn) - 1)))
 
 
 def essential_to_fundamental(R: Float64s, t: Float64s, K1: Float64s, K2: Float64s) -> Float64s:
@@ -80,26 +53,6 @@ def symmetric_epipolar_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Floa
     a2, b2, c2 = F[:, :2] @ x1.T + F[:, 2:]
     algebraic = np.abs(a2 * x2[:, 0] + b2 * x2[:, 1] + c2)
     return np.asarray(0.5 * algebraic * (1 / np.sqrt(a1 * a1 + b1 * b1) + 1 / np.sqrt(a2 * a2 + b2 * b2)), dtype=np.float64)
-
-
-def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
-    """Pixels (n, 2) and depth (n,) of world points (n, 3); pixels of points behind the camera mean nothing."""
-    x = (X - camera.C) @ camera.R.T
-    p = x @ camera.K.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return p[:, :2] / p[:, 2:], x[:, 2]
-
-
-def rays(camera: Camera, x: Float64s) -> Float64s:
-    """Directions (3, n) in the world of the rays of pixels x (n, 2), as long as they reach at depth 1."""
-    A = camera.R.T @ np.linalg.inv(camera.K)
-    return np.asarray(A[:, :2] @ x.T + A[:, 2:], dtype=np.float64)
-
-
-def backproject(camera: Camera, x: Float64s, depth: Float64s) -> Float64s:
-    """World points (n, 3) of pixels (n, 2) at depth (n,)."""
-    rays = homogeneous(x) @ np.linalg.inv(camera.K).T
-    return np.asarray((rays * depth[:, None]) @ camera.R + camera.C, dtype=np.float64)
 
 
 def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> tuple[Float64s, Float64s]:

@@ -2,8 +2,8 @@
 
 A bare F has seven degrees of freedom, and wrong matches that agree with each other bend it where the right ones say little.
 Cameras have square pixels, a principal point near the centre, some focal length, and mostly the same in both views.  So F is
-taken as that of two cameras with such lenses, as far as the matches do not say otherwise; and where they do, F is more likely
-wrong than the lenses odd.
+taken as that of two cameras with such intrinsics, as far as the matches do not say otherwise; and where they do, F is more
+likely wrong than the intrinsics are implausible.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from itertools import product
 
 import numpy as np
 
+from ..core.least_squares import Equations, levenberg_marquardt
+from ..core.rotations import rotation_matrix, skew
 from ..types import Float64s, View
-from .epipolar import skew
 from .refinement import CAUCHY, normal_equations
 from .robust import pose_of_fundamental
 
@@ -28,7 +29,7 @@ CENTRE_SIGMA = 0.01
 TOGETHER = 2.5
 """Matches err together, not each on its own: their noise counts as so many times what the residuals tell (the factor by which
 true errors exceed those of independent matches, on photographs)."""
-ODDEST = 4.0
+MOST_IMPLAUSIBLE = 4.0
 """Lenses two standard deviations off: then F is more likely bent by wrong matches."""
 MOST_POSED = 500
 """Matches that are asked which of four poses a focal length means."""
@@ -39,12 +40,12 @@ FIRST_STEPS, LAST_STEPS = 5, 30
 
 @dataclass(frozen=True)
 class TwoCameras:
-    """F of unit norm; K1, K2 (3, 3) that go with it; oddness: of these lenses, in squared standard deviations."""
+    """F of unit norm; K1, K2 (3, 3) that go with it; implausibility: of these intrinsics, in squared standard deviations."""
 
     F: Float64s
     K1: Float64s
     K2: Float64s
-    oddness: float
+    implausibility: float
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class _State:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _Matches:
     """x1, x2: (n, 2) matches in units of the first long side around each image's centre; scale: (n,) what makes a distance one
     unit of the loss; mean, sigma: (6,) what is expected of the lens."""
 
@@ -69,7 +70,7 @@ class _Problem:
     sigma: Float64s
 
 
-def refine_with_plausible_lenses(
+def refine_with_plausible_intrinsics(
     candidates: Sequence[Float64s], x1: Float64s, x2: Float64s, noise: Float64s, view1: View, view2: View
 ) -> TwoCameras | None:
     """The two cameras near one of the candidates for F that explain matches x1, x2 (n, 2) of known noise (n,), pixels, best;
@@ -80,7 +81,7 @@ def refine_with_plausible_lenses(
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
     mean, sigma = _expected_of_both(view1, view2, unit)
-    problem = _Problem((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
+    matches = _Matches((x1 - T1[:2, 2]) / unit, (x2 - T2[:2, 2]) / unit, unit / (noise * CAUCHY), mean, sigma)
     every = -(-len(x1) // MOST_POSED)
     best: tuple[float, _State] | None = None
     for F, factor in product(candidates, STARTS):
@@ -88,11 +89,11 @@ def refine_with_plausible_lenses(
         K1, K2 = _intrinsics(lens)
         pose = pose_of_fundamental(F, x1[::every], x2[::every], _with(view1, T1 @ K1), _with(view2, T2 @ K2))
         if pose is not None:
-            found = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), problem, FIRST_STEPS)
+            found = _descend(_State(pose[0], pose[1] / np.linalg.norm(pose[1]), lens), matches, FIRST_STEPS)
             best = found if best is None or found[0] < best[0] else best
     if best is None:
         return None
-    _, state = _descend(best[1], problem, LAST_STEPS)
+    _, state = _descend(best[1], matches, LAST_STEPS)
     K1, K2 = _intrinsics(state.lens)
     inside = np.linalg.inv(T2).T @ _fundamental(state) @ np.linalg.inv(T1)
     return TwoCameras(inside / np.linalg.norm(inside), T1 @ K1, T2 @ K2, _information(state.lens, mean, sigma)[2])
@@ -188,7 +189,7 @@ def _lens_changes(K: Float64s) -> list[Float64s]:
 
 
 def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float64s, Float64s, float]:
-    """What is expected of the lenses as normal equations (6, 6), (6,), and how odd they are: squared standard deviations."""
+    """What is expected of the lenses as normal equations (6, 6), (6,), and how implausible they are, in squared deviations."""
     off = (lens - mean) / sigma
     ratio = (lens[0] - mean[0] - lens[1] + mean[1]) / RATIO_SIGMA
     along = np.array([1.0, -1.0, 0, 0, 0, 0]) / RATIO_SIGMA
@@ -197,45 +198,24 @@ def _information(lens: Float64s, mean: Float64s, sigma: Float64s) -> tuple[Float
     return normal, off / sigma + weight * ratio * along, float(off @ off + np.log1p(ratio**2))
 
 
-def _equations(state: _State, problem: _Problem) -> tuple[float, Float64s, Float64s]:
+def _equations(state: _State, matches: _Matches) -> tuple[float, Float64s, Float64s]:
     """Cost, normal matrix (11, 11) and right side (11,) of matches and lenses together."""
-    cost, normal, right = normal_equations(_fundamental(state), problem.x1, problem.x2, problem.scale, _directions(state))
+    cost, normal, right = normal_equations(_fundamental(state), matches.x1, matches.x2, matches.scale, _directions(state))
     share = (CAUCHY / TOGETHER) ** 2
-    odd_normal, odd_right, odd = _information(state.lens, problem.mean, problem.sigma)
+    prior_normal, prior_right, implausibility = _information(state.lens, matches.mean, matches.sigma)
     normal, right = share * normal, share * right
-    normal[5:, 5:] += odd_normal
-    right[5:] += odd_right
-    return share * cost + odd, normal, right
+    normal[5:, 5:] += prior_normal
+    right[5:] += prior_right
+    return share * cost + implausibility, normal, right
 
 
-def _descend(state: _State, problem: _Problem, steps: int) -> tuple[float, _State]:
-    damping = 1e-3
-    cost, normal, right = _equations(state, problem)
-    for _ in range(steps):
-        moved = _moved(state, np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -right), dtype=np.float64))
-        new_cost, new_normal, new_right = _equations(moved, problem)
-        if not new_cost < cost:
-            damping *= 10
-            if damping > 1e4:
-                break
-            continue
-        gain = cost - new_cost
-        state, cost, normal, right = moved, new_cost, new_normal, new_right
-        damping = max(damping / 10, 1e-9)
-        if gain < 1e-5:
-            break
-    return cost, state
+def _descend(state: _State, matches: _Matches, steps: int) -> tuple[float, _State]:
+    def equations(state: _State) -> Equations:
+        return _equations(state, matches)
+
+    return levenberg_marquardt(state, equations, _moved, steps=steps, damping=1e-3, least_damping=1e-9, tolerance=1e-5)
 
 
 def _moved(state: _State, step: Float64s) -> _State:
     t = state.t + _across(state.t) @ step[3:5]
-    return _State(_rotation(step[:3]) @ state.R, t / np.linalg.norm(t), state.lens + step[5:])
-
-
-def _rotation(w: Float64s) -> Float64s:
-    """Rodrigues' formula."""
-    angle = float(np.linalg.norm(w))
-    if angle < 1e-12:
-        return np.eye(3) + skew(w)
-    k = skew(w / angle)
-    return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k, dtype=np.float64)
+    return _State(rotation_matrix(step[:3]) @ state.R, t / np.linalg.norm(t), state.lens + step[5:])

@@ -1,26 +1,25 @@
-"""Is a pair to be believed?  A score for each pair, and a check of all pairs of a site against each other.
+"""Is a pair to be believed?  A score for each pair, from its own evidence.
 
 Look-alike windows seen from opposite sides give a hundred and more matches that agree with one F: no count of inliers tells them
 from the truth.  What does: whether the matches are *distinctive* (no rival in the other image, no look-alike in their own) and
 cover the image; whether the clearest matches, found before any geometry, agree with it too; whether the two halves of the
 inliers tell the same pose; and how much the local maps are stretched (aliases are found where views look alike).
 
-What is left to a pair alone is settled by the site: rotations around a triangle of cameras must close.
+What a pair alone leaves open is settled by the site (`sfm.loops`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, isfinite, log
 
-import networkx as nx
 import numpy as np
 
+from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
 from ..matching.neighbours import nearest_elsewhere
-from ..types import Bools, Features, Float32s, Float64s, Geometry, Int32s, Int64s, Matches, Pair, View
+from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches, View
 from .epipolar import symmetric_epipolar_distance
 from .robust import TwoView, estimate_essential
 
@@ -31,8 +30,6 @@ CLEAR_RATIO, CLEAR_PX = 0.9, 2.0
 """Clear matches: mutual nearest under this ratio, without geometry; they agree with F within so many pixels."""
 LIKELY = 0.5
 """A match without keypoints counts as distinctive from this probability on."""
-STANDS_ALONE = 1.0
-"""Log odds that a pair needs which no third camera can confirm."""
 
 
 @dataclass(frozen=True)
@@ -166,137 +163,4 @@ def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, see
     poses = [estimate_essential(x1[h], x2[h], view1, view2, 1.0, seed, max_iterations=300) for h in (first, ~first)]
     if poses[0] is None or poses[1] is None or poses[0].R is None or poses[1].R is None:
         return 180.0
-    return rotation_angle_deg(poses[0].R @ poses[1].R.T)
-
-
-def rotation_angle_deg(R: Float64s) -> float:
-    """Angle of a rotation, degrees."""
-    return float(np.degrees(2 * np.arcsin(min(float(np.linalg.norm(R - np.eye(3))) / (2 * np.sqrt(2)), 1.0))))
-
-
-@dataclass(frozen=True)
-class LoopVerdict:
-    """good_probability: after the site's check; reason: why the pair is not to be used, None where it is; triangles: loops of
-    three cameras that it is in; closed: how many of them close."""
-
-    good_probability: float
-    reason: str | None
-    triangles: int
-    closed: int
-
-
-LOOP_ROTATION_DEG, LOOP_DIRECTION_DEG = 3.0, 10.0
-"""A triangle closes where its rotations return within 3 degrees and the third direction is within 10 of the arc of the others."""
-P_CLOSED_GOOD, P_CLOSED_BAD = 0.95, 0.05
-LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
-"""Triangles share pairs, so each counts half; all together they move the log odds by at most 6."""
-PRIOR_SHIFT = 0.5
-TREE_DEG = 4.0
-
-
-def site_verdict(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopVerdict]:
-    """Judge all pairs of a site together; for each pair whether it may enter the poses.
-
-    Mean-field beliefs over the triangles of cameras, then a maximum spanning tree of the believed pairs: what disagrees with the
-    rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and a pair that stands in no
-    triangle needs a score over `STANDS_ALONE`.
-    """
-    posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
-    triangles = _triangles(posed)
-    closed = np.array([_closes(posed, *triangle) for triangle in triangles], dtype=bool)
-    pairs = list(geometries)
-    index = {pair: k for k, pair in enumerate(pairs)}
-    members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
-    prior = np.array([float(np.clip(geometries[pair].score, -6, 6)) - PRIOR_SHIFT for pair in pairs])
-    belief = _beliefs(prior, members, closed)
-    count = np.bincount(members.ravel(), minlength=len(pairs))
-    closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
-    reasons = {pair: _reason(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
-    believed = {pair: float(belief[index[pair]]) for pair in posed if reasons[pair] is None}
-    for pair, degrees in _against_tree(posed, believed).items():
-        reasons[pair] = f"wrong: turned by {degrees:.1f} degrees against the pairs that are believed most"
-    verdicts = {}
-    for k, pair in enumerate(pairs):
-        p = probability(float(belief[k]))
-        verdicts[pair] = LoopVerdict(p if reasons[pair] is None else min(p, 0.5), reasons[pair], int(count[k]), int(closing[k]))
-    return verdicts
-
-
-def _reason(geometry: Geometry, belief: float, triangles: int, closed: int) -> str | None:
-    """None for a pair to be believed."""
-    figures = (
-        f"score {geometry.score:.1f}, {geometry.distinct_cells} cells with distinctive matches, "
-        f"{closed} of {triangles} triangles close"
-    )
-    if triangles == 0 and 0 < geometry.score <= STANDS_ALONE:
-        return f"possible look-alike: no third camera confirms it ({figures})"
-    if belief > 0:
-        return None
-    if geometry.score > 0:
-        return f"possible look-alike: other pairs contradict it ({figures})"
-    return f"ambiguous: another pose fits as well ({figures})" if geometry.score == 0 else f"wrong ({figures})"
-
-
-def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
-    """(a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
-    after: dict[str, set[str]] = {}
-    for a, b in posed:
-        after.setdefault(a, set()).add(b)
-    return [(a, b, c) for a, b in posed for c in sorted(after.get(b, set()) & after[a])]
-
-
-def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str) -> bool:
-    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?"""
-    (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
-    if rotation_angle_deg(R_ac.T @ R_bc @ R_ab) > LOOP_ROTATION_DEG:
-        return False
-    to_b, onward, to_c = -R_ab.T @ t_ab, -R_ab.T @ (R_bc.T @ t_bc), -R_ac.T @ t_ac  # directions in the axes of a
-    normal = np.cross(to_b, onward)
-    if np.linalg.norm(normal) >= 0.05:
-        normal /= np.linalg.norm(normal)
-        flat = to_c - (to_c @ normal) * normal
-        weights = np.linalg.lstsq(np.column_stack([to_b, onward]), flat, rcond=None)[0]
-        if (weights >= 0).all():
-            return bool(abs(to_c @ normal) < np.sin(np.radians(LOOP_DIRECTION_DEG)))
-    nearest = max(to_c @ to_b, to_c @ onward)
-    return bool(nearest > np.cos(np.radians(LOOP_DIRECTION_DEG)))
-
-
-def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
-    assert geometry.cam2_R_cam1 is not None and geometry.cam2_t_cam1 is not None
-    return geometry.cam2_R_cam1, geometry.cam2_t_cam1
-
-
-def _beliefs(prior: Float64s, members: Int64s, closed: Bools) -> Float64s:
-    """Log odds of each pair after 15 damped rounds of mean-field messages from the triangles."""
-    belief = prior.copy()
-    for _ in range(15 if len(members) else 0):
-        p = 1 / (1 + np.exp(-belief))
-        up, down = np.zeros(len(prior)), np.zeros(len(prior))
-        for side in range(3):
-            others = p[members[:, (side + 1) % 3]] * p[members[:, (side + 2) % 3]]
-            closes = np.log((others * P_CLOSED_GOOD + (1 - others) * P_CLOSED_BAD) / P_CLOSED_BAD)
-            opens = np.log((others * (1 - P_CLOSED_GOOD) + (1 - others) * (1 - P_CLOSED_BAD)) / (1 - P_CLOSED_BAD))
-            np.add.at(up, members[closed, side], closes[closed])
-            np.add.at(down, members[~closed, side], opens[~closed])
-        loops = np.minimum(LOOP_WEIGHT * up, LOOP_CAP) + np.maximum(LOOP_WEIGHT * down, -LOOP_CAP)
-        belief = 0.5 * belief + 0.5 * (prior + loops)
-    return belief
-
-
-def _against_tree(posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float]) -> dict[Pair, float]:
-    """Believed pairs whose rotation is off by more than `TREE_DEG` from that along the maximum spanning tree, and by how much."""
-    graph = nx.Graph()
-    for (a, b), belief in sorted(believed.items()):
-        graph.add_edge(a, b, weight=belief)
-    tree = nx.maximum_spanning_tree(graph)
-    world: dict[str, Float64s] = {}
-    for root in sorted(tree.nodes):
-        if root in world:
-            continue
-        world[root] = np.eye(3)
-        for a, b in nx.bfs_edges(tree, root):
-            R = _pose(posed[a, b])[0] if (a, b) in posed else _pose(posed[b, a])[0].T
-            world[b] = R @ world[a]
-    off = {pair: rotation_angle_deg(_pose(posed[pair])[0].T @ world[pair[1]] @ world[pair[0]].T) for pair in believed}
-    return {pair: degrees for pair, degrees in off.items() if degrees > TREE_DEG}
+    return angle_between_deg(poses[1].R, poses[0].R)

@@ -10,8 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.jit import kernel
+from ..core.least_squares import Equations, levenberg_marquardt
+from ..core.rotations import skew
 from ..types import Float64s
-from .epipolar import epipoles, sampson_distance, skew
+from .epipolar import epipoles, sampson_distance
 
 Intrinsics = tuple[Float64s, Float64s]
 
@@ -51,25 +53,25 @@ def refine_two_view(
 
 
 def _descend(F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, lenses: Intrinsics | None) -> Float64s:
-    """Levenberg-Marquardt in normalised coordinates; scale: (n,) what makes a distance one unit of the loss."""
-    damping, F = 1e-4, _nearest(F, lenses)
-    directions = tangent(F, lenses)
-    cost, normal, right = normal_equations(F, x1, x2, scale, directions)
-    for _ in range(ITERATIONS):
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal)), -right)
-        moved = _nearest(F + (directions @ step).reshape(3, 3), lenses)
-        ahead = tangent(moved, lenses)
-        new_cost, new_normal, new_right = normal_equations(moved, x1, x2, scale, ahead)
-        if not new_cost < cost:
-            damping *= 10
-            if damping > 1e3:
-                break
-            continue
-        gain = cost - new_cost
-        F, directions, cost, normal, right = moved, ahead, new_cost, new_normal, new_right
-        damping /= 10
-        if gain < 1e-7 * cost:
-            break
+    """The least distances in normalised coordinates; scale: (n,) what makes a distance one unit of the loss."""
+
+    def equations(state: tuple[Float64s, Float64s]) -> Equations:
+        found: Equations = normal_equations(state[0], x1, x2, scale, state[1])
+        return found
+
+    def moved(state: tuple[Float64s, Float64s], step: Float64s) -> tuple[Float64s, Float64s]:
+        F = _nearest(state[0] + (state[1] @ step).reshape(3, 3), lenses)
+        return F, tangent(F, lenses)
+
+    F = _nearest(F, lenses)
+    _, (F, _) = levenberg_marquardt(
+        *((F, tangent(F, lenses)), equations, moved),
+        steps=ITERATIONS,
+        damping=1e-4,
+        most_damping=1e3,
+        floor=1e-12,
+        relative_tolerance=1e-7,
+    )
     return F
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import poselib
 
+from ..core.rotations import nearest_rotation
 from ..types import Bools, Float64s, View
 from .epipolar import apply_homography, essential_to_fundamental, homogeneous, sampson_distance
 
@@ -130,8 +131,7 @@ def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Fl
         error = np.linalg.norm(ray2 - ray1 @ R.T, axis=1)
         share = float((error < tolerance).mean())
         weight = 1 / (1 + (error / max(tolerance, float(np.median(error)))) ** 2)
-        U, _, Vt = np.linalg.svd((ray2 * weight[:, None]).T @ ray1)
-        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        R = nearest_rotation((ray2 * weight[:, None]).T @ ray1)
     return share
 
 

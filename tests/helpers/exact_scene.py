@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.depth import view_depth
 from wbflow_stages.rectification.warping import Side, from_rectified, rectified_size, to_rectified
-from wbflow_stages.twoview.epipolar import backproject, project
 from wbflow_stages.types import INVALID, Camera, DepthMap, Disparity, Frame, Pair, Rectification, Rejected, View
 
 BOX = (np.array([-1.5, -1.0, 0.0]), np.array([0.5, 1.0, 1.6]))  # two corners, metres at scale 1

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from tests.helpers.images import read_image
-from wbflow_stages.twoview.epipolar import backproject, project, scaled_intrinsics
+from wbflow_stages.core.cameras import backproject, project, scaled_intrinsics
 from wbflow_stages.types import Camera, Frame, View
 
 FOUNTAIN = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data") / "fountain"

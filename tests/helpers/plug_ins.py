@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.rectification.hartley import hartley
 from wbflow_stages.rectification.method import Homographies, MatchedPair
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair
-from wbflow_stages.twoview.epipolar import backproject, project
 from wbflow_stages.types import Camera, Features, Frame, Matches
 
 

@@ -32,7 +32,7 @@ from wbflow_stages.types import (
     Matches,
     Overlap,
     Pair,
-    PairVerdict,
+    PairCheck,
     Placement,
     Poses,
     Rectification,
@@ -102,7 +102,7 @@ def solve_poses(
 
 
 def rectify(
-    geometry: Geometry, left: Camera | None, right: Camera | None, verdict: PairVerdict | None, *, margin: float = 0.0
+    geometry: Geometry, left: Camera | None, right: Camera | None, verdict: PairCheck | None, *, margin: float = 0.0
 ) -> Rectification:
     """H1 that remembers F and the cameras."""
     _trouble("rectify")

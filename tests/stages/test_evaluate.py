@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from wbflow_stages.evaluate import (
-    align,
-    angle_deg,
     compare_clouds,
     correct_matches,
     count_views,
@@ -94,25 +92,7 @@ def test_thinning_keeps_one_mean_for_each_cell() -> None:
     assert sorted(map(tuple, thin.round(6))) == [(-0.1, 0, 0), (0.2, 0.1, 0.1), (1.5, 0, 0)]
 
 
-@given(st.integers(0, 10_000), st.floats(0.1, 10))
-@settings(max_examples=25, deadline=None)
-def test_alignment_finds_the_similarity_that_was_applied(seed: int, scale: float) -> None:
-    rng = np.random.default_rng(seed)
-    R = Rotation.random(random_state=seed).as_matrix()
-    points, t = rng.normal(size=(6, 3)), rng.normal(size=3)
-    found = align(points, scale * points @ R.T + t)
-    assert found.scale == pytest.approx(scale)
-    assert angle_deg(found.R, R) < 1e-5
-    assert found(points) == pytest.approx(scale * points @ R.T + t)
-
-
-def test_alignment_needs_more_than_a_line() -> None:
-    line = np.outer(np.arange(5.0), [1, 2, 3])
-    with pytest.raises(ValueError, match="line"):
-        align(line, line)
-
-
-def test_pose_errors_are_those_that_were_made() -> None:
+def test_pose_errors_are_those_that_were_made():
     truth = {f"c{k}": looking((k - 1.5, -2 - k % 2, 1 + 0.3 * k)) for k in range(4)}
     turn = Rotation.from_rotvec([0, np.radians(0.7), 0]).as_matrix()
     wrong = {n: Camera(c.K, turn @ c.R, c.C + np.array([0, 0, 0.02]), c.width, c.height) for n, c in truth.items()}

@@ -36,7 +36,7 @@ def test_descriptors_have_unit_length_and_rows_belong_together() -> None:
     n = len(found.xy)
     assert found.frames.shape == (n, 2, 2) and found.responses.shape == (n,) and found.tilts.shape == (n,)
     np.testing.assert_allclose(np.linalg.norm(found.descriptors, axis=1), 1, atol=1e-5)
-    assert found.keypoints == np.sum(found.tilts == PLAIN)
+    assert found.plain_keypoints == np.sum(found.tilts == PLAIN)
 
 
 def test_the_same_frame_gives_the_same_bytes() -> None:
@@ -45,17 +45,17 @@ def test_the_same_frame_gives_the_same_bytes() -> None:
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
 
-def test_no_more_keypoints_than_asked_for_and_the_strongest_first() -> None:
-    found = features(blobs(), keypoints=120, tilted_keypoints=40)
+def test_no_more_keypoints_than_asked_for_and_the_strongest_first():
+    found = features(blobs(), max_keypoints=120, tilted_keypoints=40)
     assert np.sum(found.tilts == PLAIN) == 120 and np.sum(found.tilts == TILTED) <= 40
     assert (np.diff(found.responses[:120]) <= 0).all()
 
 
 def test_a_large_image_searched_in_bands_shows_the_same_keypoints(monkeypatch: pytest.MonkeyPatch) -> None:
     grey = blobs(width=480, height=900)
-    whole = features(grey, tilted_keypoints=0, keypoints=400)
+    whole = features(grey, tilted_keypoints=0, max_keypoints=400)
     monkeypatch.setattr("wbflow_stages.features.LARGEST_PX", 160_000)
-    bands = features(grey, tilted_keypoints=0, keypoints=400)
+    bands = features(grey, tilted_keypoints=0, max_keypoints=400)
     same = set(map(tuple, np.round(whole.xy, 2))) & set(map(tuple, np.round(bands.xy, 2)))
     assert len(same) > 0.98 * len(whole.xy)
     assert np.ptp(bands.xy[:, 1]) > 850
@@ -64,8 +64,8 @@ def test_a_large_image_searched_in_bands_shows_the_same_keypoints(monkeypatch: p
 def test_a_faint_half_gets_its_share_of_keypoints() -> None:
     grey = blobs()
     grey[:, 240:] = 110 + 0.15 * (grey[:, 240:] - 110)
-    even = features(grey, keypoints=100, tilted_keypoints=0, crowding=1.0)
-    strongest = features(grey, keypoints=100, tilted_keypoints=0, crowding=100.0)
+    even = features(grey, max_keypoints=100, tilted_keypoints=0, crowding=1.0)
+    strongest = features(grey, max_keypoints=100, tilted_keypoints=0, crowding=100.0)
     assert (even.xy[:, 0] > 240).sum() >= 35
     assert (strongest.xy[:, 0] > 240).sum() < 30
 
@@ -85,7 +85,7 @@ def test_keypoints_lie_on_the_centres_of_their_blobs(view: Frame, elongation: fl
     centres = np.array([(60 + 115 * i, 50 + 50 * j) for i in range(5) for j in range(5)]) + rng.uniform(-0.5, 0.5, (25, 2))
     sigma = 5.0
     grey = 60 + sum(120 * np.exp(-0.5 * (((x - cx) / elongation) ** 2 + (y - cy) ** 2) / sigma**2) for cx, cy in centres)
-    found = features(grey, min_keypoints=5, light="plain")
+    found = features(grey, min_keypoints=5, preprocessing="none")
     xy = found.xy[found.tilts == view]
     nearest = np.linalg.norm(centres[:, None] - xy[None], axis=2).argmin(axis=1)
     offset = xy[nearest] - centres
@@ -111,6 +111,6 @@ def test_an_empty_frame_is_rejected_with_its_count() -> None:
     assert isinstance(found, Rejected) and found.figures["keypoints"] == 0
 
 
-@pytest.mark.parametrize(("gain", "light"), [(1.0, "plain"), (0.12, "robust")])
-def test_the_image_itself_decides_how_its_light_is_treated(gain: float, light: str) -> None:
-    assert features(gain * blobs(), min_keypoints=1).light == light
+@pytest.mark.parametrize(("gain", "preprocessing"), [(1.0, "none"), (0.12, "clahe")])
+def test_the_image_itself_decides_how_it_is_prepared(gain, preprocessing):
+    assert features(gain * blobs(), min_keypoints=1).preprocessing == preprocessing

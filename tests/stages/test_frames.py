@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from wbflow_stages.core.cameras import project
 from wbflow_stages.frames import (
     BadCapture,
     EmptyCapture,
@@ -19,7 +20,6 @@ from wbflow_stages.frames import (
     decode,
     working_size,
 )
-from wbflow_stages.twoview.epipolar import project
 from wbflow_stages.types import Camera, Capture, Lens, Uint8s
 
 WIDTH, HEIGHT = 320, 240

@@ -55,7 +55,7 @@ def test_a_surface_has_one_colour_whatever_the_exposures(exposures: tuple[float,
 
 def test_wrong_matches_are_outvoted() -> None:
     yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.2, wrong=0.15)
-    lenient, strict = fused(yard), fused(yard, strict=3)
+    lenient, strict = fused(yard), fused(yard, min_consistent_pairs=3)
     share = [(yard.distance(cloud.points) > 0.15).mean() for cloud in (lenient, strict)]
     assert share[0] < 0.15 and share[1] < 0.01
     assert len(strict.points) > 0.5 * len(lenient.points)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from wbflow.store.ply import read_ply
+from wbflow_stages.core.cameras import backproject
 from wbflow_stages.evaluate import compare_clouds
-from wbflow_stages.twoview.epipolar import backproject
 from wbflow_stages.types import Camera
 
 DATA = Path(os.environ.get("WBFLOW_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")) / "fountain"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.helpers.exact_pairs import look
+from wbflow_stages.core.cameras import project
 from wbflow_stages.sfm.tracks import FIELDS, Tracks, spread_tracks
 from wbflow_stages.sfm.triangulation import residuals, triangulate
-from wbflow_stages.twoview.epipolar import project
 
 K = np.array([[800.0, 0, 399.5], [0, 800, 299.5], [0, 0, 1]])
 CAMERAS = {view: look(K, np.array([2.0 * view - 3, -8, 0.3 * view]), np.zeros(3)) for view in range(4)}

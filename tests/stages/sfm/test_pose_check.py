@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.exact_pairs import PairSite, make_pair_site, only, turned_wrong
+from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.sfm.rotation_averaging import rotation_matrix
 from wbflow_stages.types import Placement, Poses
 
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, pair_geometry, turned_wrong
+from wbflow_stages.core.cameras import project
+from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.sfm.rotation_averaging import rotation_matrix
-from wbflow_stages.twoview.epipolar import project
 from wbflow_stages.types import Placement, Poses, Rejected, Survey
 
 

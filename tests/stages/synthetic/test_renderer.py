@@ -9,7 +9,7 @@ from wbflow_stages.synthetic.cameras import MOUNTS, camera_of, look_at
 from wbflow_stages.synthetic.layout import static_yard, yard_light
 from wbflow_stages.synthetic.movers import movers
 from wbflow_stages.synthetic.paint import Texture, encode
-from wbflow_stages.synthetic.renderer import Light, Stage, build_atlas
+from wbflow_stages.synthetic.renderer import Light, PreparedScene, build_atlas
 from wbflow_stages.synthetic.scene import SceneBuilder, joined
 from wbflow_stages.synthetic.shooting import Daytime, render_pixels, render_view, touched, true_depth
 from wbflow_stages.types import Camera
@@ -29,11 +29,11 @@ def above(height: float, focal: float = 200.0) -> Camera:
     return Camera(np.array([[focal, 0, 39.5], [0, focal, 39.5], [0, 0, 1.0]]), look_at(C, np.array([0.0, 0.001, 0.0])), C, 80, 80)
 
 
-def floor(texture: Texture) -> Stage:
+def floor(texture: Texture) -> PreparedScene:
     build = SceneBuilder()
     build.quad((-4.0, 4.0, 0.0), (8.0, 0, 0), (0, -8.0, 0), build.add_texture(texture))
     scene = build.build()
-    return Stage(scene, OVERCAST, build_atlas(scene.textures))
+    return PreparedScene(scene, OVERCAST, build_atlas(scene.textures))
 
 
 def test_faces_of_a_box_look_outward() -> None:
@@ -86,8 +86,8 @@ def test_only_pixels_that_movers_touch_need_to_be_rendered_again(light: Daytime)
     still = static_yard(np.random.default_rng(1), 0.15, MOUNTS)
     mover = movers(np.random.default_rng(2), 0.15, 1)[0]
     scene = joined(still, mover)
-    empty = Stage(still, yard_light(light), build_atlas(scene.textures))
-    busy = Stage(scene, empty.light, empty.atlas, empty.sky)
+    empty = PreparedScene(still, yard_light(light), build_atlas(scene.textures))
+    busy = PreparedScene(scene, empty.light, empty.atlas, empty.sky)
     camera, lens = camera_of(MOUNTS[3], (160, 90))
     whole = render_view(busy, camera, lens)
     patched = render_view(empty, camera, lens)

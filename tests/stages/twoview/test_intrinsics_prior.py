@@ -1,4 +1,4 @@
-"""Two views whose lenses nobody knows: F is that of cameras, and of lenses that are odd nothing is believed."""
+"""Two views whose lenses nobody knows: F is that of cameras, and where these are implausible nothing is believed."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import pytest
 from tests.helpers.two_views import HEIGHT, WIDTH, K, geometry_of, looking, scene, seen_by_both
 from wbflow_stages.rectify import rectify
 from wbflow_stages.twoview.epipolar import fundamental_from_cameras, sampson_distance
-from wbflow_stages.twoview.intrinsics_prior import ODDEST, refine_with_plausible_lenses
+from wbflow_stages.twoview.intrinsics_prior import MOST_IMPLAUSIBLE, refine_with_plausible_intrinsics
 from wbflow_stages.twoview.refinement import refine_two_view
 from wbflow_stages.twoview.robust import estimate_fundamental, estimate_with_one_lens
 from wbflow_stages.types import Camera, Rectification, Rejected, View
@@ -42,8 +42,8 @@ def test_in_a_shallow_scene_f_is_more_exact_as_that_of_two_cameras_and_more_so_w
         bare, noise = refine_two_view(fundamental_from_cameras(LEFT, RIGHT), x1, x2, np.ones(len(x1)))
         errors.append([error_px(bare)])
         for view in (UNKNOWN, guessed):
-            found = refine_with_plausible_lenses([bare], x1, x2, noise, view, view)
-            assert found is not None and found.oddness < 2
+            found = refine_with_plausible_intrinsics([bare], x1, x2, noise, view, view)
+            assert found is not None and found.implausibility < 2
             errors[-1].append(error_px(found.F))
     of_bare, of_cameras, of_guess = np.median(errors, axis=0)
     assert of_guess < of_cameras < 0.4 * of_bare
@@ -51,7 +51,9 @@ def test_in_a_shallow_scene_f_is_more_exact_as_that_of_two_cameras_and_more_so_w
 
 def test_f_is_that_of_the_lenses_that_come_with_it() -> None:
     x1, x2 = shallow()
-    found = refine_with_plausible_lenses([fundamental_from_cameras(LEFT, RIGHT)], x1, x2, np.full(len(x1), 0.9), UNKNOWN, UNKNOWN)
+    found = refine_with_plausible_intrinsics(
+        [fundamental_from_cameras(LEFT, RIGHT)], x1, x2, np.full(len(x1), 0.9), UNKNOWN, UNKNOWN
+    )
     assert found is not None
     E = np.linalg.svd(found.K2.T @ found.F @ found.K1, compute_uv=False)
     np.testing.assert_allclose(E / E[0], [1, 1, 0], atol=1e-9)
@@ -62,8 +64,8 @@ def test_where_the_scene_is_deep_the_matches_decide_even_for_two_different_lense
     right = with_focal(RIGHT, factor)
     x1, x2 = seen_by_both(LEFT, right, scene(n=4000, depth=(3.0, 14.0)), 0.1)
     bare, noise = refine_two_view(fundamental_from_cameras(LEFT, right), x1, x2, np.ones(len(x1)))
-    found = refine_with_plausible_lenses([bare], x1, x2, noise, UNKNOWN, UNKNOWN)
-    assert found is not None and found.oddness < ODDEST
+    found = refine_with_plausible_intrinsics([bare], x1, x2, noise, UNKNOWN, UNKNOWN)
+    assert found is not None and found.implausibility < MOST_IMPLAUSIBLE
     assert error_px(found.F, right) < 0.1
 
 
@@ -74,23 +76,23 @@ def test_images_of_two_sizes_and_one_lens_give_its_f() -> None:
     S = np.array([[1.5, 0, 0.25], [0, 1.5, 0.25], [0, 0, 1]])
     found = estimate_with_one_lens(x1, 1.5 * x2 + 0.25, UNKNOWN, big, 1.0, seed=0)
     assert found is not None and found.inliers.mean() > 0.95
-    refined = refine_with_plausible_lenses([found.F], x1, 1.5 * x2 + 0.25, np.full(len(x1), 0.1), UNKNOWN, big)
-    assert refined is not None and refined.oddness < 1
+    refined = refine_with_plausible_intrinsics([found.F], x1, 1.5 * x2 + 0.25, np.full(len(x1), 0.1), UNKNOWN, big)
+    assert refined is not None and refined.implausibility < 1
     assert error_px(S.T @ refined.F) < 0.3
     assert refined.K2[0, 0] == pytest.approx(1.5 * refined.K1[0, 0], rel=0.1)
 
 
-def test_an_f_of_odd_lenses_is_not_believed_unless_cameras_replace_it() -> None:
+def test_an_f_of_implausible_intrinsics_is_not_believed_unless_cameras_replace_it():
     """A lens that sees 150 degrees without bending lines: what repeats on a wall makes such an F, cameras don't."""
     left, right = with_focal(LEFT, 0.15), with_focal(RIGHT, 0.15)
     X = scene(n=6000, depth=(3.0, 14.0))
     x1, x2 = seen_by_both(left, right, X * [5, 5, 1], 0.1)
     F = fundamental_from_cameras(left, right)
-    found = refine_with_plausible_lenses([F], x1, x2, np.full(len(x1), 0.15), UNKNOWN, UNKNOWN)
-    assert found is not None and found.oddness > ODDEST
-    geometry = dataclasses.replace(geometry_of(x1, x2, F), lens_oddness=found.oddness)
+    found = refine_with_plausible_intrinsics([F], x1, x2, np.full(len(x1), 0.15), UNKNOWN, UNKNOWN)
+    assert found is not None and found.implausibility > MOST_IMPLAUSIBLE
+    geometry = dataclasses.replace(geometry_of(x1, x2, F), implausibility=found.implausibility)
     refused = rectify(geometry, None, None)
-    assert isinstance(refused, Rejected) and "odd lenses" in refused.reason and "fields of view" in refused.reason
+    assert isinstance(refused, Rejected) and refused.code == "implausible-intrinsics" and "fields of view" in refused.reason
     assert not isinstance(rectify(geometry, left, right), Rejected)
 
 
@@ -98,7 +100,7 @@ def test_what_is_known_of_lenses_in_general_makes_rows_sure_that_matches_alone_d
     x1, x2 = seen_by_both(LEFT, RIGHT, scene(n=300, depth=(7.0, 9.0)), 0.5)
     own = estimate_fundamental(x1, x2, 1.0, seed=0)
     assert own is not None
-    found = refine_with_plausible_lenses([own.F], x1, x2, np.full(len(x1), 0.5), UNKNOWN, UNKNOWN)
+    found = refine_with_plausible_intrinsics([own.F], x1, x2, np.full(len(x1), 0.5), UNKNOWN, UNKNOWN)
     assert found is not None
     geometry = dataclasses.replace(
         geometry_of(x1, x2, found.F), noise_px=np.full(len(x1), 0.5, np.float32), view1=UNKNOWN, view2=UNKNOWN

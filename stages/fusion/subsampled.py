@@ -1,4 +1,4 @@
-"""What is seen of a view at a glance, on every 4th pixel: enough to plan the fusion of a whole site, small enough to be held."""
+"""Views subsampled to every 4th pixel: enough to plan the fusion of a whole site, small enough to be held."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..core.cameras import transfer
 from ..types import Camera, DepthMap, Float32s, Float64s, Frame, Uint8s
-from .pair_depth import transfer
 
 STEP = 4
 
 
 @dataclass(frozen=True)
-class Glance:
+class Subsampled:
     """colors: (h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach;
-    depth, sigma: (h / 4, w / 4) float32, of the pixel beside each block's middle."""
+    depth, sigma: (h / 4, w / 4) float32, of the pixel beside each block's centre."""
 
     colors: Uint8s
     depth: Float32s
@@ -31,17 +31,17 @@ class Glance:
         return pixels.astype(np.float64), depth[y, x].astype(np.float64)[:, None]
 
 
-def glance(frame: Frame, depth: DepthMap) -> Glance:
-    """Look at a view."""
+def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
+    """A view on every 4th pixel."""
     h, w = frame.image.shape[:2]
     colors = cv2.resize(frame.image, (max(1, w // STEP), max(1, h // STEP)), interpolation=cv2.INTER_AREA)
     cells = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
-    return Glance(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy(), depth.sigma[cells].copy())
+    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy(), depth.sigma[cells].copy())
 
 
-def nearest_views(name: str, cameras: Mapping[str, Camera], glances: Mapping[str, Glance], count: int) -> list[str]:
+def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
     """The views that see most of what `name` sees; at most `count`, at least 1 % in common."""
-    pixels, z = glances[name].points(2)
+    pixels, z = small[name].points(2)
     if not len(z):
         return []
     shares = []
@@ -58,12 +58,12 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], glances: Mapping[str
     return [shares[k][1] for k in order[:count] if shares[k][0] >= 0.01]
 
 
-def natural_voxel(cameras: Mapping[str, Camera], glances: Mapping[str, Glance]) -> float:
+def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]) -> float:
     """What a pixel covers, or one and a half sigmas if that is more, in the median over all views: finer voxels hold only noise.
 
     Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
     """
-    edges = [np.fmax(g.depth / cameras[name].K[0, 0], 1.5 * g.sigma)[1::2, 1::2].ravel() for name, g in glances.items()]
+    edges = [np.fmax(g.depth / cameras[name].K[0, 0], 1.5 * g.sigma)[1::2, 1::2].ravel() for name, g in small.items()]
     median = float(np.nanmedian(np.concatenate(edges)))
     decade = 10.0 ** np.floor(np.log10(median))
     return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))

@@ -1,23 +1,22 @@
-"""What is to be solved: all views of a site by number, what is known of their lenses, and the geometries of their pairs."""
+"""The view graph: all views of a site by number, what is known of their lenses, and the geometries of their pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
-from ..reasons import Reason
-from ..twoview.pair_score import site_verdict
+from ..core.rotations import angle_between_deg
+from ..reasons import Reason, Rejected
 from ..types import Float64s, Geometry, Pair, View
 from .focal import Lenses, guess_lenses, relative_rotations
 from .incremental import Model, grow
-from .rotation_averaging import angle_between, average_rotations, components
+from .loops import check_loops
+from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
 
 
 @dataclass(frozen=True)
-class Problem:
+class ViewGraph:
     """All views by number, what is known of their lenses, and the geometries of their pairs."""
 
     names: tuple[str, ...]
@@ -27,7 +26,7 @@ class Problem:
     rotations: Mapping[Edge, Float64s]
 
     @classmethod
-    def of(cls, views: Mapping[str, View], geometries: Mapping[Pair, Geometry]) -> Problem:
+    def of(cls, views: Mapping[str, View], geometries: Mapping[Pair, Geometry]) -> ViewGraph:
         names = tuple(views)
         number = {name: k for k, name in enumerate(names)}
         edges = {(number[a], number[b]): geometry for (a, b), geometry in geometries.items() if a in number and b in number}
@@ -39,20 +38,20 @@ class Problem:
     def pair(self, edge: Edge) -> str:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
-    def consistent(self, tolerance: float) -> tuple[list[Edge], dict[Edge, str]]:
+    def consistent(self, tolerance_deg: float) -> tuple[list[Edge], dict[Edge, Rejected]]:
         """The pairs that the site as a whole believes and whose rotations agree, and why the others are left out."""
-        judged = site_verdict({(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()})
-        verdicts = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
-        dropped = {edge: verdict.reason for edge, verdict in verdicts.items() if verdict.reason is not None}
+        judged = check_loops({(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()})
+        checks = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
+        dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
         believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
-        averaged = average_rotations(believed, {edge: verdicts[edge].good_probability for edge in believed})
+        averaged = average_rotations(believed, {edge: checks[edge].good_probability for edge in believed})
         trusted = []
         for edge, R in believed.items():
-            off = angle_between(R, averaged[edge[1]] @ averaged[edge[0]].T)
-            if off <= tolerance:
+            off_deg = angle_between_deg(R, averaged[edge[1]] @ averaged[edge[0]].T)
+            if off_deg <= tolerance_deg:
                 trusted.append(edge)
             else:
-                dropped[edge] = f"contradicts the other pairs: its rotation is {np.degrees(off):.0f} degrees off"
+                dropped[edge] = Rejected(Reason.CONTRADICTS_ROTATIONS, {"off_deg": off_deg})
         return trusted, dropped
 
     def models(self, trusted: list[Edge]) -> list[Model]:

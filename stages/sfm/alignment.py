@@ -6,13 +6,14 @@ All that is known is compared with the solved model at once, and what contradict
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from itertools import combinations, islice
 
 import numpy as np
 
+from ..core.rotations import angle_between_deg, nearest_rotation
+from ..core.similarity import Similarity, with_rotation
 from ..types import Camera, Float64s
-from .rotation_averaging import angle_between
 
 TOLERANCE = 0.01
 """A known position may be off by this share of the scene's distance, and three standard deviations, before it is doubted."""
@@ -37,23 +38,6 @@ class Landmark:
     model_R: Float64s | None = None
     world_R: Float64s | None = None
     sigma: float = 0.0
-
-
-@dataclass(frozen=True)
-class Similarity:
-    """X_world = scale R X_model + t."""
-
-    scale: float = 1.0
-    R: Float64s = field(default_factory=lambda: np.eye(3))
-    t: Float64s = field(default_factory=lambda: np.zeros(3))
-
-    def points(self, X: Float64s) -> Float64s:
-        """(n, 3) points, moved."""
-        return np.asarray(self.scale * X @ self.R.T + self.t, dtype=np.float64)
-
-    def camera(self, camera: Camera) -> Camera:
-        """A camera, moved."""
-        return replace(camera, R=camera.R @ self.R.T, C=self.points(camera.C[None])[0])
 
 
 @dataclass(frozen=True)
@@ -110,10 +94,10 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
 def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | None = None) -> Similarity | None:
     """Least squares over landmarks (Wahba's problem over baselines and known rotations, solved by SVD); None without a scale."""
     weight = _weights(landmarks)
-    a = np.array([landmark.model_X for landmark in landmarks])
-    b = np.array([landmark.world_X for landmark in landmarks])
-    a_mean, b_mean = weight @ a, weight @ b
-    a, b = a - a_mean, b - b_mean
+    source = np.array([landmark.model_X for landmark in landmarks])
+    target = np.array([landmark.world_X for landmark in landmarks])
+    a_mean, b_mean = weight @ source, weight @ target
+    a, b = source - a_mean, target - b_mean
     spread_a, spread_b = np.sqrt(weight @ (a**2).sum(1)), np.sqrt(weight @ (b**2).sum(1))
     size = np.abs(b_mean).max() + np.abs(a_mean).max() + 1e-300
     wide = spread_a > 1e-12 * size and spread_b > 1e-12 * size
@@ -126,13 +110,7 @@ def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | N
     turned = [mark.world_R.T @ mark.model_R for mark in landmarks if mark.world_R is not None and mark.model_R is not None]
     if turned:
         M += np.mean(turned, axis=0)
-    U, _, Vt = np.linalg.svd(M)
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    if scale is None:
-        scale = float(np.einsum("n,ni,ni->", weight, b, a @ R.T) / np.einsum("n,ni,ni->", weight, a, a))
-        if scale <= 0:
-            return None
-    return Similarity(scale, R, b_mean - scale * R @ a_mean)
+    return with_rotation(nearest_rotation(M), source, target, weight, scale)
 
 
 def upward(cameras: Sequence[Camera]) -> Float64s:
@@ -178,4 +156,4 @@ def _off(similarity: Similarity, landmark: Landmark) -> tuple[float, float]:
     length = float(np.linalg.norm(similarity.points(landmark.model_X[None])[0] - landmark.world_X))
     if landmark.model_R is None or landmark.world_R is None:
         return length, float("nan")
-    return length, float(np.degrees(angle_between(landmark.model_R @ similarity.R.T, landmark.world_R)))
+    return length, angle_between_deg(landmark.model_R @ similarity.R.T, landmark.world_R)

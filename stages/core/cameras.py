@@ -1,0 +1,57 @@
+"""Pinhole cameras: their pixels, the rays of these, points in the world, and how one camera's pixels move into another's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..types import Camera, Float64s, View
+
+
+def scaled_intrinsics(K: Float64s, sx: float, sy: float) -> Float64s:
+    """K of an image resized by (sx, sy); pixel centres stay at integers, so the principal point moves by half a pixel."""
+    S = np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
+    return S @ K
+
+
+def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
+    """The camera of a view."""
+    captured = view.captured_width or view.width, view.captured_height or view.height
+    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion)
+
+
+def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
+    """`cam2_R_cam1` (3, 3) and `cam2_t_cam1` (3,) in world lengths: x_2 = R x_1 + t in camera axes."""
+    return camera2.R @ camera1.R.T, camera2.R @ (camera1.C - camera2.C)
+
+
+def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
+    """M (3, 3), b (3,): pixel p of `camera` at depth z is seen by `other` at z M p + b, whose third entry is the depth there."""
+    R, t = relative_pose(camera, other)
+    return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
+
+
+def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
+    """Pixels (n, 2) and depth (n,) of world points (n, 3); pixels of points behind the camera mean nothing."""
+    x = (X - camera.C) @ camera.R.T
+    p = x @ camera.K.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return p[:, :2] / p[:, 2:], x[:, 2]
+
+
+def rays(camera: Camera, x: Float64s) -> Float64s:
+    """Directions (3, n) in the world of the rays of pixels x (n, 2), as long as they reach at depth 1."""
+    A = camera.R.T @ np.linalg.inv(camera.K)
+    return np.asarray(A[:, :2] @ x.T + A[:, 2:], dtype=np.float64)
+
+
+def backproject(camera: Camera, x: Float64s, depth: Float64s) -> Float64s:
+    """World points (n, 3) of pixels (n, 2) at depth (n,)."""
+    directions = np.column_stack([x, np.ones(len(x))]) @ np.linalg.inv(camera.K).T
+    return np.asarray((directions * depth[:, None]) @ camera.R + camera.C, dtype=np.float64)
+
+
+def ray_angles(a: Float64s, b: Float64s) -> Float64s:
+    """(n,) radians between directions a and b (n, 3) of any length; nan where one of them is nan or zero."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = np.einsum("ni,ni->n", a, b) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
+    return np.asarray(np.arccos(np.clip(cosine, -1, 1)), dtype=np.float64)

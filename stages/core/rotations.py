@@ -1,0 +1,56 @@
+"""Rotations: (3, 3) matrices, vectors (axis times angle), and the angle between two of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..types import Float64s
+
+
+def skew(t: Float64s) -> Float64s:
+    """The (3, 3) matrix [t]x with [t]x v = t x v."""
+    return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
+
+
+def rotation_matrix(v: Float64s) -> Float64s:
+    """(3, 3) the rotation about v by |v| radians (Rodrigues' formula)."""
+    angle = float(np.linalg.norm(v))
+    if angle < 1e-12:
+        return np.eye(3) + skew(v)
+    k = skew(v / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k, dtype=np.float64)
+
+
+def rotation_vector(R: Float64s) -> Float64s:
+    """(..., 3) axis times angle (radians) of rotations (..., 3, 3)."""
+    v = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    sine = np.linalg.norm(v, axis=-1, keepdims=True)
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1)[..., None]
+    angle = np.arctan2(sine, cosine)
+    # near half a turn the axis comes from the symmetric part, cos I + (1 - cos) a a^T
+    S = 0.5 * (R + np.swapaxes(R, -1, -2))
+    k = np.argmax(np.diagonal(S, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(S - cosine[..., None] * np.eye(3), k[..., None, None], axis=-1)[..., 0]
+    column /= np.linalg.norm(column, axis=-1, keepdims=True)
+    sign = np.where((column * v).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        plain = np.where(sine > 1e-9, v * angle / np.maximum(sine, 1e-300), v)
+    return np.asarray(np.where(cosine < -0.99, sign * column * angle, plain), dtype=np.float64)
+
+
+def angle_between(A: Float64s, B: Float64s) -> float:
+    """Radians between two rotations (3, 3); accurate for small angles and near half a turn."""
+    turn = A.T @ B
+    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return float(np.arctan2(sine, np.trace(turn) - 1))
+
+
+def angle_between_deg(A: Float64s, B: Float64s) -> float:
+    """Degrees between two rotations (3, 3)."""
+    return float(np.degrees(angle_between(A, B)))
+
+
+def nearest_rotation(M: Float64s) -> Float64s:
+    """(3, 3) the rotation R with the largest trace(R^T M): what turns vectors best where M sums target times source^T."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, dtype=np.float64)

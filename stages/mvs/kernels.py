@@ -1,0 +1,359 @@
+"""The compiled loops of `mvs.propagation`: planes of one view projected into its sources, costed, spread and changed.
+
+A pixel's surface is a plane in inverse depth, q + A dx + B dy for its neighbours at (dx, dy): a plane in space is exactly
+linear in inverse depth.  The pixel is seen by source s at the homogeneous position M_s p + b_s q, linear in q, so that a small
+patch maps affinely with derivatives at hand.  A plane's cost is the lowest 1 - ZNCC over the sources: one view that sees the
+surface unhidden and alike is proof; the mean over several would punish surfaces that others don't see.
+
+Pieces of a row are judged at once, so that the compiler can do many columns with one instruction: a pixel reads finished rows,
+and its own row as it stands before each step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..core.jit import kernel
+from ..types import Float32s, Int32s, Uint32s
+
+Uint64s = npt.NDArray[np.uint64]
+Scalar = np.float32
+
+UNSEEN = 2.0
+"""The cost where no source sees a plane; costs of planes that are seen lie between 0 and 1."""
+
+_FLAT = 0.05  # grey levels squared: patches with less contrast show nothing
+_FLAT_COST = 0.95
+_HOPELESS = 0.9
+"""A plane that costs more is not worth spreading."""
+_SOFTNESS = 12.0
+"""Grey levels at which a patch's pixel counts half."""
+_CHANGES = 3
+NOISE = 65537
+"""Random numbers in a row; a prime: steps of a block meet every place."""
+_NEAREST = 1e-6
+
+# Scratch is flat, in rows of BLOCK at places known to the compiler, which then sees that none overlaps another.
+BLOCK = 128
+_U, _V, _UX, _UY, _VX, _VY, _SEEN, _START, _PLACE, _FX, _FY, _CENTRE, _MEAN, _SQUARE, _PRODUCT, _SCALE, _SCRATCH = (
+    i * BLOCK for i in range(17)
+)
+_Q, _A, _B, _TRIAL = (i * BLOCK for i in range(4))
+_SPREAD, _TOTAL, _OFFSET, _TAPS = (i * BLOCK for i in range(4))
+
+
+@kernel
+def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int, x0: int, n: int, window: Float32s) -> None:
+    """The patches of `n` pixels from (x0, y) on: their deviation; then for each tap weights that sum to 1, and for each tap the
+    weights times grey minus the patch's mean.  Weights fall as 1 / (1 + (dI / softness)^2); unusable pixels have none."""
+    soft, count = np.float32(1.0 / _SOFTNESS), len(taps)
+    window[:_TAPS] = np.float32(0.0)
+    centre = image[y + reach, x0 + reach :]
+    for t in range(count):
+        j, i = y + reach + taps[t, 1], x0 + reach + taps[t, 0]
+        grey, use = image[j, i:], usable[j, i:]
+        weights, values = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
+        for x in range(n):
+            d = grey[x] - centre[x]
+            e = d * soft
+            w = use[x] / (np.float32(1.0) + e * e)
+            weights[x] = w
+            values[x] = d
+        for x in range(n):
+            window[_TOTAL + x] += weights[x]
+            window[_OFFSET + x] += weights[x] * values[x]
+    for x in range(n):
+        scale = np.float32(1.0) / max(window[_TOTAL + x], np.float32(1e-6))
+        window[_TOTAL + x] = scale
+        window[_OFFSET + x] *= scale
+    for t in range(count):
+        weights, values = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
+        for x in range(n):
+            w = weights[x] * window[_TOTAL + x]
+            d = values[x] - window[_OFFSET + x]
+            weights[x] = w
+            values[x] = w * d
+            window[_SPREAD + x] += w * d * d
+    for x in range(n):
+        window[_SPREAD + x] = np.sqrt(window[_SPREAD + x])
+
+
+@kernel
+def _project(
+    height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, source: Int32s, s: Float32s
+) -> None:
+    """Where the sources see the planes of `trial` at (x0, y), ..., and how that changes in x and y."""
+    starts = s.view(np.int32)
+    row = np.float32(y)
+    for k in range(len(M)):
+        present = 0
+        for x in range(BLOCK):
+            present += source[x] == k
+        if present == 0:
+            continue
+        m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
+        m01, m11, m21 = M[k, 0, 1], M[k, 1, 1], M[k, 2, 1]
+        c0, c1, c2 = m01 * row + M[k, 0, 2], m11 * row + M[k, 1, 2], m21 * row + M[k, 2, 2]
+        b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
+        start = np.int32(k * height * width)
+        for x in range(BLOCK):
+            column = np.float32(np.int32(x0) + np.int32(x))
+            q, A, B = trial[_Q + x], trial[_A + x], trial[_B + x]
+            W = m20 * column + c2 + b2 * q
+            inverse = np.float32(1.0) / max(W, np.float32(_NEAREST))
+            u = (m00 * column + c0 + b0 * q) * inverse
+            v = (m10 * column + c1 + b1 * q) * inverse
+            wx, wy = m20 + b2 * A, m21 + b2 * B
+            mine = source[x] == k
+            s[_U + x] = u if mine else s[_U + x]
+            s[_V + x] = v if mine else s[_V + x]
+            s[_UX + x] = (m00 + b0 * A - u * wx) * inverse if mine else s[_UX + x]
+            s[_UY + x] = (m01 + b0 * B - u * wy) * inverse if mine else s[_UY + x]
+            s[_VX + x] = (m10 + b1 * A - v * wx) * inverse if mine else s[_VX + x]
+            s[_VY + x] = (m11 + b1 * B - v * wy) * inverse if mine else s[_VY + x]
+            s[_SEEN + x] = W if mine else s[_SEEN + x]
+            starts[_START + x] = start if mine else starts[_START + x]
+
+
+@kernel
+def _costs(
+    pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s, reach: int, y: int, x0: int,
+    trial: Float32s, source: Int32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s,
+) -> None:  # fmt: skip
+    """1 - ZNCC of the patches around (x0, y), (x0 + 1, y), ... and their images in a source each, under the planes of `trial`, 0
+    to 1; UNSEEN where there is no plane, or the patch leaves the image or lies behind the camera."""
+    _project(height, width, M, b, y, x0, trial, source, s)
+    whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
+    count, stride = len(taps), np.int32(width)
+    zero, right, low = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
+    s[_MEAN:_SCALE] = zero
+    for t in range(count):
+        dx, dy = np.float32(taps[t, 0]), np.float32(taps[t, 1])
+        for x in range(BLOCK):
+            at_x = s[_U + x] + dx * s[_UX + x] + dy * s[_UY + x]
+            at_y = s[_V + x] + dx * s[_VX + x] + dy * s[_VY + x]
+            at_x, at_y = at_x if at_x > zero else zero, at_y if at_y > zero else zero  # nan, too: nothing outside is ever read
+            at_x, at_y = min(at_x, right), min(at_y, low)
+            i, j = np.int32(at_x), np.int32(at_y)
+            s[_FX + x] = at_x - np.float32(i)
+            s[_FY + x] = at_y - np.float32(j)
+            whole[_PLACE + x] = whole[_START + x] + j * stride + i
+        for x in range(BLOCK):
+            taken[x] = pairs[place[_PLACE + x]]
+        for x in range(BLOCK):
+            taken[BLOCK + x] = pairs[place[_PLACE + x] + np.uint32(stride)]
+        weights, pattern = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
+        for x in range(BLOCK):
+            top, bottom = both[2 * x], both[2 * BLOCK + 2 * x]
+            top += s[_FX + x] * (both[2 * x + 1] - top)
+            bottom += s[_FX + x] * (both[2 * BLOCK + 2 * x + 1] - bottom)
+            s[_FX + x] = top + s[_FY + x] * (bottom - top)
+        if t == 0:  # differences to the centre: weak contrast must not drown in rounding
+            s[_CENTRE:_MEAN] = s[_FX:_FY]
+        for x in range(BLOCK):
+            r = s[_FX + x] - s[_CENTRE + x]
+            weighted = weights[x] * r
+            s[_MEAN + x] += weighted
+            s[_SQUARE + x] += weighted * r
+            s[_PRODUCT + x] += pattern[x] * r
+    flat, flat_spread, far = np.float32(_FLAT), np.float32(_FLAT**0.5), np.float32(reach)
+    for x in range(BLOCK):
+        spread = window[_SPREAD + x]
+        variance = s[_SQUARE + x] - s[_MEAN + x] * s[_MEAN + x]
+        c = np.float32(1.0) - s[_PRODUCT + x] / (max(spread, flat_spread) * np.sqrt(max(variance, flat)))
+        c = min(max(c, zero), np.float32(1.0))
+        if variance < flat or spread < flat_spread:
+            c = np.float32(_FLAT_COST)
+        u, v = s[_U + x], s[_V + x]
+        du, dv = far * (abs(s[_UX + x]) + abs(s[_UY + x])), far * (abs(s[_VX + x]) + abs(s[_VY + x]))
+        inside = u >= du and v >= dv and u + du < right + np.float32(0.999) and v + dv < low + np.float32(0.999)
+        if not (inside and s[_SEEN + x] > np.float32(_NEAREST) and trial[_Q + x] > zero):
+            c = np.float32(UNSEEN)
+        cost[x] = c
+
+
+@kernel
+def _pixels_per_inverse_depth(
+    height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, s: Float32s
+) -> None:
+    """How far the pixels at (x0, y), ... move per unit of q in the source where they move most; 0 where none sees them."""
+    row, zero, nearest = np.float32(y), np.float32(0.0), np.float32(_NEAREST)
+    right, low = np.float32(width - 1), np.float32(height - 1)
+    s[_SCALE:_SCRATCH] = zero
+    for k in range(len(M)):
+        m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
+        c0, c1, c2 = M[k, 0, 1] * row + M[k, 0, 2], M[k, 1, 1] * row + M[k, 1, 2], M[k, 2, 1] * row + M[k, 2, 2]
+        b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
+        for x in range(BLOCK):
+            column = np.float32(np.int32(x0) + np.int32(x))
+            W = m20 * column + c2 + b2 * trial[_Q + x]
+            inverse = np.float32(1.0) / max(W, nearest)
+            u = (m00 * column + c0 + b0 * trial[_Q + x]) * inverse
+            v = (m10 * column + c1 + b1 * trial[_Q + x]) * inverse
+            moved_x, moved_y = (b0 - u * b2) * inverse, (b1 - v * b2) * inverse
+            moved = np.sqrt(moved_x * moved_x + moved_y * moved_y)
+            inside = (u >= zero) & (v >= zero) & (u <= right) & (v <= low) & (nearest < W)
+            s[_SCALE + x] = max(s[_SCALE + x], moved) if inside else s[_SCALE + x]
+
+
+@kernel
+def _planes_at(
+    planes: Float32s, cost: Float32s, best: Int32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar,
+    trial: Float32s, source: Int32s,
+) -> None:  # fmt: skip
+    """The planes at (x0 + dx, y + dy), ... continued to (x0, y), ..., and the sources that see them best; q = 0: none."""
+    row, width = y + dy, planes.shape[2]
+    first, last = max(0, -x0 - dx), min(n, width - x0 - dx)
+    trial[:] = np.float32(0.0)
+    source[:] = np.int32(0)
+    if first >= last:
+        return
+    start = x0 + dx + first
+    q, a, b = planes[0, row, start:], planes[1, row, start:], planes[2, row, start:]
+    dear, seen = cost[row, start:], best[row, start:]
+    here, there = trial[first:], source[first:]
+    for x in range(last - first):
+        na, nb = a[x], b[x]
+        nq = q[x] - na * np.float32(dx) - nb * np.float32(dy)
+        usable = (nq > low) & (nq < high) & (dear[x] <= np.float32(_HOPELESS))  # never true where q is nan
+        here[_Q + x] = nq if usable else np.float32(0.0)
+        here[_A + x] = na if usable else np.float32(0.0)
+        here[_B + x] = nb if usable else np.float32(0.0)
+        there[x] = seen[x]
+
+
+@kernel
+def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> None:
+    """The planes at (x0, y), ..., whatever they cost; q = 0: none."""
+    trial[:] = np.float32(0.0)
+    for x in range(n):
+        q = planes[0, y, x0 + x]
+        known = q > np.float32(0.0)
+        trial[_Q + x] = q if known else np.float32(0.0)
+        trial[_A + x] = planes[1, y, x0 + x] if known else np.float32(0.0)
+        trial[_B + x] = planes[2, y, x0 + x] if known else np.float32(0.0)
+
+
+@kernel
+def _changed(
+    noise: Float32s, at: int, shift: Scalar, turn: Scalar, low: Scalar, high: Scalar, s: Float32s, trial: Float32s
+) -> None:
+    """Move and turn the planes of `trial` at random: by up to `shift` and `turn` pixels (per pixel) in the source where they move
+    most.  noise: numbers from -1 to 1, from `at` on."""
+    first, second, third = noise[at:], noise[(at + BLOCK) % NOISE :], noise[(at + 2 * BLOCK) % NOISE :]
+    for x in range(BLOCK):
+        scale = s[_SCALE + x]
+        per_pixel = np.float32(1.0) / max(scale, np.float32(1e-12))
+        q = trial[_Q + x] + first[x] * shift * per_pixel
+        usable = (scale > np.float32(0.0)) & (trial[_Q + x] > np.float32(0.0)) & (q > low) & (q < high)
+        trial[_Q + x] = q if usable else np.float32(0.0)
+        trial[_A + x] += second[x] * turn * per_pixel
+        trial[_B + x] += third[x] * turn * per_pixel
+
+
+@kernel
+def _keep_cheaper(
+    planes: Float32s, cost: Float32s, best: Int32s, usable: Float32s, reach: int, y: int, x0: int, n: int, trial: Float32s,
+    source: Int32s, trial_cost: Float32s,
+) -> None:  # fmt: skip
+    use, c, seen = usable[y + reach, x0 + reach :], cost[y, x0:], best[y, x0:]
+    q, a, b = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
+    for x in range(n):
+        if trial_cost[x] < c[x] and use[x] > np.float32(0.0):
+            c[x] = trial_cost[x]
+            seen[x] = source[x]
+            q[x], a[x], b[x] = trial[_Q + x], trial[_A + x], trial[_B + x]
+
+
+@kernel
+def propagate(
+    image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
+    reach: int, noise: Float32s, number: int, far: int, low: Scalar, high: Scalar, planes: Float32s, cost: Float32s, best: Int32s,
+) -> None:  # fmt: skip
+    """One pass, down if `number` is even, else up.  A plane is tried on the source that is best here, the one best where it comes
+    from, and one more in turn: of six sources half are enough."""
+    h, w = cost.shape
+    count = len(M)
+    window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
+    scratch = np.zeros(_SCRATCH, dtype=np.float32)
+    taken = np.zeros(2 * BLOCK, dtype=np.uint64)
+    trial, trial_cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
+    source, here = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
+    blocks = (w + BLOCK - 1) // BLOCK
+    back = -1 if number % 2 == 0 else 1
+    rings = np.array([(0, 1), (1, 0), (0, far), (far, 0), (2, 3), (-2, 3)])
+    at = 0
+    for i in range(h):
+        y = i if back < 0 else h - 1 - i
+        for j in range(blocks):
+            x0 = (j if back < 0 else blocks - 1 - j) * BLOCK
+            n = min(BLOCK, w - x0)
+            if not usable[y + reach, x0 + reach : x0 + reach + n].any():
+                continue
+            _windows(image, usable, taps, reach, y, x0, n, window)
+            if number == 0:
+                _own_planes(planes, y, x0, n, trial)
+                for k in range(count):
+                    source[:] = k
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+            for q in range(len(rings)):
+                dx, dy = back * rings[q, 0], back * rings[q, 1]
+                if not 0 <= y + dy < h:
+                    continue
+                _planes_at(planes, cost, best, y, x0, n, dx, dy, low, high, trial, source)
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                here[:n] = best[y, x0 : x0 + n]
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, here, window, scratch, taken, trial_cost)
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, here, trial_cost)
+                source[:] = (y + number + q) % count
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+            _own_planes(planes, y, x0, n, trial)
+            _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
+            shift, turn = np.float32(0.5 / (1 << number)), np.float32(0.0)  # half a pixel first
+            for q in range(_CHANGES):
+                _own_planes(planes, y, x0, n, trial)
+                _changed(noise, at, shift, turn, low, high, scratch, trial)
+                at = (at + 3 * BLOCK) % NOISE
+                here[:n] = best[y, x0 : x0 + n]
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, here, window, scratch, taken, trial_cost)
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, here, trial_cost)
+                source[:] = (y + number + q) % count
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
+                _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                shift *= np.float32(0.5)
+                turn = np.float32(0.1 / (1 << number))
+
+
+@kernel
+def judge(
+    image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
+    reach: int, limit: Scalar, planes: Float32s, first: Float32s, second: Float32s, support: Uint32s, parallax: Float32s,
+) -> None:  # fmt: skip
+    h, w = first.shape
+    window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
+    scratch = np.zeros(_SCRATCH, dtype=np.float32)
+    taken = np.zeros(2 * BLOCK, dtype=np.uint64)
+    trial, cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
+    source = np.zeros(BLOCK, dtype=np.int32)
+    for y in range(h):
+        for x0 in range(0, w, BLOCK):
+            n = min(BLOCK, w - x0)
+            _windows(image, usable, taps, reach, y, x0, n, window)
+            _own_planes(planes, y, x0, n, trial)
+            for k in range(len(M)):
+                source[:] = k
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, cost)
+                b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
+                for x in range(n):
+                    c = cost[x]
+                    second[y, x0 + x] = min(second[y, x0 + x], max(c, first[y, x0 + x]))
+                    first[y, x0 + x] = min(first[y, x0 + x], c)
+                    if c < limit:
+                        W = scratch[_SEEN + x]
+                        moved_x, moved_y = (b0 - scratch[_U + x] * b2) / W, (b1 - scratch[_V + x] * b2) / W
+                        support[y, x0 + x] |= np.uint32(1) << np.uint32(k)
+                        parallax[y, x0 + x] += moved_x * moved_x + moved_y * moved_y

@@ -1,0 +1,138 @@
+"""All pairs of a site held against each other: rotations around a triangle of cameras must close.
+
+Loops expose look-alikes that a pair's own evidence (`twoview.pair_score`) does not, and confirm pairs that it leaves open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.rotations import angle_between_deg
+from ..reasons import Reason, Rejected
+from ..twoview.pair_score import probability
+from ..types import Bools, Float64s, Geometry, Int64s, Pair
+from .rotation_averaging import rotations_along_tree
+
+STANDS_ALONE = 1.0
+"""Log odds that a pair needs which no third camera can confirm."""
+
+
+@dataclass(frozen=True)
+class LoopCheck:
+    """What the triangles of a site's cameras say of one pair."""
+
+    good_probability: float
+    """After the check."""
+    rejected: Rejected | None
+    """Why the pair is not to be used, None where it is."""
+    triangles: int
+    """Loops of three cameras that the pair is in..."""
+    closed: int
+    """...and how many of them close."""
+
+
+LOOP_ROTATION_DEG, LOOP_DIRECTION_DEG = 3.0, 10.0
+"""A triangle closes where its rotations return within 3 degrees and the third direction is within 10 of the arc of the others."""
+P_CLOSED_GOOD, P_CLOSED_BAD = 0.95, 0.05
+LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
+"""Triangles share pairs, so each counts half; all together they move the log odds by at most 6."""
+PRIOR_SHIFT = 0.5
+TREE_DEG = 4.0
+
+
+def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
+    """Judge all pairs of a site together; for each pair whether it may enter the poses.
+
+    Mean-field beliefs over the triangles of cameras, then a maximum spanning tree of the believed pairs: what disagrees with the
+    rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and a pair that stands in no
+    triangle needs a score over `STANDS_ALONE`.
+    """
+    posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
+    triangles = _triangles(posed)
+    closed = np.array([_closes(posed, *triangle) for triangle in triangles], dtype=bool)
+    pairs = list(geometries)
+    index = {pair: k for k, pair in enumerate(pairs)}
+    members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
+    prior = np.array([float(np.clip(geometries[pair].score, -6, 6)) - PRIOR_SHIFT for pair in pairs])
+    belief = _beliefs(prior, members, closed)
+    count = np.bincount(members.ravel(), minlength=len(pairs))
+    closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
+    why = {pair: _refusal(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
+    believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
+    for pair, degrees in _against_tree(posed, believed).items():
+        why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
+    checks = {}
+    for k, pair in enumerate(pairs):
+        p = probability(float(belief[k]))
+        checks[pair] = LoopCheck(p if why[pair] is None else min(p, 0.5), why[pair], int(count[k]), int(closing[k]))
+    return checks
+
+
+def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> Rejected | None:
+    """None for a pair to be believed."""
+    figures = {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
+    if triangles == 0 and 0 < geometry.score <= STANDS_ALONE:
+        return Rejected(Reason.UNCONFIRMED, figures)
+    if belief > 0:
+        return None
+    if geometry.score > 0:
+        return Rejected(Reason.LOOK_ALIKE, figures)
+    return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
+
+
+def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
+    """(a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
+    after: dict[str, set[str]] = {}
+    for a, b in posed:
+        after.setdefault(a, set()).add(b)
+    return [(a, b, c) for a, b in posed for c in sorted(after.get(b, set()) & after[a])]
+
+
+def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str) -> bool:
+    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?"""
+    (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
+    if angle_between_deg(R_ac, R_bc @ R_ab) > LOOP_ROTATION_DEG:
+        return False
+    to_b, onward, to_c = -R_ab.T @ t_ab, -R_ab.T @ (R_bc.T @ t_bc), -R_ac.T @ t_ac  # directions in the axes of a
+    normal = np.cross(to_b, onward)
+    if np.linalg.norm(normal) >= 0.05:
+        normal /= np.linalg.norm(normal)
+        flat = to_c - (to_c @ normal) * normal
+        weights = np.linalg.lstsq(np.column_stack([to_b, onward]), flat, rcond=None)[0]
+        if (weights >= 0).all():
+            return bool(abs(to_c @ normal) < np.sin(np.radians(LOOP_DIRECTION_DEG)))
+    nearest = max(to_c @ to_b, to_c @ onward)
+    return bool(nearest > np.cos(np.radians(LOOP_DIRECTION_DEG)))
+
+
+def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
+    assert geometry.cam2_R_cam1 is not None and geometry.cam2_t_cam1 is not None
+    return geometry.cam2_R_cam1, geometry.cam2_t_cam1
+
+
+def _beliefs(prior: Float64s, members: Int64s, closed: Bools) -> Float64s:
+    """Log odds of each pair after 15 damped rounds of mean-field messages from the triangles."""
+    belief = prior.copy()
+    for _ in range(15 if len(members) else 0):
+        p = 1 / (1 + np.exp(-belief))
+        up, down = np.zeros(len(prior)), np.zeros(len(prior))
+        for side in range(3):
+            others = p[members[:, (side + 1) % 3]] * p[members[:, (side + 2) % 3]]
+            closes = np.log((others * P_CLOSED_GOOD + (1 - others) * P_CLOSED_BAD) / P_CLOSED_BAD)
+            opens = np.log((others * (1 - P_CLOSED_GOOD) + (1 - others) * (1 - P_CLOSED_BAD)) / (1 - P_CLOSED_BAD))
+            np.add.at(up, members[closed, side], closes[closed])
+            np.add.at(down, members[~closed, side], opens[~closed])
+        loops = np.minimum(LOOP_WEIGHT * up, LOOP_CAP) + np.maximum(LOOP_WEIGHT * down, -LOOP_CAP)
+        belief = 0.5 * belief + 0.5 * (prior + loops)
+    return belief
+
+
+def _against_tree(posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float]) -> dict[Pair, float]:
+    """Believed pairs whose rotation is off by more than `TREE_DEG` from that along the maximum spanning tree, and by how much."""
+    relative = {pair: _pose(posed[pair])[0] for pair in believed}
+    world = rotations_along_tree(relative, believed)
+    off = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}
+    return {pair: degrees for pair, degrees in off.items() if degrees > TREE_DEG}

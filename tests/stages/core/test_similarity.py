@@ -1,0 +1,54 @@
+"""Similarities are found from points that were moved by one, and move cameras with what they see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from wbflow_stages.core.cameras import project
+from wbflow_stages.core.rotations import angle_between_deg
+from wbflow_stages.core.similarity import Similarity, similarity_between, with_rotation
+from wbflow_stages.types import Camera
+
+
+def some(seed: int, scale: float) -> Similarity:
+    return Similarity(scale, Rotation.random(random_state=seed).as_matrix(), np.random.default_rng(seed).normal(size=3))
+
+
+@given(st.integers(0, 10_000), st.floats(0.1, 10))
+@settings(max_examples=25, deadline=None)
+def test_the_similarity_that_was_applied_is_found(seed, scale):
+    points, applied = np.random.default_rng(seed).normal(size=(6, 3)), some(seed, scale)
+    found = similarity_between(points, applied.points(points))
+    assert found.scale == pytest.approx(scale)
+    assert angle_between_deg(found.R, applied.R) < 1e-5
+    assert found.points(points) == pytest.approx(applied.points(points))
+    assert similarity_between(points, applied.points(points), with_scale=False).scale == 1.0
+
+
+def test_a_line_leaves_a_turn_open():
+    line = np.outer(np.arange(5.0), [1, 2, 3])
+    with pytest.raises(ValueError, match="line"):
+        similarity_between(line, line)
+    with pytest.raises(ValueError, match="three points"):
+        similarity_between(line[:2], line[:2])
+
+
+def test_a_moved_camera_sees_moved_points_where_it_saw_them():
+    moved = some(3, 2.5)
+    camera = Camera(np.array([[500.0, 0, 320], [0, 500, 180], [0, 0, 1]]), np.eye(3), np.array([0.1, 0.2, -9]), 640, 360)
+    X = np.random.default_rng(0).normal(size=(10, 3))
+    before, depth = project(camera, X)
+    after, deeper = project(moved.camera(camera), moved.points(X))
+    assert after == pytest.approx(before) and deeper == pytest.approx(2.5 * depth)
+
+
+def test_points_that_turn_inside_out_have_no_scale():
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    weight = np.full(5, 0.2)
+    assert with_rotation(np.eye(3), points, -points, weight) is None
+    held = with_rotation(np.eye(3), points, 2 * points + 1, weight, 2.0)
+    assert held is not None and held.t == pytest.approx(np.ones(3))

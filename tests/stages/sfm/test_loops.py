@@ -1,0 +1,108 @@
+"""Loops of a site confirm right pairs and expose those that only look right."""
+
+import numpy as np
+import pytest
+
+from wbflow_stages.sfm.loops import check_loops
+from wbflow_stages.twoview.pair_score import probability
+from wbflow_stages.types import Geometry, Pair, View
+
+K = np.array([[800.0, 0, 500], [0, 800, 333], [0, 0, 1]])
+VIEW = View(1000, 667, K)
+
+
+def turn(degrees: float, axis: int = 1) -> np.ndarray:
+    a = np.radians(degrees)
+    R = np.eye(3)
+    i, j = [(1, 2), (2, 0), (0, 1)][axis]
+    R[i, i] = R[j, j] = np.cos(a)
+    R[i, j], R[j, i] = -np.sin(a), np.sin(a)
+    return R
+
+
+def ring(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Cameras on an arc that look at its centre: R and C by name."""
+    cameras = {}
+    for k in range(count):
+        R = turn(-15.0 * k) @ turn(3.0 * (k % 2), 0)
+        cameras[f"c{k}"] = (R, -R.T @ np.array([0, 0.2 * k, 12.0]))
+    return cameras
+
+
+def geometry(R: np.ndarray, t: np.ndarray, score: float) -> Geometry:
+    nothing, none = np.zeros((0, 2)), np.zeros(0, np.int32)
+    return Geometry(
+        F=np.eye(3), x1=nothing, x2=nothing, i1=none, i2=none, probability=np.zeros(0, np.float32), view1=VIEW, view2=VIEW,
+        cam2_R_cam1=R, cam2_t_cam1=t / np.linalg.norm(t), matches=100, inliers=100, model="E", epipolar_px=0.3, angle_deg=15.0,
+        homography_share=0.3, score=score, good_probability=probability(score), distinct_cells=20,
+    )  # fmt: skip
+
+
+def site(count: int, score: float = 2.0, wrong: dict[Pair, float] | None = None) -> dict[Pair, Geometry]:
+    """All pairs of a ring; `wrong` ones have another rotation, and the score given."""
+    cameras, pairs, rng = ring(count), {}, np.random.default_rng(count)
+    for a in range(count):
+        for b in range(a + 1, count):
+            (R1, C1), (R2, C2) = cameras[f"c{a}"], cameras[f"c{b}"]
+            pair = (f"c{a}", f"c{b}")
+            R, t = R2 @ R1.T, R2 @ (C1 - C2)
+            pairs[pair] = geometry(turn(rng.normal(0, 0.2), int(rng.integers(3))) @ R, t, score)
+            if wrong and pair in wrong:
+                pairs[pair] = geometry(turn(40.0, 0) @ R, turn(50.0) @ t, wrong[pair])
+    return pairs
+
+
+def test_a_site_of_right_pairs_is_believed_and_all_triangles_close():
+    checks = check_loops(site(5))
+    assert all(v.rejected is None for v in checks.values())
+    assert all(v.closed == v.triangles == 3 for v in checks.values())
+    assert min(v.good_probability for v in checks.values()) > 0.95
+
+
+@pytest.mark.parametrize("score", [1.0, 3.0])
+def test_a_wrong_pair_of_good_score_is_dropped_as_a_lookalike(score):
+    checks = check_loops(site(5, wrong={("c1", "c3"): score}))
+    assert checks["c1", "c3"].rejected is not None and checks["c1", "c3"].rejected.code == "look-alike"
+    assert checks["c1", "c3"].closed == 0 and checks["c1", "c3"].good_probability <= 0.5
+    assert all(v.rejected is None for pair, v in checks.items() if pair != ("c1", "c3"))
+
+
+def test_loops_confirm_a_pair_that_is_doubtful_alone():
+    doubtful = site(5)
+    doubtful["c0", "c4"] = geometry(*pose(doubtful["c0", "c4"]), score=-0.7)
+    assert check_loops(doubtful)["c0", "c4"].rejected is None
+    alone = check_loops({("c0", "c4"): doubtful["c0", "c4"]})["c0", "c4"]
+    assert alone.rejected is not None and alone.rejected.code == "not-believed"
+
+
+def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    assert g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None
+    return g.cam2_R_cam1, g.cam2_t_cam1
+
+
+def test_two_cameras_need_more_than_cameras_that_others_confirm():
+    pair = next(iter(site(2).values()))
+    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 2.5))
+    assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
+    assert sure.rejected is None
+
+
+def test_what_two_poses_explain_is_ambiguous():
+    pair = next(iter(site(2).values()))
+    check = check_loops({("a", "b"): geometry(*pose(pair), score=0.0)})["a", "b"]
+    assert check.rejected is not None and check.rejected.code == "ambiguous"
+
+
+def test_pairs_without_pose_are_judged_by_their_score():
+    some = site(3)
+    bare = {p: Geometry(**{**vars(g), "cam2_R_cam1": None, "cam2_t_cam1": None}) for p, g in some.items()}
+    checks = check_loops(bare)
+    assert all(v.rejected is None and v.triangles == 0 for v in checks.values())
+    assert check_loops({}) == {}
+
+
+def test_the_check_does_not_depend_on_the_order_of_the_pairs():
+    pairs = site(5, wrong={("c0", "c2"): 1.5})
+    there, back = check_loops(pairs), check_loops(dict(reversed(pairs.items())))
+    assert {p: v.rejected is None for p, v in there.items()} == {p: v.rejected is None for p, v in back.items()}
+    assert all(there[p].good_probability == pytest.approx(back[p].good_probability) for p in pairs)
