@@ -75,7 +75,7 @@ def measure(left: TrueView, right: TrueView, name: str, seed: int) -> tuple[Row,
     """The row as matched, and the row after the guided round."""
     f, g = (left.plain_sift, right.plain_sift) if name == PLAIN_SIFT else (left.features, right.features)
     start = process_time()
-    options: dict[str, int] = {"seed": seed} if MATCHERS[name].get("matcher") == "kdtree" else {}
+    options: dict[str, Any] = {"seed": seed} if MATCHERS[name].get("matcher") == "kdtree" else {}
     matches = match(f, g, **options, **MATCHERS[name])
     seconds = process_time() - start
     return judge(left, right, f, g, name, matches, False, seed, seconds), judge(

@@ -237,7 +237,7 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
     from wbflow_stages.synthetic.cameras import choose_mounts, look_at
     from wbflow_stages.synthetic.layout import static_yard, yard_light
-    from wbflow_stages.synthetic.renderer import Stage, build_atlas
+    from wbflow_stages.synthetic.renderer import PreparedScene, build_atlas
     from wbflow_stages.synthetic.sensor import develop, sensor_of
     from wbflow_stages.synthetic.shooting import render_view, true_depth
 
@@ -249,7 +249,7 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     stage = None
     if not arrays:
         scene = static_yard(np.random.default_rng([0, 1]), 0.0098, choose_mounts(8))
-        stage = Stage(scene, yard_light("day"), build_atlas(scene.textures))
+        stage = PreparedScene(scene, yard_light("day"), build_atlas(scene.textures))
     views = {}
     for section, places, target in WALLS:
         for k, place in enumerate(places):

@@ -92,7 +92,7 @@ def test_thinning_keeps_one_mean_for_each_cell() -> None:
     assert sorted(map(tuple, thin.round(6))) == [(-0.1, 0, 0), (0.2, 0.1, 0.1), (1.5, 0, 0)]
 
 
-def test_pose_errors_are_those_that_were_made():
+def test_pose_errors_are_those_that_were_made() -> None:
     truth = {f"c{k}": looking((k - 1.5, -2 - k % 2, 1 + 0.3 * k)) for k in range(4)}
     turn = Rotation.from_rotvec([0, np.radians(0.7), 0]).as_matrix()
     wrong = {n: Camera(c.K, turn @ c.R, c.C + np.array([0, 0, 0.02]), c.width, c.height) for n, c in truth.items()}

@@ -45,7 +45,7 @@ def test_the_same_frame_gives_the_same_bytes() -> None:
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
 
-def test_no_more_keypoints_than_asked_for_and_the_strongest_first():
+def test_no_more_keypoints_than_asked_for_and_the_strongest_first() -> None:
     found = features(blobs(), max_keypoints=120, tilted_keypoints=40)
     assert np.sum(found.tilts == PLAIN) == 120 and np.sum(found.tilts == TILTED) <= 40
     assert (np.diff(found.responses[:120]) <= 0).all()
@@ -112,5 +112,5 @@ def test_an_empty_frame_is_rejected_with_its_count() -> None:
 
 
 @pytest.mark.parametrize(("gain", "preprocessing"), [(1.0, "none"), (0.12, "clahe")])
-def test_the_image_itself_decides_how_it_is_prepared(gain, preprocessing):
+def test_the_image_itself_decides_how_it_is_prepared(gain: float, preprocessing: str) -> None:
     assert features(gain * blobs(), min_keypoints=1).preprocessing == preprocessing

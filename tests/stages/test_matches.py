@@ -74,12 +74,14 @@ def test_a_matcher_that_nobody_knows_is_refused_and_the_known_ones_are_listed() 
 @pytest.mark.parametrize(
     ("matcher", "option", "reader"), [("mutual", {"dominance": 2.0}, "structural"), ("structural", {"ratio": 0.7}, "kdtree")]
 )
-def test_a_parameter_that_the_matcher_does_not_read_is_refused_and_its_readers_are_named(matcher, option, reader) -> None:
+def test_a_parameter_that_the_matcher_does_not_read_is_refused_and_its_readers_are_named(
+    matcher: str, option: dict[str, Any], reader: str
+) -> None:
     with pytest.raises(TypeError, match=f"{matcher!r} does not read .* is read by .*{reader}"):
         match(random_features(20), random_features(20), matcher=matcher, **option)
 
 
-def test_strangers_share_no_structure():
+def test_strangers_share_no_structure() -> None:
     found = match(random_features(300), random_features(300))
     assert isinstance(found, Rejected) or len(found.x1) < 25
 

@@ -99,7 +99,7 @@ def test_probabilities_share_rows_and_columns(n1: int, n2: int, seed: int) -> No
     assert (np.bincount(i, p, n1) <= 1 + 1e-6).all() and (np.bincount(j, p, n2) <= 1 + 1e-6).all()
 
 
-def test_a_lone_candidate_has_the_probability_that_balances_its_odds():
+def test_a_lone_candidate_has_the_probability_that_balances_its_odds() -> None:
     p = assign(np.zeros(1, np.int32), np.zeros(1, np.int32), np.array([2.0]), 1, 1, iterations=200)[0]
     assert p / (1 - p) ** 2 == pytest.approx(np.exp(2.0), rel=1e-6)  # mass = p / (what u leaves * what v leaves)
 

@@ -14,7 +14,6 @@ from wbflow_stages.evaluate import correct_matches, true_correspondences
 from wbflow_stages.synthetic.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
 from wbflow_stages.synthetic.shooting import DemoCamera
 from wbflow_stages.synthetic.yard import yard
-from wbflow_stages.twoview.epipolar import backproject, project
 
 
 def background(camera: DemoCamera) -> np.ndarray:

@@ -82,7 +82,7 @@ def test_images_of_two_sizes_and_one_lens_give_its_f() -> None:
     assert refined.K2[0, 0] == pytest.approx(1.5 * refined.K1[0, 0], rel=0.1)
 
 
-def test_an_f_of_implausible_intrinsics_is_not_believed_unless_cameras_replace_it():
+def test_an_f_of_implausible_intrinsics_is_not_believed_unless_cameras_replace_it() -> None:
     """A lens that sees 150 degrees without bending lines: what repeats on a wall makes such an F, cameras don't."""
     left, right = with_focal(LEFT, 0.15), with_focal(RIGHT, 0.15)
     X = scene(n=6000, depth=(3.0, 14.0))
