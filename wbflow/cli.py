@@ -7,19 +7,18 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
 from . import __version__
 from .errors import ExitCode, UsageError, WbflowError
+from .screen import listener, say, stop, summary
 
 if TYPE_CHECKING:
     import datetime
 
-    from .api import Run
-    from .config.load import Site
-    from .store.events import Event, Listener
+    from .config.site import Site
     from .store.layout import WorkFolder
 
 _PATH = click.Path(path_type=Path)
@@ -52,11 +51,11 @@ class _Plain(click.Group):
         except WbflowError as error:
             if _tracebacks_wanted() and error.__cause__:
                 traceback.print_exception(error.__cause__)
-            _stop(error.exit_code, str(error))
+            stop(error.exit_code, str(error))
         except Exception as error:
             if _tracebacks_wanted():
                 raise
-            _stop(ExitCode.FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
+            stop(ExitCode.FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
 
 
 @click.group(cls=_Plain, context_settings={"help_option_names": ["-h", "--help"]})
@@ -114,14 +113,14 @@ def run(
         wait=wait,
         backend=backend,
         scheduler=scheduler,
-        listen=_listener(loaded, verbose, quiet or as_json),
+        listen=listener(loaded, verbose, quiet or as_json),
     )
     if as_json:
-        _say(json.dumps(finished.record.to_json(), indent=1))
+        say(json.dumps(finished.record.to_json(), indent=1))
     elif not quiet:
-        _summary(finished)
+        summary(finished)
     if finished.record.reason:
-        _say(f"no cloud: {finished.record.reason}", err=True)
+        say(f"no cloud: {finished.record.reason}", err=True)
     sys.exit(finished.record.exit_code)
 
 
@@ -147,9 +146,9 @@ def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None
 
     findings = examine(loaded, _day(date))
     for finding in findings:
-        _say(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
+        say(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:
-        _say(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
+        say(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
     sys.exit(exit_code(findings))
 
 
@@ -164,7 +163,7 @@ def report(site: Path, run_id: str | None, work: Path | None) -> None:
     from .store.run_folder import RunFolder
 
     folder = RunFolder.of(place, run_id)
-    _say(folder.write_report(rebuild_report(place, folder)))
+    say(folder.write_report(rebuild_report(place, folder)))
 
 
 @main.command()
@@ -175,17 +174,17 @@ def history(site: Path, work: Path | None) -> None:
     loaded = _load(site, work)
     place = _place(loaded)
     if not place.run_ids():
-        _stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
+        stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
     from .store.ledger import Ledger
 
     with Ledger(place) as ledger:
         runs = ledger.runs()
     head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
-    _say(f"{'run':17} {'night':10} {head} {'points':>11} exit")
+    say(f"{'run':17} {'night':10} {head} {'points':>11} exit")
     for r in runs:
         points = f"{r.points:,}" if r.points else "-"
         figures = f"{r.wall:8.1f} {r.cpu:8.1f} {r.cached:6} {r.ran:5} {r.rejected:8} {r.failed:6}"
-        _say(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}")
+        say(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}")
 
 
 @main.command()
@@ -202,7 +201,7 @@ def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
     with hold(place.lock, wait=False):
         done = remove(place, keep, dry_run)
     verb = "would remove" if dry_run else "removed"
-    _say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
+    say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
 
 
 @main.command()
@@ -217,7 +216,7 @@ def demo(folder: Path, small: bool, light: str) -> None:
         write_demo(folder, small=small, light=light)
     except (FileExistsError, ValueError) as error:
         raise UsageError(str(error)) from error
-    _say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
+    say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 
 @main.command()
@@ -235,10 +234,10 @@ def init(folder: Path) -> None:
     from .results.init import write_site
 
     made = write_site(folder)
-    _say(f"{made.file}: {len(made.cameras)} cameras: {', '.join(made.cameras)}")
+    say(f"{made.file}: {len(made.cameras)} cameras: {', '.join(made.cameras)}")
     for note in made.notes:
-        _say(note)
-    _say(f"now try  wbflow check {made.file}  and  wbflow run {made.file}")
+        say(note)
+    say(f"now try  wbflow check {made.file}  and  wbflow run {made.file}")
 
 
 @main.command()
@@ -250,7 +249,7 @@ def compare(run_a: Path, run_b: Path) -> None:
     from .store.run_folder import RunFolder
 
     for row in rows(RunFolder.at(run_a).record(), RunFolder.at(run_b).record()):
-        _say(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
+        say(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
 
 
 @main.command()
@@ -266,11 +265,11 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     from .results.pair import LAST_STAGE, failure, pair_site, write_pair
 
     site = pair_site(left, right, out, resolution)
-    finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=_listener(site, verbose, quiet=False)).finished
+    finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=listener(site, verbose, quiet=False)).finished
     for file in write_pair(finished, out):
-        _say(file)
+        say(file)
     if why := failure(finished):
-        _stop(ExitCode.FAILED, f"no disparity: {why}")
+        stop(ExitCode.FAILED, f"no disparity: {why}")
 
 
 @main.command()
@@ -295,7 +294,7 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
 
     folder = RunFolder.of(place, run_id or (place.latest.name if place.latest.exists() else None))
     for file in write(FinishedRun.open(place, folder), out, forms):
-        _say(file)
+        say(file)
 
 
 @main.command()
@@ -308,10 +307,10 @@ def stages(stage: str | None) -> None:
 
     chosen = [row for row in STAGES if row.name == stage]
     if stage and not chosen:
-        _stop(ExitCode.USAGE, f"there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+        raise UsageError(f"there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
     reader = FunctionReader()
     rows = [describe(row, reader) for row in chosen] or describe_all(reader)
-    _say("\n\n".join("\n".join(lines(row)) for row in rows))
+    say("\n\n".join("\n".join(lines(row)) for row in rows))
 
 
 def _day(date: datetime.datetime | None) -> datetime.date | None:
@@ -325,7 +324,7 @@ def _load(path: Path, work: Path | None) -> Site:
     try:
         site = load_site(path, work.resolve() if work else None)
         for note in site.notes:
-            _say(f"note: {note}", err=True)
+            say(f"note: {note}", err=True)
         return site
     except SiteError as error:
         count = len(error.problems)
@@ -347,62 +346,9 @@ def _explain(site: Site, date: datetime.datetime | None, until: str | None, forc
     plan = open_night(site, _day(date), until, force).plan
     plan.refresh()
     for line in explain(plan):
-        _say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
+        say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):
-        _say("(tasks of pairs are listed once the pair graph is known)")
-
-
-def _listener(site: Site, verbose: bool, quiet: bool) -> Listener:
-    """What is said of events: failures, rejections and warnings, everything with -v; a counter where somebody watches."""
-    from .store.events import WarningEvent
-
-    watched = sys.stderr.isatty() and not quiet
-    count = 0
-
-    def listen(event: Event) -> None:
-        nonlocal count
-        if watched:
-            _say("\r\x1b[K", nl=False, err=True)
-        if isinstance(event, WarningEvent):
-            _say(f"warning: {event}", err=True)
-        else:
-            count += 1
-            failed = event.outcome == "failed"
-            if verbose or failed or (event.outcome == "rejected" and not quiet):
-                subject = "--".join(event.task.subject) or site.name
-                line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or ''}"
-                _say(line.rstrip(), err=failed)
-        if event.trace and verbose:
-            _say(event.trace, err=True)
-        if watched:
-            _say(f"{count} tasks, last {event.task}", nl=False, err=True)
-
-    return listen
-
-
-def _summary(finished: Run) -> None:
-    record, paths = finished.record, finished.finished.folder.paths
-    if sys.stderr.isatty():
-        _say("\r\x1b[K", nl=False, err=True)
-    tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
-    _say(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
-    if record.cloud:
-        _say(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
-    _say(f"report  {paths.report}")
-
-
-def _say(text: object, nl: bool = True, err: bool = False) -> None:
-    """Print; a reader that went away (`wbflow run ... | head -1`) costs the words, not the night's work."""
-    try:
-        click.echo(text, nl=nl, err=err)
-    except BrokenPipeError:
-        with Path(os.devnull).open("w") as nowhere:
-            os.dup2(nowhere.fileno(), (sys.stderr if err else sys.stdout).fileno())
-
-
-def _stop(code: ExitCode, message: str) -> NoReturn:
-    _say(message, err=code is not ExitCode.GOOD)
-    sys.exit(code)
+        say("(tasks of pairs are listed once the pair graph is known)")
 
 
 def _tracebacks_wanted() -> bool:

@@ -51,3 +51,6 @@ PAIR_RESULTS: Mapping[str, Role] = {
 
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""
+
+DECODE = "wbflow_stages.frames:decode"
+"""Makes pixels of a capture; a ValueError says what is wrong with it."""

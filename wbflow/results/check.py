@@ -10,10 +10,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from ..config.load import Site
+from ..config.site import Site
 from ..errors import ExitCode
+from ..graph.exports import DECODE
+from ..graph.pipeline import SITE_TYPES, SiteValue
 from ..night.captures import CaptureFile, expected
 from ..night.night import Night, open_night
+from .artifacts import function
 
 Severity = Literal["error", "warning"]
 
@@ -82,11 +85,11 @@ def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
     """(width, height) of a capture as it would be used, or what is wrong with it."""
     import numpy as np
 
-    frames, types = (importlib.import_module(f"wbflow_stages.{name}") for name in ("frames", "types"))
     if not file.digest:
         return (0, 0), f"{file.name} cannot be read"
     try:
-        image = frames.decode(types.Capture(file.name, np.fromfile(file.path, dtype=np.uint8)))
+        capture = function(SITE_TYPES[SiteValue.CAPTURES])(file.name, np.fromfile(file.path, dtype=np.uint8))
+        image = function(DECODE)(capture)
     except ValueError as error:
         return (0, 0), str(error)
     return (image.shape[1], image.shape[0]), None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from ..config.load import Site, load_site
+from ..config.load import load_site
+from ..config.site import Site
 from ..errors import UsageError
 from ..graph.exports import PAIR_FILES, PAIR_RESULTS
 from ..graph.pipeline import Role, stage_with

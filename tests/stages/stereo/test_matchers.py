@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -13,12 +14,13 @@ from wbflow_stages.stereo.blocks import blocks
 from wbflow_stages.stereo.census_sgm import match_census_sgm
 from wbflow_stages.stereo.coarse_range import with_coarse_range
 from wbflow_stages.stereo.denoise import noise_level, quietened
-from wbflow_stages.stereo.matcher import DenseMatcher, RectifiedPair, halved, mirrored
+from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.plane_filter import doubt, smoothed
 from wbflow_stages.stereo.sgbm import match_in_one_piece, match_sgbm
 
-MATCHERS = [match_sgbm, match_census_sgm, match_patchmatch]
+Matcher = Callable[[RectifiedPair], DenseMatches]
+MATCHERS: list[Matcher] = [match_sgbm, match_census_sgm, match_patchmatch]
 
 
 def pair_of(left: np.ndarray, right: np.ndarray, low: int, high: int) -> RectifiedPair:
@@ -33,7 +35,7 @@ def well_inside(truth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("matcher", MATCHERS)
 @pytest.mark.parametrize("offset", [-40.0, 0.0, 15.0, 40.0])
-def test_any_sign_of_disparity_is_found(matcher: DenseMatcher, offset: float) -> None:
+def test_any_sign_of_disparity_is_found(matcher: Matcher, offset: float) -> None:
     left, right = stereo_pair(120, 224, offset)
     truth = true_disparity(120, 224, offset)
     found = matcher(pair_of(left, right, int(offset) - 4, int(offset) + 28))
@@ -62,7 +64,7 @@ def _drawn(right: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_both_views_tell_the_same_story(matcher: DenseMatcher) -> None:
+def test_both_views_tell_the_same_story(matcher: Matcher) -> None:
     left, right = stereo_pair(120, 224)
     pair = pair_of(left, right, 16, 48)
     found, swapped = matcher(pair), matcher(mirrored(pair))

@@ -138,10 +138,12 @@ def placed_on_the_map(site: Path, copy: Path) -> Path:
     from wbflow.config.geodesy import LocalFrame
     from wbflow.store import artifact
     from wbflow.store.cache import Cache
+    from wbflow.store.layout import WorkFolder
+    from wbflow.task import Task
 
     shutil.copytree(site, copy, symlinks=True)
-    cache = Cache(work(copy) / "cache")
-    receipt = cache.newest("poses", ())
+    cache = Cache(WorkFolder(work(copy)))
+    receipt = cache.newest(Task("poses"))
     assert receipt is not None
     poses = artifact.decode(cache.path(receipt).read_bytes())
     data = artifact.encode(replace(poses, crs=LocalFrame(*ORIGIN).crs))

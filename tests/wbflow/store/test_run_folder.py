@@ -1,0 +1,116 @@
+"""A run's folder: whole or not there, and readable by whoever comes later."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.wbflow.store.test_record import some_record
+from wbflow.store.events import TaskEvent, WarningEvent, event_from_json
+from wbflow.store.layout import WorkFolder, run_id
+from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run
+from wbflow.task import Task
+
+EVENTS = [
+    TaskEvent(
+        Task("matches", ("gate", "roof")), "rejected", "t", fresh=True, reason="3 inliers", code="too-few", key="ab", cpu=0.1
+    ),
+    WarningEvent("picture not drawn", "t", Task("frames", ("gate",)), "install more", "Traceback"),
+    WarningEvent("the ledger was not written", "t"),
+]
+
+
+def publish(work: WorkFolder, name: str, cloud: bool = True) -> RunFolder:
+    unfinished = UnfinishedRun(work, name)
+    unfinished.write_products({(): b"ply", ("component-2",): b"more"} if cloud else {}, {"gate": {"K": []}} if cloud else None)
+    return unfinished.publish(some_record(), EVENTS, "<html>")
+
+
+def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    folder = publish(work, "20261120T031500Z")
+    assert sorted(path.name for path in folder.paths.folder.iterdir()) == [
+        "cameras.json",
+        "cloud-component-2.ply",
+        "cloud.ply",
+        "log.jsonl",
+        "report.html",
+        "run.json",
+    ]
+    assert RunFolder.at(folder.paths.folder).record().cameras[0].id == "gate"
+    assert folder.events() == EVENTS
+    assert folder.tasks() == {EVENTS[0].task: EVENTS[0]}
+    assert folder.cameras() == {"gate": {"K": []}}
+    assert RunFolder.of(work, "latest").id == RunFolder.of(work).id == folder.id
+
+
+def test_until_it_is_published_nobody_sees_it(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    UnfinishedRun(work, "20261121T031500Z").write_products({(): b"half"}, None)
+    assert work.run_ids() == ["20261120T031500Z"]
+    work.start_writing()
+    assert work.unfinished_run("20261121T031500Z").folder.exists(), "nobody has said that it was left behind"
+    work.start_writing()
+    assert not work.unfinished_run("20261121T031500Z").folder.exists()
+
+
+def test_a_run_without_a_cloud_leaves_latest_where_it_is(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    publish(work, "20261121T031500Z", cloud=False)
+    assert RunFolder.of(work, "latest").id == "20261120T031500Z"
+    assert RunFolder.of(work).id == "20261121T031500Z"
+
+
+def test_what_happens_later_can_be_added_to_the_log(tmp_path: Path) -> None:
+    folder = publish(WorkFolder(tmp_path), "20261120T031500Z")
+    later = WarningEvent("the disk is slow", "t")
+    folder.add(later)
+    assert folder.events() == [*EVENTS, later]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [(None, "has no runs yet"), ("19990101T000000Z", "has no runs yet"), ("latest", "has no runs yet")]
+)
+def test_there_is_no_run(tmp_path: Path, name: str | None, said: str) -> None:
+    with pytest.raises(NoSuchRun, match=said):
+        RunFolder.of(WorkFolder(tmp_path), name)
+
+
+def test_runs_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    folder = publish(work, "20261120T031500Z", cloud=False)
+    with pytest.raises(NoSuchRun, match="no run has made a cloud yet"):
+        RunFolder.of(work, "latest")
+    with pytest.raises(NoSuchRun, match="there is no run '19990101T000000Z'; the last ones are 20261120T031500Z"):
+        RunFolder.of(work, "19990101T000000Z")
+    folder.paths.record.write_text("{}")
+    folder.paths.log.write_text("{")
+    with pytest.raises(NoSuchRun, match="is not the folder of a run"):
+        folder.record()
+    with pytest.raises(NoSuchRun, match="cannot be read"):
+        folder.events()
+
+
+def test_events_of_later_versions_are_passed_over() -> None:
+    assert event_from_json({"event": "pinned", "at": "t", "who": "me"}) is None
+    line = json.loads(json.dumps(EVENTS[0].to_json()))
+    assert event_from_json(line | {"more": 1}) == EVENTS[0]
+
+
+def test_a_warning_in_words() -> None:
+    assert str(EVENTS[1]) == "frames gate: picture not drawn; install more"
+
+
+def test_no_run_id_is_given_twice(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    first, moment = new_run(work)
+    work.run(first).folder.mkdir(parents=True)
+    second, later = new_run(work)
+    assert first == run_id(moment)
+    assert second > first
+    assert later - moment >= datetime.timedelta(seconds=1)

@@ -1,0 +1,115 @@
+"""wbflow as a Python program uses it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wbflow
+from tests.helpers.toy_site import ToySite
+from wbflow.errors import UsageError, WbflowError
+from wbflow.store.events import Event, TaskEvent, WarningEvent
+from wbflow.store.layout import WorkFolder
+from wbflow.store.lock import Locked, hold
+from wbflow.store.run_folder import NoSuchRun
+from wbflow.task import Task
+
+
+def test_ten_lines_from_a_site_to_its_cloud_and_any_artifact(toy: ToySite) -> None:
+    site = wbflow.load_site(toy.file)
+    run = wbflow.run(site, jobs=1)
+    assert run.record.exit_code == 0
+    assert run.cameras["gate"].ok and run.cameras["gate"].figures["keypoints"] == 1
+    assert run.pairs["gate--roof"].figures["density"] == 1.0
+    assert (
+        np.asarray(run.cloud.points).shape == (12, 3) == np.asarray(run.cloud.colors).shape == np.asarray(run.cloud.normals).shape
+    )
+    assert run.artifact("geometry gate--roof").F.shape == (3, 3)
+    assert run.artifact(Task("frames", ("gate",))).image.shape == (8, 8, 3)
+    assert len(run.artifact("fuse").points) == run.record.cloud.points == 12
+    assert wbflow.open_run(toy.file).id == wbflow.open_run(run.folder).id == wbflow.open_run(site, "latest").id == run.id
+
+
+def test_a_run_says_shortly_what_it_is(toy: ToySite) -> None:
+    run = wbflow.run(toy.file, jobs=1, until="frames")
+    assert repr(run) == f"Run({run.id!r}, site 'toy', exit 0, no cloud (not asked for))"
+    assert set(run.tasks) == {Task("frames", (camera,)) for camera in toy.cameras}
+    with pytest.raises(WbflowError, match="made no cloud"):
+        _ = run.cloud
+
+
+def test_an_artifact_that_is_not_there_is_explained(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    run = wbflow.run(toy.file, jobs=1)
+    assert run.calibration["gate"]["K"]
+    with pytest.raises(UsageError, match=r"'frames roof' made nothing: failed: .*roof.txt is not an image"):
+        run.artifact("frames roof")
+    with pytest.raises(UsageError, match="had no task 'frames tower'; it had frames gate, frames roof"):
+        run.artifact("frames tower")
+    with pytest.raises(UsageError, match="there is no stage 'coffee'"):
+        run.artifact("coffee gate")
+
+
+def test_the_listener_hears_of_every_task(toy: ToySite) -> None:
+    heard: list[Event] = []
+    run = wbflow.run(toy.file, jobs=1, listen=heard.append)
+    assert heard == run.events
+    assert {event.task for event in heard if isinstance(event, TaskEvent)} == set(run.tasks)
+
+
+def test_wrong_use_and_a_held_work_folder_are_exceptions(toy: ToySite) -> None:
+    with pytest.raises(UsageError, match="there is no such stage"):
+        wbflow.run(toy.file, until="coffee")
+    with pytest.raises(NoSuchRun, match="has no runs yet"):
+        wbflow.open_run(toy.file)
+    code = (
+        "import sys, wbflow\ntry: wbflow.run(sys.argv[1], jobs=1)\nexcept wbflow.errors.WbflowError as e: print(type(e).__name__)"
+    )
+    with hold(WorkFolder(toy.work).lock, wait=False):
+        command = [sys.executable, "-c", code, str(toy.file)]
+        told = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
+    assert told.strip() == Locked.__name__
+
+
+def test_importing_wbflow_imports_nothing_heavy() -> None:
+    code = "import sys, wbflow; print([m for m in ('numpy', 'yaml', 'pydantic', 'click', 'joblib') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_a_report_that_cannot_be_built_is_told_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def broken(*_: object) -> str:
+        raise KeyError("ink")
+
+    monkeypatch.setattr("wbflow.results.report.page.build_report", broken)
+    run = wbflow.run(toy.file, jobs=1)
+    assert run.record.exit_code == 0
+    (warning,) = warnings(run)
+    assert "the report could not be built: KeyError: 'ink'" in warning.what
+    assert "ink" in (warning.trace or "")
+
+
+def test_a_ledger_that_cannot_be_written_is_told_of(toy: ToySite) -> None:
+    toy.work.mkdir(parents=True)
+    WorkFolder(toy.work).ledger.mkdir()
+    run = wbflow.run(toy.file, jobs=1)
+    assert run.record.cloud
+    assert any("ledger" in warning.what for warning in warnings(run))
+    assert "warning: " in toy.wbflow("run", "-q").stderr
+
+
+def test_a_damaged_artifact_that_was_made_again_is_told_of(toy: ToySite) -> None:
+    wbflow.run(toy.file, jobs=1)
+    victim = next(WorkFolder(toy.work).task(Task("fuse")).glob("*.ply"))
+    victim.write_bytes(victim.read_bytes()[:-1] + b"x")
+    run = wbflow.run(toy.file, jobs=1)
+    (warning,) = warnings(run)
+    assert warning.task == Task("fuse")
+    assert "made again" in warning.what
+
+
+def warnings(run: wbflow.Run) -> list[WarningEvent]:
+    return [event for event in run.events if isinstance(event, WarningEvent)]
