@@ -103,8 +103,9 @@ def test_imports_of_the_vision_run_one_way() -> None:
 
 def test_no_imports_run_in_circles() -> None:
     graph = networkx.DiGraph()
-    for name, file in NAMES.items():
-        graph.add_edges_from((name, other) for other in imports(file) if other in NAMES and other != name)
+    modules = {name for name, file in NAMES.items() if file.name != "__init__.py"}  # packages open their doors when asked
+    for name in modules:
+        graph.add_edges_from((name, other) for other in imports(NAMES[name]) if other in modules and other != name)
     assert not [sorted(circle) for circle in networkx.strongly_connected_components(graph) if len(circle) > 1]
 
 
