@@ -136,12 +136,12 @@ def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> t
     sensor = sensor_of(np.random.default_rng(seed), shoot.light)
     still = render_view(shoot.empty, camera, lens)
     images, times = [], []
-    for k, (stage, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
+    for k, (prepared, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
         rng = np.random.default_rng([*seed, k])
         time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
         radiance = still.copy()
         pixels = np.flatnonzero(touched(scene, shoot.empty.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(stage, camera, lens, pixels)
+        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
         image = develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
         images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
         times.append(time)
@@ -149,14 +149,14 @@ def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> t
     return DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement), normals
 
 
-def render_view(stage: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
+def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
     """Linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
     every = np.arange(camera.width * camera.height)
-    return render_pixels(stage, camera, lens, every).reshape(camera.height, camera.width, 3)
+    return render_pixels(prepared, camera, lens, every).reshape(camera.height, camera.width, 3)
 
 
 def render_pixels(
-    stage: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
+    prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
 ) -> Float32s:
     """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
@@ -168,19 +168,19 @@ def render_pixels(
         rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
         # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
         disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (len(x), 1))
-        radiance, _, _ = render_rays(stage, camera.C, rays, spread, disc.astype(np.float32))
+        radiance, _, _ = render_rays(prepared, camera.C, rays, spread, disc.astype(np.float32))
         out[start : start + batch] = radiance.reshape(-1, SAMPLES * SAMPLES, 3).mean(axis=1)
     return out
 
 
-def true_depth(stage: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
+def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
     """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
-    distance, facet = stage.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
-    known = truth_mask(stage.scene, facet).astype(bool)
+    distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
+    known = truth_mask(prepared.scene, facet).astype(bool)
     depth = np.where(known, distance * (rays @ camera.R[2].astype(np.float32)), 0).astype(np.float32)
-    normals = stage.scene.normals[np.maximum(facet, 0)]
+    normals = prepared.scene.normals[np.maximum(facet, 0)]
     normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
     shape = (camera.height, camera.width)
     return depth.reshape(shape), normals.reshape(*shape, 3)

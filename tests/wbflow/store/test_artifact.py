@@ -64,6 +64,6 @@ def test_python_objects_are_refused() -> None:
 
 
 def test_only_dataclasses_are_built_from_a_header() -> None:
-    data = artifact.encode(View(1, 1)).replace(b"wbflow_stages.types:View", b"subprocess:Popen........")
+    data = artifact.encode(View(1, 1)).replace(b"wbflow_stages.types.views:View", b"subprocess:Popen..............")
     with pytest.raises((artifact.ArtifactError, AttributeError)):
         artifact.decode(data)

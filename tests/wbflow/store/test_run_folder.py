@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.wbflow.store.test_record import some_record
-from wbflow.store.events import TaskEvent, WarningEvent, event_from_json
+from wbflow.store.events import Event, TaskEvent, WarningEvent, event_from_json
 from wbflow.store.layout import WorkFolder, run_id
 from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run
 from wbflow.task import Task

@@ -1,0 +1,46 @@
+"""What the stages hand to each other: frozen dataclasses of arrays.  Axes, units, order: see the package's docstring."""
+
+from ..reasons import Reason, Rejected
+from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s
+from .captured import Capture, Lens, Placement, Survey
+from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
+from .pairs import Geometry, Matches, Overlap, PairCheck
+from .site import PoseCheck, Poses
+from .views import PLAIN, TILTED, Camera, Features, Frame, View
+
+__all__ = [
+    "INVALID",
+    "PLAIN",
+    "TILTED",
+    "Bools",
+    "Camera",
+    "Capture",
+    "Cloud",
+    "DepthMap",
+    "Disparity",
+    "Features",
+    "Float32s",
+    "Float64s",
+    "Frame",
+    "Geometry",
+    "Int16s",
+    "Int32s",
+    "Int64s",
+    "Lens",
+    "Matches",
+    "Overlap",
+    "Pair",
+    "PairCheck",
+    "Placement",
+    "PolarRows",
+    "PoseCheck",
+    "Poses",
+    "Reason",
+    "Rectification",
+    "Rejected",
+    "Survey",
+    "Uint8s",
+    "Uint16s",
+    "Uint32s",
+    "View",
+]

@@ -1,0 +1,62 @@
+"""What is captured, and what the site knows of its cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .arrays import Float64s, Uint8s
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One image file as it lies on disk."""
+
+    name: str
+    data: Uint8s
+    """(n,) uint8, the encoded bytes."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics as the site states them, for an image of `width` x `height` pixels (both 0: any size)."""
+
+    K: Float64s | None = None
+    """(3, 3) pixels, or None when unknown."""
+    distortion: Float64s = field(default_factory=lambda: np.zeros(5))
+    """(5,) k1 k2 p1 p2 k3 (OpenCV's order and meaning), zeros for none."""
+    hfov_deg: float | None = None
+    """The horizontal field of view, used where K is None."""
+    width: int = 0
+    height: int = 0
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the site says that a camera is."""
+
+    R: Float64s | None = None
+    """(3, 3), None where unknown."""
+    C: Float64s | None = None
+    """(3,), None where unknown."""
+    sigma_m: float = 0.0
+    """Standard deviation of C in metres, 0 where it is to be held."""
+    metric: bool = True
+    """C is in metres."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of a site besides its cameras' poses.  Cameras count by their position in the site file."""
+
+    cameras: tuple[str, ...] = ()
+    """Ids in the order of the site file."""
+    distances: Float64s = field(default_factory=lambda: np.zeros((0, 3)))
+    """(n, 3) rows of camera, camera, metres between their centres."""
+    points: Float64s = field(default_factory=lambda: np.zeros((0, 3)))
+    """(p, 3) control points, metres."""
+    observations: Float64s = field(default_factory=lambda: np.zeros((0, 4)))
+    """(m, 4) rows of control point, camera, x, y in pixels of the image as captured (upright)."""
+    crs: str = ""
+    """The coordinate system of the world, "" where it is local."""

@@ -1,0 +1,125 @@
+"""Every pixel: rectification, disparity, depth, cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
+
+
+@dataclass(frozen=True)
+class PolarRows:
+    """Half epipolar lines of one image as the rows of a rectified image: row k is the ray at `angles[k]` from the epipole."""
+
+    epipole: Float64s
+    """(2,) pixels of the frame, finite."""
+    angles: Float64s
+    """(rows,) radians, strictly monotone."""
+    direction: int
+    """1 or -1."""
+    start_px: float
+    """A point at distance r from the epipole has rectified x = direction * r - start_px."""
+
+
+@dataclass(frozen=True)
+class Rectification:
+    """How the two images of a pair are resampled so that a point lies on the same row in both.
+
+    Use `rectification.warping` to move points and images; nothing else asks which method it was.
+    """
+
+    method: str
+    """Which `rectification` made it."""
+    reason: str
+    """Why this method."""
+    H1: Float64s | None
+    """(3, 3) frame pixels to rectified pixels; None for polar."""
+    H2: Float64s | None
+    """(3, 3), as `H1`."""
+    size1: tuple[int, int]
+    """(width, height) of the rectified images; heights are equal."""
+    size2: tuple[int, int]
+    disparity_min_px: float
+    """Range to search, with margins..."""
+    disparity_max_px: float
+    """...and its end."""
+    vertical_px: float
+    """Mean row difference of the inliers..."""
+    vertical_p95_px: float
+    """...and that which 95 % of them keep."""
+    angle_deg: float
+    """Convergence angle, nan if unknown."""
+    polar1: PolarRows | None = None
+    """The rows of a polar rectification, else None."""
+    polar2: PolarRows | None = None
+    scale: float = 1.0
+    """Rectified pixels for each pixel of the frames (median)."""
+    anisotropy: float = 1.0
+    """Longest over shortest side of a resampled pixel, 95 % over both images."""
+    kept1: float = 1.0
+    """Share of each frame inside its rectified image."""
+    kept2: float = 1.0
+    depth_resolution: float = float("nan")
+    """Median depth error of one pixel of disparity over depth, nan without cameras."""
+    warnings: tuple[str, ...] = ()
+    """What weakens the result without making it useless."""
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row."""
+
+    left: Int16s
+    """(h, w1) sixteenths of a pixel relative to `offset_px`, on the rectified left image; INVALID where unknown."""
+    right: Int16s
+    """(h, w2) the same on the rectified right image (x1 = x2 + d)."""
+    confidence_left: Uint8s
+    """(h, w1) 0 to 255."""
+    confidence_right: Uint8s
+    """(h, w2) 0 to 255."""
+    offset_px: int
+    """Added to both."""
+    density: float
+    """Share of the common valid area with a value."""
+
+
+INVALID = -32768
+"""The value of `Disparity.left` and `.right` where nothing is known."""
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth of one view, from all its pairs or refined over all views around it."""
+
+    depth: Float32s
+    """(h, w) along the optical axis, in world lengths; nan where unknown."""
+    sigma: Float32s
+    """(h, w) its standard deviation."""
+    slope_x: Float32s
+    """(h, w) change of 1 / depth per pixel in x: the local plane."""
+    slope_y: Float32s
+    """(h, w) the same in y."""
+    support: Uint32s
+    """(h, w) bit k set where the pair with `partners[k]` supports the depth."""
+    partners: tuple[str, ...]
+    """The other cameras of its pairs."""
+    sure: Bools
+    """(h, w) False where the depth must not be believed unless another view's depth agrees."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points of a scene with what is known of each."""
+
+    points: Float64s
+    """(n, 3)"""
+    normals: Float32s
+    """(n, 3) of unit length, toward the cameras."""
+    colors: Uint8s
+    """(n, 3) RGB."""
+    confidence: Float32s
+    """(n,) 0 to 1."""
+    views: Uint16s
+    """(n,) cameras that support the point."""
+    sigma_mm: Float32s
+    """(n,) standard deviation along the ray, millimetres."""

@@ -1,0 +1,65 @@
+"""All cameras together: their poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from .pairs import PairCheck
+from .views import Camera
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """How the images agree with a camera's known pose."""
+
+    pairs: int
+    """How many could check it."""
+    inliers: int
+    """Of these pairs together."""
+    epipolar_px: float
+    """Median of its pairs' median distances to the epipolar lines of the known poses."""
+    moved: bool = False
+    """The pose is contradicted, the camera has been solved anew."""
+    off_m: float = float("nan")
+    """How far that is from the known pose, world lengths; nan where not moved, or unknown."""
+    off_deg: float = float("nan")
+    """The same in degrees."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Cameras in one frame."""
+
+    cameras: Mapping[str, Camera]
+    """Solved cameras by id."""
+    unsolved: Mapping[str, str]
+    """Reason by id."""
+    dropped: Mapping[str, str]
+    """Reason by "left--right" of pairs that contradict the rest."""
+    metric: bool
+    """Lengths are metres."""
+    source: str
+    """"calibration", "solved" or "mixed"."""
+    verdicts: Mapping[str, PairCheck] = field(default_factory=dict)
+    """By "left--right", of every pair that was looked at."""
+    suspects: Mapping[str, str] = field(default_factory=dict)
+    """Known poses (by id) that the images contradict, and by how much."""
+    focals: tuple[str, ...] = ()
+    """Ids of cameras whose focal length was solved."""
+    components: tuple[tuple[str, ...], ...] = ()
+    """Ids that share a world, the main one first (a camera's `component` is its place here)."""
+    joins: tuple[str, ...] = ()
+    """For each component but the first, the pair that would join it best."""
+    scale: str = ""
+    """What the scale comes from."""
+    crs: str = ""
+    """Coordinate system of the main component, "" for a local one."""
+    notes: tuple[str, ...] = ()
+    """What the operator should know."""
+    points: int = 0
+    """Scene points that the cameras rest on."""
+    reprojection_px: float = float("nan")
+    """Their median error."""
+    checks: Mapping[str, PoseCheck] = field(default_factory=dict)
+    """By id, of the cameras with known poses."""

@@ -1,0 +1,93 @@
+"""One camera: its pinhole, its frame, its keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .arrays import Bools, Float32s, Float64s, Uint8s
+
+
+@dataclass(frozen=True)
+class View:
+    """The pinhole of a frame, without its pixels."""
+
+    width: int
+    height: int
+    K: Float64s | None = None
+    """(3, 3) pixels of the frame (working resolution, distortion removed), None when nothing is known."""
+    focal_known: bool = True
+    """False when K is only a guess, from a field of view."""
+    captured_width: int = 0
+    """Size of the capture; 0: as the frame."""
+    captured_height: int = 0
+    """Size of the capture; 0: as the frame."""
+    distortion: Float64s = field(default_factory=lambda: np.zeros(5))
+    """(5,) what was removed from the capture (see `Lens`)."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera at working resolution."""
+
+    K: Float64s
+    """(3, 3) pixels."""
+    R: Float64s
+    """(3, 3), world axes to camera axes."""
+    C: Float64s
+    """(3,), the centre in the world."""
+    width: int
+    height: int
+    component: int = 0
+    """Cameras with the same number share a world; 0 is the main one."""
+    radial: tuple[float, float] = (0.0, 0.0)
+    """k1 and k2 of the distortion that was found to be left in the frame where the lens was unknown (the frame is used as it
+    is)."""
+    captured_width: int = 0
+    """Of the capture, see `View`."""
+    captured_height: int = 0
+    """Of the capture, see `View`."""
+    distortion: Float64s = field(default_factory=lambda: np.zeros(5))
+    """Of the capture, see `View`."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed."""
+
+    image: Uint8s
+    """(h, w, 3) RGB."""
+    mask: Bools
+    """(h, w), True where a pixel may be used."""
+    view: View
+    notes: tuple[str, ...] = ()
+    """What the operator should know (frames left out, exposure)."""
+
+
+@dataclass(frozen=True)
+class Features:
+    """Keypoints of one frame.  Rows of the plain view come first, each view's strongest keypoint first."""
+
+    xy: Float64s
+    """(n, 2) pixels of the frame."""
+    frames: Float64s
+    """(n, 2, 2) local affine frames s R(theta), canonical patch to image; of a tilted view, mapped back into the frame."""
+    descriptors: Float32s
+    """(n, d) of unit length (RootSIFT)."""
+    responses: Float32s
+    """(n,)"""
+    tilts: Uint8s
+    """(n,) `PLAIN`, or `TILTED` for the view compressed by 2 in x."""
+    view: View
+    lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
+    """(n,) distance to the most similar descriptor of the plain view at least 6 px away: how distinctive a keypoint is in its own
+    image (empty: unknown)."""
+    plain_keypoints: int = 0
+    """Rows of the plain view."""
+    preprocessing: str = "none"
+    """"none" or "clahe": how the image was prepared."""
+
+
+PLAIN, TILTED = 0, 1
+"""Values of `Features.tilts`."""
