@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import ExitCode, WbflowError
+from .plugins import was_offered
 
 
 class FunctionError(WbflowError, ValueError):
@@ -117,7 +118,7 @@ class Modules:
             spec = importlib.util.find_spec(top)
         except (ImportError, ValueError):
             spec = None
-        if spec is None:
+        if spec is None or was_offered(spec.origin or "/"):
             return self._below([str(self.folder)], [top, *rest]) if self.folder else None
         if not rest:
             return Path(spec.origin) if spec.origin and spec.origin.endswith(".py") else None

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import builtins
 import importlib
-import sys
 import types
 import typing
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from .modules import FunctionError, Modules, Names
+from .plugins import offer
 
 _PLAIN = {"int": (int,), "float": (int, float), "bool": (bool,), "str": (str,)}
 _TYPING = {"typing", "typing_extensions"}
@@ -259,9 +259,7 @@ def _together(nodes: list[ast.expr], scope: _Scope) -> Kinds:
 
 def _told_by_python(parameter: str, function: str, scope: _Scope) -> Kinds:
     """The last resort: import the module.  Where that fails too, anything is accepted: the function will speak for itself."""
-    folder = str(scope.modules.folder) if scope.modules.folder else None
-    if folder and folder not in sys.path:
-        sys.path.append(folder)
+    offer(scope.modules.folder)
     try:
         hints = typing.get_type_hints(getattr(importlib.import_module(scope.module), function))
     except Exception:  # whatever a stranger's module does when it is imported

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..graph.pipeline import REJECTED
+from ..graph.plugins import load, offer
 from ..store import artifact
 from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..task import Task
-from .plugins import load, offer
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 
 

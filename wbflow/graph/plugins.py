@@ -24,6 +24,11 @@ def offer(folder: Path | None) -> None:
         sys.path.append(_Beside(folder))
 
 
+def was_offered(file: str) -> bool:
+    """Was a source file made importable by `offer`, rather than installed?"""
+    return any(Path(file).is_relative_to(entry) for entry in sys.path if isinstance(entry, _Beside))
+
+
 def load(dotted: str) -> Callable[..., Any]:
     """The function, or class, "package.module:name"."""
     module, _, name = dotted.partition(":")
