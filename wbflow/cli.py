@@ -206,14 +206,19 @@ def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
 
 @main.command()
 @click.argument("folder", metavar="DIR", type=_PATH)
-@click.option("--small", is_flag=True, help="4 cameras at 320x180: rendered in seconds.")
-@click.option("--light", type=click.Choice(["day", "dusk", "night"]), default="day", help="Time of day.")
-def demo(folder: Path, small: bool, light: str) -> None:
+@click.option(
+    "--scene", default="yard", metavar="NAME", show_default=True, help="yard, square, hall, hall-2, hall-4, houses, ..."
+)
+@click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
+@click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
+@click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
+def demo(folder: Path, scene: str, small: bool, light: str, cameras: int | None, seed: int) -> None:
     """Render the demo site (captures, site.yaml, truth) into DIR."""
     from .results.demo import write_demo
 
     try:
-        write_demo(folder, small=small, light=light)
+        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
     except (FileExistsError, ValueError) as error:
         raise UsageError(str(error)) from error
     say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")

@@ -16,8 +16,8 @@ Place = tuple[float, float, float]
 def light_of(light: str, lamps: Sequence[Place]) -> Light:
     """The light at an hour.
 
-    day: afternoon sun; dusk: the last of it, with the lamps on; night: lamps; dark: night without lamps, where a camera still sees
-    something by the sky's glow.  lamps: where they hang, metres.
+    day: afternoon sun; dusk: the last of it, with the lamps on; night: lamps; dark: night without lamps, where a camera still
+    sees something by the sky's glow.  lamps: where they hang, metres.
     """
     if light == "day":
         return Light(SUN, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))

@@ -42,7 +42,7 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
         build = build.with_same_textures()
         for k, (jacket, trousers) in enumerate(worn):
             place, yaw = _on_route(rng, k)
-            _person(build, rng, place, yaw, (clothes[jacket], clothes[trousers], skin, helmets[k % len(helmets)]))
+            person(build, rng, place, yaw, (clothes[jacket], clothes[trousers], skin, helmets[k % len(helmets)]))
         for k, paint in enumerate(paints):
             place, yaw = _on_route(rng, 3 * k)
             if k % 2 == 0:
@@ -61,7 +61,7 @@ def _on_route(rng: Rng, k: int) -> tuple[Place, float]:
     return (float(place[0]), float(place[1]), 0.0), yaw
 
 
-def _person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
+def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
     """A walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
     jacket, trousers, skin, helmet = look
     x, y, _ = place

@@ -52,6 +52,10 @@ class SkyGrid:
     cell_m: float
 
 
+OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1e4)
+"""All points see all of the sky: for landscapes."""
+
+
 @dataclass(frozen=True)
 class Atlas:
     """All textures and their halvings in one array of bytes.
@@ -114,7 +118,7 @@ class PreparedScene:
         index = np.arange(len(scene.vertices), dtype=np.uint32).reshape(-1, 3)
         self._rays.add_triangles(_tensor(scene.vertices), _tensor(index))
         self.atlas = atlas
-        self.sky = self._sky_grid() if sky is None else sky
+        self.sky = self.sky_grid(spiral(48)) if sky is None else sky
 
     def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
         """Distance (inf for nothing) and facet (-1 for nothing) of what each of n rays hits first."""
@@ -128,15 +132,15 @@ class PreparedScene:
         hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
         return np.asarray(~hit, dtype=np.float32)
 
-    def _sky_grid(self, cell_m: float = 0.8, rays: int = 48) -> SkyGrid:
-        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis."""
+    def sky_grid(self, directions: Float32s, cell_m: float = 0.8) -> SkyGrid:
+        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis; by rays
+        along `directions` (n, 3)."""
         still = np.repeat(self.scene.kinds == STATIC, 3)
         low = self.scene.vertices[still].min(axis=0) - cell_m
         count = np.ceil((self.scene.vertices[still].max(axis=0) + cell_m - low) / cell_m).astype(int) + 1
         axes = [low[k] + cell_m * np.arange(count[k], dtype=np.float32) for k in range(3)]
         z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
         points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
-        directions = spiral(rays)
         seen = np.zeros((len(points), 6), np.float32)
         total = np.zeros(6, np.float32)
         for d in directions:

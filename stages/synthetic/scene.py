@@ -164,6 +164,19 @@ class SceneBuilder:
                 if i > 0:
                     self.triangle(np.array([a, e, d]), u, v, texture, (0.3 * j, 0.3 * i))
 
+    def stamp(self, part: SceneBuilder, at: Vector = (0.0, 0.0, 0.0), *, yaw: float = 0.0, quarters: int = 0) -> None:
+        """Another copy of a part that shares this builder's textures: turned by `yaw` radians and `quarters` right angles (these
+        exactly) about its origin, then moved to `at`."""
+        c, s = np.cos(yaw), np.sin(yaw)
+        quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
+        turn = quarter @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        move = np.asarray(at, np.float64)
+        self._corners.extend(np.array(part._corners) @ turn.T + move)
+        origins, u, v = (np.array([axis[k] for axis in part._axes]) for k in range(3))
+        moved = zip(origins @ turn.T + move, u @ turn.T, v @ turn.T, part._axes, strict=True)
+        self._axes.extend((o, a, b, axis[3]) for o, a, b, axis in moved)
+        self._paint.extend(part._paint)
+
     def build(self) -> Scene:
         """The scene as arrays."""
         corners = np.array(self._corners)

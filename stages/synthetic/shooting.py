@@ -57,7 +57,10 @@ class DemoCamera:
 
 @dataclass(frozen=True)
 class DemoSite:
-    """A photographed scene.  reference: surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres."""
+    """A photographed scene.
+
+    reference: surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres.
+    """
 
     cameras: tuple[DemoCamera, ...]
     reference: Cloud
@@ -92,8 +95,10 @@ class _Shoot:
     seed: int
 
 
-def check_arguments(size: tuple[int, int], captures: int) -> None:
-    """Raises ValueError for pictures that are too small, or none."""
+def check_arguments(size: tuple[int, int], captures: int, cameras: int, there_are: int) -> None:
+    """Raises ValueError for pictures that are too small, or none, and for cameras that are not there."""
+    if not 1 <= cameras <= there_are:
+        raise ValueError(f"this scene has 1 to {there_are} cameras, not {cameras}")
     if captures < 1 or min(size) < 16:
         raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {captures} of {size[0]} x {size[1]}")
 

@@ -58,6 +58,8 @@ def facade(
     ys = sorted({0.0, size[1], *(o.top for o in openings), *(o.top + o.height for o in openings)})
     for top, bottom in itertools.pairwise(ys):
         for left, end in itertools.pairwise(xs):
+            if min(end - left, bottom - top) < 1e-6:  # edges of two openings that agree but for rounding
+                continue
             x, y = 0.5 * (left + end), 0.5 * (top + bottom)
             if not any(o.left < x < o.left + o.width and o.top < y < o.top + o.height for o in openings):
                 build.quad(corner + left * right - top * UP, (end - left) * right, -(bottom - top) * UP, wall, (left, top))

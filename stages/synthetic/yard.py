@@ -1,4 +1,4 @@
-"""The demo site: a harbour-like yard seen by up to eight fixed cameras, with exact truth.  The same arguments give the same bytes."""
+"""The demo site: a harbour-like yard seen by up to eight fixed cameras, with exact truth."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def yard(
     ValueError
         Impossible arguments.
     """
-    check_arguments(size, captures)
+    check_arguments(size, captures, cameras, len(MOUNTS))
     mounts = choose_mounts(cameras)
     texel_m = float(np.clip(0.0098 * 1280 / size[0], 0.0098, 0.1))
     night = Night(

@@ -7,7 +7,7 @@ import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ..store.atomic import write_atomic
 from ..store.ply import ply_bytes
@@ -19,36 +19,55 @@ MANIFEST = "demo.json"
 EDITABLE = ("site.yaml", "cameras.json")
 
 
-def write_demo(folder: Path, *, small: bool = False, light: str = "day", captures: int = 3, seed: int = 0) -> None:
-    """Render the demo yard into `folder`; the same arguments write the same bytes.
+def write_demo(
+    folder: Path,
+    *,
+    scene: str = "yard",
+    small: bool = False,
+    light: str = "day",
+    cameras: int | None = None,
+    captures: int | None = None,
+    seed: int = 0,
+) -> None:
+    """Render a demo scene into `folder`; the same arguments write the same bytes.
 
-    small: 4 cameras at 320x180 instead of 8 at 1280x720; light: "day", "dusk" or "night"; captures: of each camera; seed: of
-    everything that is drawn at random.
+    Parameters
+    ----------
+    folder : Path
+        New, empty, or holding an earlier demo.
+    scene : str
+        A name of `wbflow_stages.synthetic.scenes.SCENES`.
+    small : bool
+        320x180 pixels: rendered in seconds.
+    light : str
+        "day", "dusk", "night", or "dark" (night without lamps).
+    cameras, captures : int, optional
+        How many cameras, and captures of each; the scene's own where not given.
+    seed : int
+        Of everything that is drawn at random.
 
     Raises
     ------
     FileExistsError
         The folder holds something else than a demo, or a demo whose site file or calibration was edited.
     ValueError
-        An unknown light, or no captures.
+        An unknown scene or light, or no captures.
     """
     known = _claim(folder)
-    from wbflow_stages.synthetic.shooting import Daytime
-    from wbflow_stages.synthetic.yard import yard
+    from wbflow_stages.synthetic.scenes import render
 
-    if small:
-        site = yard(4, (320, 180), captures, seed, cast(Daytime, light))
-    else:
-        site = yard(8, (1280, 720), captures, seed, cast(Daytime, light))
+    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light)
     # an interrupted demo can be written again: the manifest comes first, its digests last
     write_atomic(folder / MANIFEST, _json({"files": known}))
     digests = {}
-    for name, data in _files(site, light):
+    for name, data in _files(site, scene, light):
         write_atomic(folder / name, data)
         digests[name] = hashlib.sha256(data).hexdigest()
     for name in known.keys() - digests.keys():
         (folder / name).unlink(missing_ok=True)
-    write_atomic(folder / MANIFEST, _json({"light": light, "small": small, "captures": captures, "seed": seed, "files": digests}))
+    which = {} if scene == "yard" else {"scene": scene}
+    taken = {"light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
+    write_atomic(folder / MANIFEST, _json({**which, **taken, "files": digests}))
 
 
 def _claim(folder: Path) -> dict[str, str]:
@@ -73,9 +92,10 @@ def _claim(folder: Path) -> dict[str, str]:
     return known
 
 
-def _files(site: DemoSite, light: str) -> Iterator[tuple[str, bytes]]:
+def _files(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes]]:
     """Name and content of every file of the demo."""
     from wbflow_stages.synthetic.encode import jpeg, png
+    from wbflow_stages.synthetic.scenes import SCENES
 
     for camera in site.cameras:
         for k, image in enumerate(camera.captures):
@@ -88,8 +108,9 @@ def _files(site: DemoSite, light: str) -> Iterator[tuple[str, bytes]]:
     yield "truth/reference.ply", _reference(site)
     summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
     yield "truth/reference.json", _json(summary)
-    yield "README.txt", _README.encode()
-    yield "site.yaml", _site_file(site).encode()
+    row = SCENES[scene]
+    yield "README.txt", _README.format(about=row.about, scene="yard" if scene == "yard" else "scene").encode()
+    yield "site.yaml", _site_file(site, scene, row.angles_deg).encode()
 
 
 def _calibration(camera: DemoCamera) -> dict[str, Any]:
@@ -127,14 +148,16 @@ def _json(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def _site_file(site: DemoSite) -> str:
+def _site_file(site: DemoSite, scene: str, angles_deg: tuple[float, float]) -> str:
     cameras = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in site.cameras)
-    return _SITE.format(cameras=cameras, night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
+    night = f"{site.cameras[0].times[0]:%Y-%m-%d}"
+    low, high = angles_deg
+    return _SITE.format(scene=scene, cameras=cameras, night=night, low=low, high=high)
 
 
 _SITE = """\
-# The demo yard.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
-site: yard
+# The demo {scene}.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
+site: {scene}
 
 # One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed.
 captures:
@@ -152,17 +175,17 @@ calibration: cameras.json
 resolution: null
 
 # Which pairs are worth matching: angles in degrees between the views.
-pairs: {{degree: 4, min_angle: 8, max_angle: 50}}
+pairs: {{degree: 4, min_angle: {low:g}, max_angle: {high:g}}}
 """
 
 _README = """\
-The demo site of wbflow: a harbour yard, rendered with exact truth.
+The demo site of wbflow: {about}, rendered with exact truth.
 
 site.yaml           the site description: wbflow run site.yaml
 captures/           what the cameras wrote: lens distortion, sensor noise, a burned-in clock, people and vehicles
 masks/              black where the clock is
 cameras.json        intrinsics, distortion (k1 k2 p1 p2 k3) and poses: x ~ K R (X - C), metres, z up
-truth/depth/        key 'depth': float32, metres along the optical axis, of the empty yard in the undistorted view with
+truth/depth/        key 'depth': float32, metres along the optical axis, of the empty {scene} in the undistorted view with
                     the same K; 0: sky or water
 truth/cameras.json  the same as cameras.json, for when you change that one
 truth/reference.ply surfaces that at least two cameras see; truth/reference.json says how finely

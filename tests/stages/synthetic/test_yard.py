@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.synthetic_site import single_pair, small_yard
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.evaluate import correct_matches, true_correspondences
-from wbflow_stages.synthetic.cameras import MOUNTS, camera_of, distort, pixel_rays
+from wbflow_stages.synthetic.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
 from wbflow_stages.synthetic.shooting import DemoCamera
 from wbflow_stages.synthetic.yard import yard
 

@@ -1,0 +1,148 @@
+"""A car park: marked bays, cars of one model in few colours, a supermarket behind; cameras on posts around it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import textures as paint
+from .cameras import Viewpoint
+from .lighting import light_of
+from .paving import asphalt, lawn, with_lines
+from .random_fields import Rng
+from .scene import STATIC, Scene, SceneBuilder
+from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .street import Furniture, car, car_textures, furniture_textures, street_lamp, tree
+from .structures import Opening, facade
+from .traffic import traffic
+
+WIDE, DEEP = 50.0, 36.0
+BAY_M, BAYS = 2.5, 18
+ROWS = ((-15.0, 1), (-3.6, 1), (1.6, -1), (13.0, -1))
+"""North of the middle of each row of bays, and which way its cars' noses point."""
+LAMPS = tuple((x, y, 6.0) for x in (-18.0, -6.0, 6.0, 18.0) for y in (-9.5, 7.5))
+MASTS = (
+    (-22.0, -21.0, 5.6), (-8.0, -22.0, 6.2), (7.0, -21.5, 5.4), (21.0, -21.0, 6.0),
+    (27.5, -6.0, 5.8), (27.0, 9.0, 6.3), (-27.0, -7.0, 6.0), (-27.5, 8.0, 5.5),
+)  # fmt: skip
+
+
+def carpark(
+    cameras: int = 6,
+    size: tuple[int, int] = (960, 540),
+    captures: int = 4,
+    seed: int = 0,
+    light: Daytime = "day",
+    *,
+    threads: int = 2,
+) -> DemoSite:
+    """Render the car park; arguments as of `square`, of 8 cameras."""
+    check_arguments(size, captures, cameras, len(MASTS))
+    texel_m = float(np.clip(14.0 / size[0], 0.0145, 0.06))
+    lanes = (((-23.0, -9.3), (23.0, -9.3)), ((-23.0, 7.3), (23.0, 7.3)))
+    night = Night(
+        viewpoints=tuple(viewpoints()[:cameras]),
+        still=static_carpark(np.random.default_rng([seed, 1]), texel_m),
+        traffic=traffic(
+            np.random.default_rng([seed, 2]),
+            max(texel_m, 0.02),
+            captures,
+            people=9,
+            walks=(*lanes, ((-20.0, 16.6), (20.0, 16.6))),
+            cars=3,
+            roads=lanes,
+        ),
+        lighting=light_of(light, LAMPS),
+    )
+    return photograph(night, size, seed, light, float(np.clip(round(48.0 / size[0], 2), 0.02, 0.1)), threads)
+
+
+def viewpoints() -> list[Viewpoint]:
+    """Cameras on posts at the edge, looking over the bays."""
+    found = []
+    for k, centre in enumerate(MASTS):
+        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        bend = (-0.15 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
+        target = (0.25 * centre[0], 0.5 + 0.1 * centre[1], 0.8)
+        found.append(Viewpoint(f"post-{k + 1}", centre, target, 68.0, bend, 0.8 * shift[0], shift))
+    return found
+
+
+def static_carpark(rng: Rng, texel_m: float) -> Scene:
+    """Everything that stands still; textures at `texel_m` metres per texel."""
+    build = SceneBuilder()
+    build.kind = STATIC
+    look = furniture_textures(build, rng, texel_m)
+    _ground(build, rng, texel_m, look)
+    cars = car_textures(build, rng, texel_m)
+    models = [car(build, cars, colour) for colour in range(3)]
+    for y, nose in ROWS:
+        for k in range(BAYS):
+            # most are of one colour, as in a fleet's or a dealer's yard; one bay in six is free
+            chance, aside, turn = rng.uniform(), rng.normal(0, 0.06), rng.normal(0, 0.012)
+            if chance < 5 / 6:
+                model = models[0 if chance < 0.55 else 1 if chance < 0.72 else 2]
+                x = BAY_M * (k + 0.5 - BAYS / 2)
+                build.stamp(model, (x + float(aside), y + float(2 * aside), 0.0), yaw=nose * np.pi / 2 + float(turn))
+    _shop(build, rng, texel_m)
+    _edge(build, rng, look)
+    return build.build()
+
+
+def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> None:
+    """Asphalt with painted bays and arrows, kerbed islands, and grass around."""
+    lines: list[tuple[tuple[float, float], tuple[float, float]]] = []
+    for y, _ in ROWS:
+        top = DEEP / 2 - y
+        for k in range(BAYS + 1):
+            x = WIDE / 2 + BAY_M * (k - BAYS / 2)
+            lines.append(((x, top - 2.5), (x, top + 2.5)))
+    for y in (-9.3, 7.3):
+        for x in (8.0, 20.0, 32.0, 44.0):
+            top = DEEP / 2 - y
+            lines += [((x, top), (x + 2.0, top)), ((x + 1.3, top - 0.5), (x + 2.0, top)), ((x + 1.3, top + 0.5), (x + 2.0, top))]
+    surface = with_lines(asphalt(rng, WIDE, DEEP, texel_m), np.array(lines, np.float32), 0.11, rng)
+    build.quad((-WIDE / 2, DEEP / 2, 0.0), (WIDE, 0, 0), (0, -DEEP, 0), build.add_texture(surface))
+    grass = build.add_texture(lawn(rng, 20.0, 20.0, 2 * texel_m))
+    build.quad((-70.0, 70.0, -0.05), (140.0, 0, 0), (0, -140.0, 0), grass)
+    for y in (-DEEP / 2, DEEP / 2):
+        build.box((0.0, y, -0.1), (WIDE + 0.4, 0.2, 0.2), look.stone)
+    for x in (-WIDE / 2, WIDE / 2):
+        build.box((x, 0.0, -0.1), (0.2, DEEP, 0.2), look.stone)
+    for x in (-23.6, 23.6):
+        for y, _ in ROWS:
+            build.box((x, y, -0.1), (1.6, 4.8, 0.22), look.stone)
+
+
+def _shop(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
+    """A long low supermarket behind the northern row."""
+    top, width = 5.4, 42.0
+    wall = build.add_texture(paint.painted_steel(rng, width, top, texel_m, (0.52, 0.52, 0.50)))
+    sill = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.30, 0.30, 0.31)))
+    glass, doors = (build.add_texture(paint.window(w, 2.6, texel_m)) for w in (3.0, 4.0))
+    openings = [Opening(2.0 + 4.2 * k, top - 2.8, 3.0, 2.6, glass) for k in (0, 1, 2, 6, 7, 8)]
+    openings.append(Opening(18.5, top - 2.9, 4.0, 2.9, doors, depth=0.4))
+    facade(build, np.array([-width / 2, 21.0, top]), np.array([1.0, 0, 0]), (width, top), wall, openings, sill)
+    build.quad((-width / 2, 40.0, top), (width, 0, 0), (0, -19.4, 0), sill)
+    build.box((0.0, 20.8, top - 0.5), (width, 0.6, 0.7), sill)
+    for x, text, tone in ((-13.0, "FRISCHMARKT", (0.45, 0.04, 0.04)), (11.0, "GETRAENKE", (0.05, 0.15, 0.35))):
+        front = build.add_texture(paint.sign_board(rng, 8.0, 1.2, texel_m, (text,), tone, (0.75, 0.74, 0.70)))
+        build.box((x, 20.75, 3.6), (8.0, 0.3, 1.2), front, front=front)
+
+
+def _edge(build: SceneBuilder, rng: Rng, look: Furniture) -> None:
+    """Lamps in the lanes' middle, trolley shelters, trees, and the cameras' posts."""
+    for x, y, z in LAMPS:
+        build.stamp(street_lamp(build, look, height=z), (x, y - 2.6 if y < 0 else y + 2.6, 0.0))
+    for x in (-3.75, 11.25):
+        for side in (-1.1, 1.1):
+            for y in (11.2, 14.8):
+                build.beam((x + side, y, 0.0), (x + side, y, 2.2), 0.07, look.steel)
+        build.box((x, 13.0, 2.2), (2.4, 4.0, 0.08), look.steel)
+    for k in range(9):
+        for side in (-1, 1):
+            height = float(rng.uniform(5.5, 8.0))
+            build.stamp(tree(build, rng, look, height=height), (side * 31.0 + float(rng.normal()), -22.0 + 6.5 * k, 0.0))
+    for x in np.arange(-26.0, 27.0, 7.5):
+        build.stamp(tree(build, rng, look, height=float(rng.uniform(4.5, 6.5))), (float(x), -27.0 + float(rng.normal()), 0.0))
+    for x, y, z in MASTS:
+        build.tube((1.02 * x, 1.02 * y, 0.0), 0.08, z + 0.3, look.steel, sides=8)

@@ -1,0 +1,100 @@
+"""A container depot: stacks of one and the same container in straight rows, seen from masts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import ground
+from . import textures as paint
+from .cameras import Viewpoint
+from .lighting import light_of
+from .random_fields import Rng
+from .scene import STATIC, Scene, SceneBuilder
+from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .street import furniture_textures, street_lamp
+from .structures import Box, container
+from .traffic import traffic
+
+COLUMNS, ROWS = (-19.5, -13.0, -6.5, 6.5, 13.0, 19.5), (-13.0, -10.4, -1.3, 1.3, 10.4, 13.0)
+"""Middles of the stacks, metres east and north: three blocks of two rows, an aisle across."""
+LAMPS = tuple((x, y, 8.5) for x in (-24.0, 0.0, 24.0) for y in (-6.0, 6.0))
+MASTS = (
+    (-22.0, -27.0, 10.0), (-10.0, -29.0, 9.0), (1.5, -29.5, 10.5), (12.5, -28.5, 9.4),
+    (23.0, -26.0, 10.2), (33.0, -14.0, 9.6), (35.0, 2.0, 10.4), (-33.5, -13.0, 9.8),
+)  # fmt: skip
+
+
+def containers(
+    cameras: int = 6,
+    size: tuple[int, int] = (960, 540),
+    captures: int = 4,
+    seed: int = 0,
+    light: Daytime = "day",
+    *,
+    threads: int = 2,
+) -> DemoSite:
+    """Render the depot; arguments as of `square`, of 8 cameras."""
+    check_arguments(size, captures, cameras, len(MASTS))
+    texel_m = float(np.clip(16.0 / size[0], 0.0166, 0.06))
+    aisles = (((-24.0, -5.8), (24.0, -5.8)), ((-24.0, 5.8), (24.0, 5.8)), ((0.0, -18.0), (0.0, 16.0)))
+    outside = ((-24.0, -18.0), (24.0, -18.0))
+    night = Night(
+        viewpoints=tuple(viewpoints()[:cameras]),
+        still=static_depot(np.random.default_rng([seed, 1]), texel_m),
+        traffic=traffic(
+            np.random.default_rng([seed, 2]),
+            max(texel_m, 0.02),
+            captures,
+            people=8,
+            walks=(outside, *aisles),
+            cars=3,
+            roads=(outside, *aisles[:2]),
+        ),
+        lighting=light_of(light, LAMPS),
+    )
+    return photograph(night, size, seed, light, float(np.clip(round(57.6 / size[0], 2), 0.02, 0.15)), threads)
+
+
+def viewpoints() -> list[Viewpoint]:
+    """Cameras on masts in the south and at the corners, looking over the stacks."""
+    found = []
+    for k, centre in enumerate(MASTS):
+        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        bend = (-0.14 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
+        target = (0.22 * centre[0], -4.0 + 0.05 * centre[1], 2.5)
+        found.append(Viewpoint(f"mast-{k + 1}", centre, target, 64.0, bend, 0.8 * shift[0], shift))
+    return found
+
+
+def static_depot(rng: Rng, texel_m: float) -> Scene:
+    """Everything that stands still; textures at `texel_m` metres per texel."""
+    build = SceneBuilder()
+    build.kind = STATIC
+    slabs = build.add_texture(ground.concrete(rng, 40.0, 30.0, texel_m))
+    for x in (-40.0, 0.0):
+        for y in (30.0, 0.0):
+            build.quad((x, y, 0.0), (40.0, 0, 0), (0, -30.0, 0), slabs)
+    far = build.add_texture(ground.concrete(rng, 30.0, 30.0, 3 * texel_m))
+    build.quad((-90.0, 90.0, -0.03), (180.0, 0, 0), (0, -180.0, 0), far)
+    parts = []
+    for colour, name in (((0.42, 0.10, 0.05), "KOGGE"), ((0.05, 0.16, 0.34), "NORDSEE")):
+        parts.append(build.with_same_textures())
+        container(parts[-1], rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, colour, name))
+    heights = rng.choice([2, 2, 3], size=(len(COLUMNS), len(ROWS)))
+    odd = rng.permutation(len(COLUMNS) * len(ROWS))[:2]
+    for i, x in enumerate(COLUMNS):
+        for j, y in enumerate(ROWS):
+            for level in range(int(heights[i, j])):
+                other = i * len(ROWS) + j in odd and level == int(heights[i, j]) - 1
+                build.stamp(parts[int(other)], (x, y, 2.6 * level))
+    look = furniture_textures(build, rng, texel_m)
+    for x, y, z in LAMPS:
+        if x:
+            build.stamp(street_lamp(build, look, height=z), (x, y, 0.0))
+    fence = build.add_texture(paint.painted_steel(rng, 20.0, 2.2, 2 * texel_m, (0.20, 0.22, 0.21)))
+    shed = build.add_texture(paint.brick_wall(rng, 24.0, 7.0, 1.6 * texel_m, sign="CONTAINERDEPOT SUED"))
+    build.box((8.0, 34.0, 0.0), (24.0, 8.0, 7.0), fence, sides=shed)
+    build.box((-24.0, 30.0, 0.0), (36.0, 0.12, 2.2), fence)
+    for x, y, z in MASTS:
+        build.tube((1.015 * x, 1.015 * y, 0.0), 0.12, z + 0.3, look.steel, sides=8)
+    return build.build()

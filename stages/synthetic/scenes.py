@@ -1,0 +1,82 @@
+"""All demo scenes by name: for `wbflow demo`, for benches and tests.
+
+site = render("square", cameras=3)
+site["pole-1"].captures, site["pole-1"].camera, site["pole-1"].depth, site.reference
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import cast
+
+from .shooting import Daytime, DemoSite
+
+
+@dataclass(frozen=True)
+class SceneRow:
+    """A scene of the table."""
+
+    function: str
+    """module:function; takes cameras, size, captures, seed, light, each with a default, and returns a DemoSite."""
+    about: str
+    angles_deg: tuple[float, float]
+    """Between which angles its views are worth matching."""
+    small_cameras: int | None = None
+    """How many cameras the small form has; None: as many as the large."""
+
+
+_HERE = "wbflow_stages.synthetic"
+SCENES = {
+    "yard": SceneRow(f"{_HERE}.yard:yard", "a harbour yard", (8, 50), small_cameras=4),
+    "square": SceneRow(f"{_HERE}.square:square", "a public square whose tiles repeat exactly", (8, 100)),
+    "hall": SceneRow(f"{_HERE}.hall:hall", "a market hall whose four sides are alike but for a few things", (8, 70)),
+    "hall-2": SceneRow(f"{_HERE}.hall:hall_2", "a market hall that is the same after half a turn", (8, 70)),
+    "hall-4": SceneRow(f"{_HERE}.hall:hall_4", "a market hall that is the same after a quarter turn", (8, 70)),
+    "houses": SceneRow(f"{_HERE}.houses:houses", "a row of identical houses along a street", (0, 60)),
+    "carpark": SceneRow(f"{_HERE}.carpark:carpark", "a car park with rows of the same car", (4, 70)),
+    "containers": SceneRow(f"{_HERE}.depot:containers", "stacks of one and the same container", (4, 70)),
+    "mast": SceneRow(f"{_HERE}.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60)),
+}
+
+
+def render(
+    name: str,
+    *,
+    small: bool = False,
+    cameras: int | None = None,
+    size: tuple[int, int] | None = None,
+    captures: int | None = None,
+    seed: int = 0,
+    light: str = "day",
+) -> DemoSite:
+    """Render a scene in memory; the same arguments give the same bytes.
+
+    Parameters
+    ----------
+    name : str
+        A name of `SCENES`.
+    small : bool
+        320 x 180 pixels and 3 captures, where not said otherwise: in seconds.
+    cameras, size, captures : optional
+        How many cameras, width and height in pixels, and captures of each camera; the scene's own where not given.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : str
+        "day", "dusk", "night", or "dark": night without lamps.
+
+    Raises
+    ------
+    ValueError
+        An unknown scene or light, or impossible numbers.
+    """
+    if name not in SCENES:
+        raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")
+    row = SCENES[name]
+    if small:
+        cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures
+    given = {"cameras": cameras, "size": size, "captures": captures}
+    module, _, function = row.function.partition(":")
+    scene = getattr(import_module(module), function)
+    site = scene(**{k: v for k, v in given.items() if v is not None}, seed=seed, light=cast(Daytime, light))
+    return cast(DemoSite, site)
