@@ -16,4 +16,66 @@ Conventions, kept everywhere:
 * **Angles** are radians inside; degrees only where the name says so (`_deg`).
 * A function that finds nothing usable *returns* `Rejected` with a reason and figures; bad input *raises* `ValueError`.
 * The same inputs give the same bytes: every random choice has an explicit seed.
+
+In a notebook, two photographs become disparity by what is exported here:
+
+    import wbflow_stages as wb
+    left, right = wb.read_frame("left.jpg"), wb.read_frame("right.jpg")
+    features = wb.detect(left), wb.detect(right)
+    matches = wb.match(*features)
+    geometry = wb.estimate_geometry(matches, *features)
+    rectification = wb.rectify(geometry)
+    disparity = wb.match_dense(left, right, rectification)
+    d = wb.disparity_px(disparity, 1)
 """
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+_EXPORTED = {
+    "read_frame": "photographs",
+    "clean_frame": "frames",
+    "detect": "features",
+    "estimate_overlap": "overlap",
+    "match": "matches",
+    "estimate_geometry": "geometry",
+    "solve_poses": "poses",
+    "rectify": "rectify",
+    "match_dense": "disparity",
+    "view_depth": "depth",
+    "refine": "refine",
+    "fuse": "fuse",
+    "warp": "rectification.warping",
+    "disparity_px": "rectification.warping",
+    "Rejected": "reasons",
+}
+"""What stands at the top, and the module that has it: loaded when it is first asked for."""
+
+__all__ = list(_EXPORTED)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _EXPORTED:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_EXPORTED[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_EXPORTED})
+
+
+class _Package(ModuleType):
+    """Some stage functions have the name of their file: `wbflow_stages.rectify` is always the function, whoever has imported the
+    module before."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if isinstance(value, ModuleType) and name in _EXPORTED:
+            value = getattr(value, name)
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -62,8 +62,8 @@ class _Footprint(NamedTuple):
 
 def rectify(
     geometry: Geometry,
-    left: Camera | None,
-    right: Camera | None,
+    left: Camera | None = None,
+    right: Camera | None = None,
     verdict: PairCheck | None = None,
     *,
     method: str = "congruent",

@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..core.short_repr import short_repr
 from .arrays import Float64s, Uint8s
 
 
+@short_repr
 @dataclass(frozen=True)
 class Capture:
     """One image file as it lies on disk."""
@@ -18,6 +20,7 @@ class Capture:
     """(n,) uint8, the encoded bytes."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Lens:
     """Intrinsics as the site states them, for an image of `width` x `height` pixels (both 0: any size)."""
@@ -32,6 +35,7 @@ class Lens:
     height: int = 0
 
 
+@short_repr
 @dataclass(frozen=True)
 class Placement:
     """Where the site says that a camera is."""
@@ -46,6 +50,7 @@ class Placement:
     """C is in metres."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Survey:
     """What is known of a site besides its cameras' poses.  Cameras count by their position in the site file."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..core.short_repr import short_repr
 from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
 
 
+@short_repr
 @dataclass(frozen=True)
 class PolarRows:
     """Half epipolar lines of one image as the rows of a rectified image: row k is the ray at `angles[k]` from the epipole."""
@@ -21,6 +23,7 @@ class PolarRows:
     """A point at distance r from the epipole has rectified x = direction * r - start_px."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Rectification:
     """How the two images of a pair are resampled so that a point lies on the same row in both.
@@ -65,6 +68,7 @@ class Rectification:
     """What weakens the result without making it useless."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Disparity:
     """Dense matches of a rectified pair, left-right checked; x2 = x1 - d on the same row."""
@@ -87,6 +91,7 @@ INVALID = -32768
 """The value of `Disparity.left` and `.right` where nothing is known."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class DepthMap:
     """Depth of one view, from all its pairs or refined over all views around it."""
@@ -107,6 +112,7 @@ class DepthMap:
     """(h, w) False where the depth must not be believed unless another view's depth agrees."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Cloud:
     """Points of a scene with what is known of each."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ..core.short_repr import short_repr
 from .arrays import Float32s, Float64s, Int32s
 from .views import View
 
 
+@short_repr
 @dataclass(frozen=True)
 class Matches:
     """Point correspondences of a pair, before any geometry."""
@@ -34,6 +36,7 @@ class Matches:
     """What the matcher searched and geometry may use again; no part of the artifact, and found again where it is missing."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Geometry:
     """Two-view geometry of a pair and what supports it."""
@@ -90,6 +93,7 @@ class Geometry:
     """Named degenerate cases that did not reject the pair."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Overlap:
     """Evidence that two views share ground: one row for each pair of cameras, left before right."""
@@ -105,6 +109,7 @@ class Overlap:
     """"poses" or "appearance"."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class PairCheck:
     """What the cameras of a whole site say of one pair.  Figures are nan where there is nothing to compare."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ..core.short_repr import short_repr
 from .pairs import PairCheck
 from .views import Camera
 
 
+@short_repr
 @dataclass(frozen=True)
 class PoseCheck:
     """How the images agree with a camera's known pose."""
@@ -27,6 +29,7 @@ class PoseCheck:
     """The same in degrees."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Poses:
     """Cameras in one frame."""

@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..core.short_repr import short_repr
 from .arrays import Bools, Float32s, Float64s, Uint8s
 
 
+@short_repr
 @dataclass(frozen=True)
 class View:
     """The pinhole of a frame, without its pixels."""
@@ -27,6 +29,7 @@ class View:
     """(5,) what was removed from the capture (see `Lens`)."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Camera:
     """A pinhole camera at working resolution."""
@@ -52,6 +55,7 @@ class Camera:
     """Of the capture, see `View`."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Frame:
     """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed."""
@@ -65,6 +69,7 @@ class Frame:
     """What the operator should know (frames left out, exposure)."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Features:
     """Keypoints of one frame.  Rows of the plain view come first, each view's strongest keypoint first."""

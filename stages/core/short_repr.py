@@ -1,0 +1,51 @@
+"""How dataclasses of arrays show themselves: arrays as type and shape, and of what is long only how long it is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+Kind = TypeVar("Kind", bound=type)
+
+_MOST_CHARACTERS, _MOST_ENTRIES = 80, 6
+
+
+def short_repr(kind: Kind) -> Kind:
+    """Class decorator, above `@dataclass`: a repr of one line, such as `Matches(x1=float64 (812, 2), ..., matcher='mutual')`.
+
+    Fields that hold their default, or are kept out of the repr, are not shown.
+    """
+    kind.__repr__ = _shown  # type: ignore[method-assign,assignment]
+    return kind
+
+
+def _shown(self: Any) -> str:
+    told = [f"{f.name}={_short(getattr(self, f.name))}" for f in dataclasses.fields(self) if f.repr and not _is_default(self, f)]
+    return f"{type(self).__name__}({', '.join(told)})"
+
+
+def _is_default(value: Any, field: dataclasses.Field[Any]) -> bool:
+    own = getattr(value, field.name)
+    if hasattr(own, "shape"):
+        return False
+    made = field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+    return bool(type(own) is type(made) and (own is made or own == made or own != own))
+
+
+def _short(value: Any) -> str:
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
+        return f"{value.dtype} {tuple(value.shape)}" if value.shape else repr(value.item())
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, Mapping):
+        return f"{{{_listed([f'{key!r}: {_short(entry)}' for key, entry in value.items()])}}}"
+    if isinstance(value, tuple | list):
+        return f"({_listed([_short(entry) for entry in value])})"
+    text = repr(value)
+    return text if len(text) <= _MOST_CHARACTERS or dataclasses.is_dataclass(value) else f"{text[: _MOST_CHARACTERS - 3]}..."
+
+
+def _listed(entries: list[str]) -> str:
+    more = len(entries) - _MOST_ENTRIES
+    return ", ".join(entries if more <= 0 else [*entries[:_MOST_ENTRIES], f"... {more} more"])

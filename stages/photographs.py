@@ -1,0 +1,50 @@
+"""A photograph from disk, for notebooks and scripts: the pipeline itself hands bytes to the stages."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from .frames import clean_frame
+from .types import Capture, Float64s, Frame, Lens
+
+
+def read_frame(
+    path: str | PathLike[str],
+    *,
+    K: Float64s | None = None,
+    distortion: Float64s | None = None,
+    hfov_deg: float | None = None,
+    mask: str | PathLike[str] | None = None,
+    resolution: int | None = 1600,
+) -> Frame:
+    """The clean frame of one photograph: upright, undistorted, at working resolution.
+
+    Parameters
+    ----------
+    path : the image file.
+    K : (3, 3) intrinsics in pixels of the photograph as it lies upright, where they are known.
+    distortion : (5,) k1 k2 p1 p2 k3 (OpenCV's order and meaning); None: no distortion.
+    hfov_deg : horizontal field of view in degrees, where only that is known.
+    mask : an image file of the photograph's size; pixels that are not zero may be used.
+    resolution : long side of the frame in pixels; None: as photographed.
+
+    Returns
+    -------
+    Frame, with the intrinsics of its own size.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    ValueError
+        It holds no usable image; the message says what is wrong with it.
+    """
+    lens = Lens(K, np.zeros(5) if distortion is None else np.asarray(distortion, dtype=np.float64), hfov_deg)
+    return clean_frame([_capture(path)], lens, None if mask is None else _capture(mask), resolution=resolution)
+
+
+def _capture(path: str | PathLike[str]) -> Capture:
+    return Capture(str(path), np.frombuffer(Path(path).read_bytes(), dtype=np.uint8))

@@ -1,0 +1,69 @@
+"""Two photographs to disparity by what `wbflow_stages` exports, as in its docstring."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import wbflow_stages as wb
+from tests.helpers.synthetic_site import single_pair
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two photographs of the demo yard."""
+    folder = tmp_path_factory.mktemp("photographs")
+    for name, camera in zip(("left", "right"), single_pair(960).cameras, strict=True):
+        cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(camera.captures[0], cv2.COLOR_RGB2BGR))
+    return folder
+
+
+def test_two_photographs_become_disparity_in_ten_lines(folder: Path) -> None:
+    left, right = wb.read_frame(folder / "left.png"), wb.read_frame(folder / "right.png")
+    features = wb.detect(left), wb.detect(right)
+    matches = wb.match(*features)
+    geometry = wb.estimate_geometry(matches, *features)
+    rectification = wb.rectify(geometry)
+    disparity = wb.match_dense(left, right, rectification, matcher="sgbm")
+    d = wb.disparity_px(disparity, 1)
+    assert np.isfinite(d).mean() > 0.2 and disparity.density > 0.3
+    for result in (left, *features, matches, geometry, rectification, disparity):
+        assert len(repr(result)) < 2000
+
+
+def test_the_lines_of_the_docstring_are_those(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert wb.__doc__ is not None
+    lines = [line.strip() for line in wb.__doc__.splitlines() if line.startswith("    ")]
+    lines = [line.replace(".jpg", ".png").replace("rectification)", 'rectification, matcher="sgbm")') for line in lines]
+    assert len(lines) <= 10
+    monkeypatch.chdir(folder)
+    known: dict[str, object] = {}
+    exec("\n".join(lines), known)
+    assert isinstance(known["d"], np.ndarray) and np.isfinite(known["d"]).any()
+
+
+def test_what_is_known_of_the_lens_is_taken_along(folder: Path) -> None:
+    frame = wb.read_frame(folder / "left.png", hfov_deg=60.0, resolution=480)
+    assert frame.image.shape[1] == 480 and frame.view.K is not None
+    np.testing.assert_allclose(frame.view.K[0, 0], 240 / np.tan(np.radians(30)), rtol=0.01)
+
+
+def test_stages_that_are_called_like_their_files_are_functions_whatever_was_imported_before() -> None:
+    code = (
+        "import wbflow_stages as wb, sys\n"
+        "assert 'numpy' not in sys.modules and 'cv2' not in sys.modules, 'the package loads heavy libraries'\n"
+        "import wbflow_stages.rectify\nfrom wbflow_stages.fuse import fuse\n"
+        "assert callable(wb.rectify) and wb.fuse is fuse and callable(wb.refine)\n"
+        "import wbflow_stages.refine\nassert callable(wb.refine) and 'match' in dir(wb)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'mtach'"):
+        _ = wb.mtach
