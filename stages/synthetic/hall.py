@@ -14,7 +14,7 @@ from .cameras import Viewpoint
 from .lighting import overcast_of
 from .paving import ashlar, lawn
 from .random_fields import Rng
-from .renderer import OPEN_SKY, SkyGrid, Stage, build_atlas, spiral
+from .renderer import OPEN_SKY, PreparedScene, SkyGrid, build_atlas, spiral
 from .scene import STATIC, Scene, SceneBuilder
 from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
 from .street import bench, car, car_textures, furniture_textures, street_lamp, tree
@@ -107,7 +107,7 @@ def even_sky(still: Scene) -> SkyGrid:
     some = spiral(16)
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
     directions = np.concatenate([some @ np.linalg.matrix_power(quarter, k).T for k in range(4)])
-    return Stage(still, overcast_of("day", ()), build_atlas(still.textures), OPEN_SKY).sky_grid(directions)
+    return PreparedScene(still, overcast_of("day", ()), build_atlas(still.textures), OPEN_SKY).sky_grid(directions)
 
 
 def static_hall(rng: Rng, texel_m: float, symmetry: int) -> Scene:
