@@ -136,7 +136,17 @@ def turn_errors_deg(estimated: Mapping[str, Camera], truth: Mapping[str, Camera]
 def true_correspondences(
     camera1: Camera, depth1: Float32s, camera2: Camera, depth2: Float32s, *, step: int = 8
 ) -> tuple[Float64s, Float64s]:
-    """Pixels x1, x2 (n, 2) of the same surface points, on every `step`-th pixel of image 1 that camera 2 sees, too."""
+    """Pixels x1, x2 (n, 2) of the same surface points, where camera 2 sees what image 1 shows.
+
+    Parameters
+    ----------
+    camera1, camera2
+        The true cameras.
+    depth1, depth2
+        (h, w) float32, true depths, 0 where unknown.
+    step
+        Every `step`-th pixel of image 1, both ways.
+    """
     v, u = np.mgrid[step // 2 : camera1.height : step, step // 2 : camera1.width : step].reshape(2, -1)
     known = depth1[v, u] > 0
     x1 = np.column_stack([u, v])[known].astype(np.float64)
@@ -169,6 +179,17 @@ def correct_matches(
     """(n,) bool: does the surface point seen at x1 project within `tolerance_px` of x2?  False where depth is unknown.
 
     A keypoint near a silhouette may belong to either side of it: the best of the four pixels around x1 counts.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) float64, pixels in images 1 and 2.
+    camera1, camera2
+        The true cameras.
+    depth1
+        (h, w) float32, true depth in image 1, 0 where unknown.
+    tolerance_px
+        In image 2.
     """
     best = np.full(len(x1), np.inf)
     for dx in (0, 1):

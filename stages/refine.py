@@ -25,6 +25,9 @@ from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
 from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s
 
+_SURE_COST = 0.3
+"""Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
+
 
 def refine(
     frame: Frame,
@@ -62,10 +65,6 @@ def refine(
         Keep planes whose best source correlates better than 1 - max_cost.
     noise_px
         Assumed error of a match in pixels, standard deviation.
-
-    References
-    ----------
-    See the module.
     """
     around = _sources(camera, {n: cameras[n] for n in frames if n in cameras}, depth, min_angle_deg, max_angle_deg)
     around = around[: min(max_sources, 32)]
@@ -86,19 +85,17 @@ def refine(
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
-    z = np.where(kept, 1.0 / planes[0].astype(np.float64), np.nan)
-    noise = NoiseModel(noise_px=noise_px)
+    sure = kept & (known | (support.second < _SURE_COST))
+    z, sigma = _depth_and_sigma(np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=noise_px))
+    return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), sure)
+
+
+def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tuple[Float32s, Float32s]:
+    """Depth (h, w) of inverse depths and its standard deviation; parallax: see `mvs.propagation.Support`."""
+    z = 1.0 / q.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / support.parallax + noise.floor**2)
-    return DepthMap(
-        z.astype(np.float32),
-        sigma.astype(np.float32),
-        planes[1],
-        planes[2],
-        support.sources,
-        tuple(around),
-        kept & (known | (support.second < 0.3)),
-    )
+        sigma = z * np.sqrt((noise.noise_px * z) ** 2 / parallax + noise.floor**2)
+    return z.astype(np.float32), sigma.astype(np.float32)
 
 
 def grey(frame: Frame) -> Float32s:
@@ -109,7 +106,7 @@ def grey(frame: Frame) -> Float32s:
 def _sources(
     camera: Camera, others: Mapping[str, Camera], start: DepthMap, min_angle_deg: float, max_angle_deg: float
 ) -> list[str]:
-    """Views that see the middle of this view's surface from an angle within the limits, the smallest first."""
+    """Views that see this view's surface from an angle within the limits, the smallest first."""
     y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
     z = start.depth[::8, ::8][y, x].astype(np.float64)
     rays = np.column_stack([8.0 * x, 8.0 * y, np.ones(len(x))]) @ np.linalg.inv(camera.K).T

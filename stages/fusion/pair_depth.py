@@ -267,6 +267,13 @@ def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np
     """(n, 3) unit normals of the local planes at pixels of a view, turned toward the camera.
 
     A plane is linear in inverse depth, 1/z = (A, B, c) (x, y, 1), hence (A, B, c) K X = 1 for its points X in camera axes.
+
+    Parameters
+    ----------
+    camera, depth
+        Of the view.
+    rows, columns
+        (n,) int, pixels that have a depth.
     """
     A, B = depth.slope_x[rows, columns].astype(np.float64), depth.slope_y[rows, columns].astype(np.float64)
     c = 1.0 / depth.depth[rows, columns].astype(np.float64) - A * columns - B * rows

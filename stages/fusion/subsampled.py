@@ -40,7 +40,17 @@ def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
 
 
 def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
-    """The views that see most of what `name` sees; at most `count`, at least 1 % in common."""
+    """The views that see most of what one view sees, and at least 1 % of it.
+
+    Parameters
+    ----------
+    name
+        The view.
+    cameras, small
+        Of all views, by id.
+    count
+        So many at most.
+    """
     pixels, z = small[name].points(2)
     if not len(z):
         return []

@@ -38,6 +38,17 @@ def cross_check(
 
     A view agrees within three sigmas of both and 0.2 % of the depth; it looks through the point when its own depth lies more than
     four times that behind it.
+
+    Parameters
+    ----------
+    name
+        The view.
+    others
+        Views to compare it with, in the order in which pairs are numbered.
+    cameras
+        Of all these views.
+    depth_of
+        Loads a view's depth; asked once for each.
     """
     own = depth_of(name)
     h, w = own.depth.shape

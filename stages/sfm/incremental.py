@@ -180,10 +180,20 @@ def refine(
     rough: bool = False,
     positions: Mapping[int, tuple[Float64s, float]] | None = None,
 ) -> Model:
-    """The model after rounds of triangulation, adjustment and sorting out, until that settles; cameras in `known` stay.
+    """The model after rounds of triangulation, adjustment and sorting out, until that settles.
 
-    rounds: at most; rough: with the loss and the tolerance of a model that still grows; positions: of three views or more, with
-    standard deviations, in the world where the model already stands.
+    Parameters
+    ----------
+    model
+        Where to start.
+    known
+        Views whose cameras stay.
+    rounds
+        At most so many.
+    rough
+        With the loss and the tolerance of a model that still grows.
+    positions
+        Centres (3,) of three views or more, with standard deviations, in the world where the model already stands.
     """
     free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known else {}
     held = [view for view in known if view in model.cameras]

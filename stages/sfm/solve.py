@@ -33,7 +33,15 @@ def solve_from_pairs(
     max_rotation_error_deg: float,
     max_epipolar_px: float,
 ) -> Poses | Rejected:
-    """See `poses.solve_poses`.  stated: cameras whose intrinsics and poses are both known."""
+    """Solve the poses that are not known.
+
+    Parameters
+    ----------
+    views, placements, geometries, survey, max_rotation_error_deg, max_epipolar_px
+        See `poses.solve_poses`.
+    stated
+        Cameras whose intrinsics and poses are both known, by id.
+    """
     graph = ViewGraph.of(views, geometries)
     trusted, dropped = graph.consistent(max_rotation_error_deg)
     models = graph.models(trusted)

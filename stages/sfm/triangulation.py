@@ -20,7 +20,16 @@ PARALLEL = 1e-9
 def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale_px: float) -> Float64s:
     """(count, 3) the point of each track that at least two of the observations in `use` see; nan elsewhere.
 
-    Start: the point nearest to all rays.  Then least squares on the reprojection error with Cauchy weights of `scale_px`.
+    Start: the point nearest to all rays.  Then least squares on the reprojection error with Cauchy weights.
+
+    Parameters
+    ----------
+    cameras
+        By number of the view; views without one are passed over.
+    tracks, use
+        The observations, and (n,) bool, which of them to look at.
+    scale_px
+        An observation off by so many pixels counts half.
     """
     KR, C = _stacked(cameras, tracks)
     first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))

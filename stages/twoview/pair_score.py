@@ -47,7 +47,21 @@ class PairEvidence:
 def pair_evidence(
     left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, found: TwoView, seed: int = 0
 ) -> PairEvidence:
-    """Evidence from the inliers i1--i2 (rows of the features) of a pair; pairs: from `view_pairs`."""
+    """Evidence from the inliers of a pair.
+
+    Parameters
+    ----------
+    left, right
+        Keypoints of the two frames.
+    pairs
+        Their views, as `matching.candidates.view_pairs` gives them.
+    i1, i2
+        (n,) int32, the inliers: rows of the features.
+    found
+        The geometry.
+    seed
+        Of the random samples for the halves' poses.
+    """
     x1, x2 = left.xy[i1], right.xy[i2]
     dots = np.einsum("nd,nd->n", left.descriptors[i1], right.descriptors[i2]).astype(np.float64)
     distance = np.sqrt(np.maximum(2 - 2 * dots, 1e-9))

@@ -61,7 +61,21 @@ def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: fl
 def estimate_essential(
     x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int, max_iterations: int = MAX_ITERATIONS
 ) -> TwoView | None:
-    """Relative pose and its F where both K are known; None when nothing with 8 inliers is found."""
+    """Relative pose and its F where both K are known; None when nothing with 8 inliers is found.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) float64, pixels in images 1 and 2.
+    view1, view2
+        Whose K are known.
+    threshold_px
+        Noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
+    seed
+        Of the random samples.
+    max_iterations
+        Random samples, at most.
+    """
     if len(x1) < 8 or view1.K is None or view2.K is None:
         return None
     options = {
@@ -84,7 +98,19 @@ def estimate_with_one_lens(
     x1: Float64s, x2: Float64s, view1: View, view2: View, threshold_px: float, seed: int
 ) -> TwoView | None:
     """F of two views with one unknown lens, whose centre is theirs (six points inside LO-RANSAC, poselib); None when nothing with
-    8 inliers is found.  It has one freedom less than a bare F, by which wrong matches that agree can bend it."""
+    8 inliers is found.  It has one freedom less than a bare F, by which wrong matches that agree can bend it.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) float64, pixels in images 1 and 2.
+    view1, view2
+        Only their sizes are used.
+    threshold_px
+        Noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
+    seed
+        Of the random samples.
+    """
     if len(x1) < 8:
         return None
     unit1, unit2 = (float(max(view.width, view.height)) for view in (view1, view2))
@@ -120,7 +146,19 @@ def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, vi
 
 
 def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, threshold_px: float) -> float:
-    """Share of the correspondences that a turn of the camera alone explains; R is where the search for the turn starts."""
+    """Share of the correspondences that a turn of the camera alone explains.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) float64, pixels in images 1 and 2.
+    view1, view2
+        Whose K are known; 0 is given back where they are not.
+    R
+        (3, 3) float64, where the search for the turn starts.
+    threshold_px
+        A match is explained within so many pixels of image 2.
+    """
     if view1.K is None or view2.K is None:
         return 0.0
     ray1 = _unit_rows(homogeneous(x1) @ np.linalg.inv(view1.K).T)

@@ -149,6 +149,18 @@ def test_a_matcher_may_ask_for_the_frames_alone(toy: ToySite) -> None:
     assert "matches gate--crane" not in toy.ran()
 
 
+def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -> None:
+    write(toy, "left_frame, right_frame, *, shift: float = STEP * 2", "STEP = 1.0", "one * shift", "left_frame right_frame")
+    site = json.loads(toy.file.read_text())
+    site["stages"]["matches"] = {"matcher": "plugin:find", "min_matches": 1}
+    toy.file.write_text(json.dumps(site, indent=1))
+    done = toy.wbflow("run", "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert first_match(toy) == 2.0
+    receipt = next((toy.work / "cache" / "matches" / "gate--roof").glob("*.json"))
+    assert set(json.loads(receipt.read_text())["preimage"]["inputs"]) == {"left", "right", "left_frame", "right_frame"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

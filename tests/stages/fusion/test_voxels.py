@@ -1,0 +1,51 @@
+"""Samples of one cell become one, whatever the order of the views; lonely ones are dropped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbflow_stages.fusion.voxels import Samples, VoxelGrid
+
+
+def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01) -> Samples:
+    n = len(points)
+    one = np.ones(n, np.float32)
+    up = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
+    colors = np.full((n, 3), 100, np.float32)
+    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one)
+
+
+def merged(*parts: Samples, neighbours: int = 0, edge: float = 0.1) -> Samples:
+    grid = VoxelGrid(edge, np.zeros(3))
+    for part in parts:
+        grid.add(part)
+    found = list(grid.merged(neighbours))
+    return Samples(*(np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])))
+
+
+def test_points_of_one_cell_become_their_weighted_mean():
+    heavy, light = np.array([[0.52, 0.51, 0.53]]), np.array([[0.56, 0.55, 0.57]])
+    found = merged(samples(heavy, 3.0), samples(light, 1.0))
+    assert found.points == pytest.approx(0.75 * heavy + 0.25 * light, abs=1e-6)
+    assert found.weight == pytest.approx([2.0]) and found.colors == pytest.approx(np.full((1, 3), 100))
+
+
+def test_the_order_of_the_views_does_not_matter_to_which_cells_are_kept():
+    rng = np.random.default_rng(0)
+    one, two = (samples(rng.uniform(-1, 1, (500, 3))) for _ in range(2))
+    there, back = merged(one, two), merged(two, one)
+    assert there.points == pytest.approx(back.points, abs=1e-5)
+
+
+def test_a_point_without_neighbours_is_dropped():
+    plane = np.stack(np.meshgrid(np.arange(0.05, 1, 0.1), np.arange(0.05, 1, 0.1), [0.05]), axis=-1).reshape(-1, 3)
+    lonely = np.array([[5.05, 5.05, 5.05]])
+    found = merged(samples(np.vstack([plane, lonely])), neighbours=3)
+    assert len(found.points) == len(plane) and found.points.max() < 2
+
+
+def test_what_is_seen_coarsely_is_merged_coarsely():
+    line = np.column_stack([np.arange(0.05, 1.6, 0.1), np.full((16, 2), 0.05)])
+    assert len(merged(samples(line)).points) == 16
+    assert len(merged(samples(line, footprint=0.45)).points) == 4
