@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+from functools import cache
 
+import cv2
 import numpy as np
 
+from tests.helpers.synthetic_site import small_yard
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.rectification.hartley import hartley
 from wbflow_stages.rectification.method import Homographies, MatchedPair
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair
-from wbflow_stages.types import Camera, Features, Frame, Matches
+from wbflow_stages.types import Features, Frame, Matches, View
 
 
 def at_its_word(pair: RectifiedPair, *, distance_px: float = 20.0) -> DenseMatches:
@@ -34,30 +35,33 @@ def shifted(pair: MatchedPair, *, shift_px: float = 5.0) -> Homographies:
     return Homographies(np.array([[1.0, 0, shift_px], [0, 1, 0], [0, 0, 1]]) @ H1, H2)
 
 
-def grid_points(
-    left: Features, right: Features, left_frame: Frame, right_frame: Frame, *, truth: str, step_px: int = 8
-) -> Matches:
-    """Sparse: points of a grid of the left frame and where exact cameras and depths (files in the folder `truth`) say they lie in
-    the right one; no keypoints.  Which cameras took the two frames is told by their grey levels.
-    """
-    folder = Path(truth)
-    names = {json.dumps(np.load(file).mean().item()): file.stem for file in folder.glob("*.image.npy")}
-    one, two = (names[json.dumps(frame.image.mean().item())] for frame in (left_frame, right_frame))
-    cameras = {name: _camera(folder / f"{name}.json") for name in (one, two)}
-    depth = np.load(folder / f"{one}.depth.npy")
-    height, width = depth.shape
+@cache
+def straight_frames() -> tuple[Frame, ...]:
+    """What the cameras of `small_yard` see, by lenses that bend nothing."""
+    found = []
+    for camera in small_yard().cameras:
+        image = np.median(np.stack(camera.captures), axis=0).astype(np.uint8)
+        image = np.asarray(cv2.undistort(image, camera.lens.K, camera.lens.distortion), dtype=np.uint8)
+        height, width = camera.depth.shape
+        found.append(Frame(image, np.ones((height, width), dtype=bool), View(width, height, camera.camera.K)))
+    return tuple(found)
+
+
+def grid_points(left: Features, right: Features, left_frame: Frame, right_frame: Frame, *, step_px: int = 6) -> Matches:
+    """Sparse: points of a grid of the left frame (one of `straight_frames`), and where they truly lie in the right one; no
+    keypoints."""
+    one, two = (
+        next(c for c, known in zip(small_yard().cameras, straight_frames(), strict=True) if known is frame)
+        for frame in (left_frame, right_frame)
+    )
+    height, width = one.depth.shape
     y, x = np.mgrid[step_px // 2 : height : step_px, step_px // 2 : width : step_px].reshape(2, -1)
+    x, y = x[one.depth[y, x] > 0], y[one.depth[y, x] > 0]
     x1 = np.column_stack([x, y]).astype(np.float64)
-    X = backproject(cameras[one], x1, depth[y, x].astype(np.float64))
-    x2, z2 = project(cameras[two], X)
-    seen = np.isfinite(x2).all(axis=1) & (z2 > 0) & (x2 > 0).all(axis=1) & (x2 < [width - 1, height - 1]).all(axis=1)
-    other = np.load(folder / f"{two}.depth.npy")
-    column, row = np.rint(x2[seen]).astype(int).T
-    visible = np.flatnonzero(seen)[np.abs(other[row, column] - z2[seen]) < 0.02 * z2[seen]]
-    p = np.full(len(visible), 0.9, np.float32)
-    return Matches(x1[visible], x2[visible], None, None, p, None, left.view, right.view)
-
-
-def _camera(file: Path) -> Camera:
-    told = json.loads(file.read_text())
-    return Camera(np.array(told["K"]), np.array(told["R"]), np.array(told["C"]), told["width"], told["height"])
+    x2, z2 = project(two.camera, backproject(one.camera, x1, one.depth[y, x].astype(np.float64)))
+    inside = (z2 > 0) & (x2 > 0).all(axis=1) & (x2 < [width - 1, height - 1]).all(axis=1)
+    x1, x2, z2 = x1[inside], x2[inside], z2[inside]
+    column, row = np.rint(x2).astype(int).T
+    seen = np.abs(two.depth[row, column] - z2) < 0.01 * z2
+    p = np.full(int(seen.sum()), 0.9, np.float32)
+    return Matches(x1[seen], x2[seen], None, None, p, None, left.view, right.view)
