@@ -24,7 +24,8 @@ from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
 from .night.night import open_night
-from .night.run import Options, terminate_as_interrupt, work
+from .night.options import Options
+from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
 from .results.publish import publish
 from .store.events import Event, Listener

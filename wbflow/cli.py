@@ -344,7 +344,7 @@ def _place(site: Site) -> WorkFolder:
 
 def _explain(site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...]) -> None:
     from .night.night import open_night
-    from .night.run import Options
+    from .night.options import Options
     from .results.status import explain, pairs_to_come
 
     Options(until=until, force=force).check()

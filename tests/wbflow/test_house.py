@@ -18,7 +18,7 @@ LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api
 PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | quarantine | lock | \.writing | \.wbflow
     | run\.json | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
-    | cloud.*\.ply | .*\.tmp | \.?jpg | \.?drawn)$"""
+    | cloud.*\.ply | .*\.tmp | \.?jpg | \.drawn | \.published)$"""
 OWNER = HOUSE / "store" / "layout.py"
 OTHERS = {
     HOUSE / "results" / "demo.py": {"cameras.json", ".jpg"},  # of the demo's own folder

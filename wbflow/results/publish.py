@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import traceback
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
 from ..graph.pipeline import Role, stage_with
 from ..night.journal import Costs, Journal
 from ..night.night import Night
+from ..night.plan import Plan
 from ..night.run import Worked
 from ..store import artifact
+from ..store.atomic import write_atomic
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
 from ..store.ply import with_comments
@@ -47,13 +51,11 @@ def publish(
     OSError
         The disk is full, or there is no right to write.
     """
-    world = stage_with(Role.WORLD)
-    solved = worked.products.get(Task(world.name))
-    poses = None if solved is None else artifact.decode(solved)
+    told = _told_of_world(night.plan, worked.products)
     clouds = {task.subject: data for task, data in worked.products.items() if task.stage == stage_with(Role.PRODUCT).name}
-    if () in clouds and poses is not None and world.comments:
-        clouds[()] = with_comments(clouds[()], function(world.comments)(poses))
-    cameras = function(world.calibration)(poses) if poses is not None and world.calibration else None
+    if () in clouds and told is not None:
+        clouds[()] = with_comments(clouds[()], tuple(told.comments))
+    cameras = told.calibration if told else None
     unfinished = UnfinishedRun(work, run)
     unfinished.write_products(clouds, cameras)
     seconds = costs.seconds(own_process)
@@ -61,6 +63,39 @@ def publish(
     page = _report(work, record, journal, cameras or {})
     folder = unfinished.publish(record, journal.events, page)
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
+
+
+@dataclass(frozen=True)
+class _World:
+    """What is published of the world: of an artifact that has not changed, it is not made again."""
+
+    code: list[str]
+    """Fingerprints of the functions that made it."""
+    calibration: dict[str, Any]
+    comments: list[str]
+
+
+def _told_of_world(plan: Plan, products: Mapping[Task, bytes]) -> _World | None:
+    world = stage_with(Role.WORLD)
+    task = Task(world.name)
+    state = plan.states.get(task)
+    if task not in products or state is None or state.receipt is None:
+        return None
+    functions = [world.calibration, world.comments]
+    code = [plan.site.reader.read(dotted).code for dotted in functions]
+    memo = plan.cache.work.published(task, state.receipt.key)
+    try:
+        known = _World(**json.loads(memo.read_bytes()))
+        if known.code == code:
+            return known
+    except (OSError, ValueError, TypeError):  # never made, or by another version
+        pass
+    result = artifact.decode(products[task])  # numpy is imported for this
+    calibration, comments = (function(dotted)(result) for dotted in functions)
+    made = _World(code, calibration, list(comments))
+    write_atomic(memo, json.dumps(asdict(made)).encode())
+    plan.site.reader.save()
+    return made
 
 
 def _report(work: WorkFolder, record: RunRecord, journal: Journal, cameras: Mapping[str, Any]) -> str:

@@ -100,6 +100,10 @@ class WorkFolder:
         """What the picture was drawn by, and why there is none."""
         return self.artifact(task, key, ".drawn")
 
+    def published(self, task: Task, key: str) -> Path:
+        """What runs publish of an artifact, besides itself."""
+        return self.artifact(task, key, ".published")
+
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""
         return self.artifact(task, key, ".json")

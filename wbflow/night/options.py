@@ -1,0 +1,44 @@
+"""What is asked of a run, besides its site."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.util
+from dataclasses import dataclass
+
+from ..errors import UsageError
+from ..graph.pipeline import STAGES
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is asked of a run, besides its site."""
+
+    date: datetime.date | None = None
+    """The night; None: the newest that has captures."""
+    jobs: int = 1
+    """Workers."""
+    until: str | None = None
+    """Stop after this stage."""
+    force: tuple[str, ...] = ()
+    """Stages, or tasks such as "matches gate--roof", that are done again."""
+    wait: bool = False
+    """Wait for another run of the same work folder, instead of giving up."""
+    backend: str = "loky"
+    """Where tasks run: loky (processes), threading or dask."""
+    scheduler: str | None = None
+    """Address of the Dask scheduler."""
+
+    def check(self) -> None:
+        """Raises UsageError for what cannot be meant."""
+        names = [stage.name for stage in STAGES]
+        if self.until and self.until not in names:
+            raise UsageError(f"--until {self.until}: there is no such stage; stages are {', '.join(names)}")
+        for name in self.force:
+            if name.split(" ")[0] not in names:
+                known = ", ".join(names)
+                raise UsageError(f"--force {name!r}: name a stage ({known}) or a task such as 'matches gate--roof'")
+        if self.backend == "dask" and not self.scheduler:
+            raise UsageError("--backend dask needs --scheduler ADDRESS, e.g. tcp://host:8786")
+        if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
+            raise UsageError("--backend dask needs Dask: pip install 'wbflow[dask]'")
