@@ -17,9 +17,9 @@ EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/
 
 FLOORS = [
     {"types", "reasons", "core"},
-    {"twoview", "matching", "io"},
+    {"twoview", "matching"},
     {"rectification", "stereo", "sfm", "mvs", "fusion"},
-    {"stages"},
+    {"stages", "io"},
     {"synthetic", "exports", "evaluate"},
 ]
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
