@@ -28,6 +28,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from pairs_with_truth import read_rgb
 
 from wbflow.store.ply import read_ply
 from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
@@ -121,8 +122,12 @@ def laser_cloud() -> Float64s:
     for name, camera in true_cameras(3072).items():
         depth = laser_depth(name)[::2, ::2].astype(np.float64)
         v, u = np.nonzero(depth > 0)
-        points.append(backproject(camera, 2.0 * np.column_stack([u, v]), depth[v, u]))
+        points.append(backproject(camera, np.float64(2) * np.column_stack([u, v]), depth[v, u]))
     return voxel_means(np.concatenate(points), 0.01)
+
+
+def photographed(name: str) -> Uint8s:
+    return read_rgb(DATA / "images" / f"{name}.jpg")
 
 
 def laser_depth(name: str) -> Float32s:
@@ -170,8 +175,15 @@ def score(
     peak_mb: float, stages: dict[str, float],
 ) -> Row:  # fmt: skip
     found = compare_clouds(points, reference, TAUS)
-    figures = [[round(100 * float(v), 2) for v in values] for values in (found.accuracy, found.completeness, found.F)]
-    return Row(what, cameras, size, poses, len(points), *figures, colour_error(points, colors, cameras), cpu, peak_mb, stages)
+    accuracy, completeness, F = (
+        [round(100 * float(v), 2) for v in values] for values in (found.accuracy, found.completeness, found.F)
+    )
+    colour = colour_error(points, colors, cameras)
+    return Row(what, cameras, size, poses, len(points), accuracy, completeness, F, colour, cpu, peak_mb, stages)
+
+
+def percent(shares: Float64s) -> list[float]:
+    return [round(100 * float(share), 2) for share in shares]
 
 
 def colour_error(points: Float64s, colors: Uint8s, cameras: str) -> float:
@@ -180,8 +192,9 @@ def colour_error(points: Float64s, colors: Uint8s, cameras: str) -> float:
     differences = []
     for name in (f"{n:04d}" for n in SETS[cameras]):
         camera = true_cameras(768)[name]
-        photograph = cv2.cvtColor(cv2.imread(str(DATA / "images" / f"{name}.jpg")), cv2.COLOR_BGR2RGB)
-        photograph = cv2.resize(photograph, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        photograph = cv2.resize(
+            read_rgb(DATA / "images" / f"{name}.jpg"), (camera.width, camera.height), interpolation=cv2.INTER_AREA
+        )
         depth = laser_depth(name)[2::4, 2::4]
         x, z = project(camera, points[chosen])
         u, v = np.rint(np.nan_to_num(x, nan=-1.0).clip(-1, 1e6)).astype(int).T
@@ -206,8 +219,8 @@ def quoted(cameras: str, size: int) -> list[Row]:
     if (cameras, size) not in COLMAP:
         return []
     cpu, scores = COLMAP[cameras, size]
-    columns = zip(*([float(v) for v in triple.split("/")] for triple in scores.split()), strict=True)
-    return [Row("COLMAP (quoted)", cameras, size, "true", 0, *map(list, columns), 0.0, cpu, 0.0)]
+    accuracy, completeness, F = map(list, zip(*([float(v) for v in triple.split("/")] for triple in scores.split()), strict=True))
+    return [Row("COLMAP (quoted)", cameras, size, "true", 0, accuracy, completeness, F, 0.0, cpu, 0.0)]
 
 
 def rival(cameras: str, size: int, reference: Float64s) -> Row:
@@ -226,8 +239,10 @@ def plain_script(cameras: str, size: int) -> tuple[Float64s, Uint8s, float, floa
     names, truth = [f"{n:04d}" for n in SETS[cameras]], true_cameras(size)
     images = {}
     for name in names:
-        photograph = cv2.imread(str(DATA / "images" / f"{name}.jpg"))
-        images[name] = cv2.resize(photograph, (size, truth[name].height), interpolation=cv2.INTER_AREA)
+        photograph = cv2.resize(
+            read_rgb(DATA / "images" / f"{name}.jpg"), (size, truth[name].height), interpolation=cv2.INTER_AREA
+        )
+        images[name] = photograph.astype(np.uint8)
     points, colors = zip(
         *(stereo(truth[a], truth[b], images[a], images[b]) for a, b in combinations(names, 2) if neighbours(truth[a], truth[b])),
         strict=True,
@@ -241,7 +256,7 @@ def plain_script(cameras: str, size: int) -> tuple[Float64s, Uint8s, float, floa
     lonely = np.isinf(cKDTree(merged[:, :3]).query(merged[:, :3], k=7, distance_upper_bound=0.03)[0][:, 6])
     merged = merged[~lonely]
     peak_mb = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024  # Linux; of this process alone
-    return merged[:, :3], merged[:, 5:2:-1].astype(np.uint8), process_time() - start, peak_mb
+    return merged[:, :3], merged[:, 3:6].astype(np.uint8), process_time() - start, peak_mb
 
 
 def neighbours(left: Camera, right: Camera) -> bool:
@@ -250,7 +265,7 @@ def neighbours(left: Camera, right: Camera) -> bool:
 
 
 def stereo(left: Camera, right: Camera, image1: Uint8s, image2: Uint8s) -> tuple[Float64s, Float64s]:
-    """World points and colours (BGR) of both views of one pair; each rectified picture has a canvas that holds all of it."""
+    """World points and colours of both views of one pair; each rectified picture has a canvas that holds all of it."""
     R, t = relative_pose(left, right)
     if t[0] > 0:  # the right camera stands on the left
         return stereo(right, left, image2, image1)
@@ -271,7 +286,7 @@ def stereo(left: Camera, right: Camera, image1: Uint8s, image2: Uint8s) -> tuple
     shift, reach = P1[0, 2] - P2[0, 2], abs(P2[0, 3])
     least, most = (int(reach / z + shift) for z in (15.0, 4.5))  # who knows the yard knows how far it reaches, in metres
     count = 16 * -(-(most - least) // 16)
-    matcher = cv2.StereoSGBM_create(least, count, 5, 600, 2400, 1, 63, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    matcher = cv2.StereoSGBM.create(least, count, 5, 600, 2400, 1, 63, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
     pad = max(abs(least), abs(least + count))
     one, two = (cv2.copyMakeBorder(p, 0, 0, pad, pad, cv2.BORDER_CONSTANT) for p in pictures)
     disparities = matcher.compute(one, two), matcher.compute(two[:, ::-1].copy(), one[:, ::-1].copy())[:, ::-1]

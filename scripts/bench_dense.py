@@ -7,8 +7,8 @@ views.  The project's matchers, OpenCV's, and graph cuts.
 
     scripts/bench_dense.py --scenes middlebury --matchers sgbm patchmatch
     scripts/bench_dense.py --json rows.json --plot curves.svg        'quality against baseline', as curves
-    scripts/bench_dense.py --noise 0 100 --plot curves.svg           the source's noise test too: Gaussian noise of this variance
-    scripts/bench_dense.py --matchers census-sgm sift-sgm daisy-sgm  dense descriptors as data cost, the source's future work
+    scripts/bench_dense.py --noise 0 100 --plot curves.svg           Hao's noise test (2011) too: Gaussian noise of this variance
+    scripts/bench_dense.py --matchers census-sgm sift-sgm daisy-sgm  dense descriptors as data cost, Hao's future work
                                                                      (slow; DAISY needs scikit-image)
     scripts/bench_dense.py --check                                   exit code 1 when a figure is missed
 """
@@ -25,7 +25,7 @@ from time import process_time
 import cv2
 import numpy as np
 from bench_files import Panel, draw, write_rows
-from pairs_with_truth import DATA
+from pairs_with_truth import DATA, read_rgb
 from rectified_pairs import SWEEP, dense_errors, true_pairs
 
 from wbflow_stages import disparity
@@ -49,9 +49,9 @@ def opencv(matcher: cv2.StereoMatcher, pair: RectifiedPair) -> DenseMatches:
     views = []
     count = 16 * -(-(pair.disparity_max - pair.disparity_min + 1) // 16)
     for view in (pair, mirrored(pair)):
-        left, right = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in (view.left, view.right))
+        grey = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in (view.left, view.right))
         sides = max(0, pair.disparity_min + count), max(0, -pair.disparity_min)
-        left, right = (cv2.copyMakeBorder(image, 0, 0, *sides, cv2.BORDER_REPLICATE) for image in (left, right))
+        left, right = (cv2.copyMakeBorder(image, 0, 0, sides[0], sides[1], cv2.BORDER_REPLICATE) for image in grey)
         matcher.setMinDisparity(pair.disparity_min)
         matcher.setNumDisparities(count)
         found = matcher.compute(left, right).astype(np.float32)[:, sides[0] : sides[0] + pair.left.shape[1]] / 16
@@ -74,7 +74,7 @@ costs, in census bits."""
 
 
 def sift_sgm(pair: RectifiedPair) -> DenseMatches:
-    """The source's future work: semi-global matching on distances of dense descriptors (SIFT at every pixel)."""
+    """Future work of Hao (2011): semi-global matching on distances of dense descriptors (SIFT at every pixel)."""
     return descriptor_sgm(pair, dense_sift(pair.left), dense_sift(pair.right))
 
 
@@ -156,11 +156,12 @@ JSON_KEYS = ["scene", "pair", "matcher", "density", "bad2", "bad_or_missing", "m
 
 def row(scene: str, name: str, noise: float, angle: float, matcher: str, errors: Float64s, seconds: float, pixels: int) -> Row:
     kept = errors[~np.isnan(errors)]
-    bad = [float(np.mean(kept > limit)) if len(kept) else 0.0 for limit in (1, 2, 4)]
+    bad1, bad2, bad4 = (float(np.mean(kept > limit)) if len(kept) else 0.0 for limit in (1, 2, 4))
     missed = 1 - float(np.mean(errors <= 2))
     median = float(np.median(kept)) if len(kept) else float("nan")
     scene = f"{scene}+noise{noise:g}" if noise > 0 else scene
-    return Row(scene, name, noise, angle, matcher, len(kept) / max(len(errors), 1), *bad, missed, median, seconds / pixels * 1e6)
+    density = len(kept) / max(len(errors), 1)
+    return Row(scene, name, noise, angle, matcher, density, bad1, bad2, bad4, missed, median, seconds / pixels * 1e6)
 
 
 def matched(left: Frame, right: Frame, rectification: Rectification, matcher: str) -> tuple[Disparity | None, float]:
@@ -190,12 +191,14 @@ def as_it_is(size: tuple[int, int], widest: float) -> Rectification:
 def middlebury(matchers: list[str], noise: float) -> Iterator[Row]:
     for name, (left_file, right_file, truth_file, scale, widest) in MIDDLEBURY.items():
         folder = DATA / "middlebury" / name
-        truth = cv2.imread(str(folder / truth_file), cv2.IMREAD_GRAYSCALE).astype(np.float32)
+        stored = cv2.imread(str(folder / truth_file), cv2.IMREAD_GRAYSCALE)
+        if stored is None:
+            raise SystemExit(f"{folder / truth_file} is not there")
+        truth = stored.astype(np.float32)
         known = truth > 0
         frames = []
         for seed, file in enumerate((left_file, right_file)):
-            pixels = np.ascontiguousarray(cv2.imread(str(folder / file))[..., ::-1])
-            frames.append(noisy(whole(pixels), noise, seed))
+            frames.append(noisy(whole(read_rgb(folder / file)), noise, seed))
         given = as_it_is((truth.shape[1], truth.shape[0]), widest)
         for matcher in matchers:
             found, seconds = matched(frames[0], frames[1], given, matcher)

@@ -25,6 +25,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import mean
 from time import process_time
+from typing import Any
 
 from pairs_with_truth import TrueView, axes_angle_deg, correct, on_one_thread, photographed, pose_error_deg, true_correspondences
 
@@ -35,7 +36,7 @@ from wbflow_stages.types import Features, Geometry, Matches, Rejected
 
 PLAIN_SIFT = "kdtree"
 """The row that matches OpenCV's own features."""
-MATCHERS = {
+MATCHERS: dict[str, dict[str, Any]] = {
     "kdtree": {"matcher": "kdtree"},
     "kdtree-root": {"matcher": "kdtree"},
     "mutual": {"matcher": "mutual"},
@@ -74,8 +75,8 @@ def measure(left: TrueView, right: TrueView, name: str, seed: int) -> tuple[Row,
     """The row as matched, and the row after the guided round."""
     f, g = (left.plain_sift, right.plain_sift) if name == PLAIN_SIFT else (left.features, right.features)
     start = process_time()
-    options = {"seed": seed} if MATCHERS[name].get("matcher") == "kdtree" else {}
-    matches = match(f, g, **options, **MATCHERS[name])  # type: ignore[arg-type]
+    options: dict[str, Any] = {"seed": seed} if MATCHERS[name].get("matcher") == "kdtree" else {}
+    matches = match(f, g, **options, **MATCHERS[name])
     seconds = process_time() - start
     return judge(left, right, f, g, name, matches, False, seed, seconds), judge(
         left, right, f, g, name, matches, True, seed, seconds
@@ -87,17 +88,17 @@ def judge(
     seconds: float,
 ) -> Row:  # fmt: skip
     """One row; seconds: what the matching alone cost, so that the +F row counts it too."""
-    blank = without_lenses(matches) if isinstance(matches, Matches) else None
-    start = process_time()
-    geometry = None
-    if blank is not None:
-        geometry = estimate_geometry(blank, lensless(f), lensless(g), guided=guided, seed=seed)
-    seconds += process_time() - start if guided else 0
+    geometry = posed = None
+    if isinstance(matches, Matches):
+        start = process_time()
+        geometry = estimate_geometry(without_lenses(matches), lensless(f), lensless(g), guided=guided, seed=seed)
+        seconds += process_time() - start if guided else 0
+        posed = estimate_geometry(matches, f, g, guided=guided, seed=seed)
     found = geometry if isinstance(geometry, Geometry) else None
-    posed = estimate_geometry(matches, f, g, guided=guided, seed=seed) if blank is not None else None
     points = found if guided else matches
-    listed = isinstance(points, Matches | Geometry)
-    good, judged = correct(left, right, points.x1, points.x2) if listed else (0, 0)
+    n = good = judged = 0
+    if isinstance(points, Matches | Geometry):
+        n, (good, judged) = len(points.x1), correct(left, right, points.x1, points.x2)
     error = float("inf")
     if found is not None:
         error = float(symmetric_epipolar_distance(found.F, *true_correspondences(left, right)).mean())
@@ -106,7 +107,7 @@ def judge(
     return Row(
         left.scene, f"{left.name}-{right.name}", round(axes_angle_deg(left.camera, right.camera), 1),
         name + ("+F" if guided else ""),
-        len(points.x1) if listed else 0, good, good / max(judged, 1), error, float(error < USABLE_SHARE * left.camera.width),
+        n, good, good / max(judged, 1), error, float(error < USABLE_SHARE * left.camera.width),
         rotation, translation, seconds,
     )  # fmt: skip
 
@@ -123,7 +124,8 @@ def without_lenses(matches: Matches) -> Matches:
 def averaged(rows: list[Row]) -> Row:
     """The mean over seeds."""
     first = asdict(rows[0])
-    return Row(**{k: v if isinstance(v, str) else mean(asdict(row)[k] for row in rows) for k, v in first.items()})
+    means: dict[str, Any] = {k: v if isinstance(v, str) else mean(asdict(row)[k] for row in rows) for k, v in first.items()}
+    return Row(**means)
 
 
 def bench(pairs: dict[str, list[tuple[str, str]]], width: int, seeds: int, names: list[str]) -> Iterator[Row]:
@@ -162,7 +164,7 @@ def line(row: Row) -> str:
 
 
 def plot(rows: list[Row], file: Path) -> None:
-    """The source's Figures 3-28 to 3-30 on these pairs, as SVG: matches, good matches, good rate; kd-tree against structural."""
+    """Figures 3-28 to 3-30 of Hao (2011) on these pairs, as SVG: matches, good matches, good rate; kd-tree against structural."""
     colours = {"kdtree": "#b0b0b0", "structural": "#3070b0", "structural-tilt+F": "#d07020"}
     order = sorted({(r.scene, r.angle_deg, r.pair) for r in rows})
     step, height, left = 46, 170, 60
@@ -213,7 +215,7 @@ def main() -> int:
     parser.add_argument("--width", type=int, default=1536, help="working width, pixels")
     parser.add_argument("--seeds", type=int, default=3, help="random seeds to average over")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
-    parser.add_argument("--plot", type=Path, help="write the source's three figures on these pairs, as SVG")
+    parser.add_argument("--plot", type=Path, help="write Hao's three figures on these pairs, as SVG")
     parser.add_argument("--check", action="store_true", help="a few pairs with thresholds; exit code 1 when one is missed")
     given = parser.parse_args()
     on_one_thread()

@@ -34,7 +34,7 @@ from time import process_time
 
 import cv2
 import numpy as np
-from pairs_with_truth import DATA
+from pairs_with_truth import DATA, read_rgb
 
 from wbflow.graph.pairs import select_pairs
 from wbflow.results.demo import write_demo
@@ -172,7 +172,7 @@ def theirs(images: str, width: int, known: bool) -> Row:
         files, truth = photographs(images)
         start, groups = process_time(), [list(files)]
         for name, file in files.items():
-            pixels = cv2.imread(str(file))
+            pixels = read_rgb(file)[..., ::-1]
             size = width, round(pixels.shape[0] * width / pixels.shape[1])
             cv2.imwrite(str(folder / "images" / f"{name}.png"), cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
     database = folder / "database.db"

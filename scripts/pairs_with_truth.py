@@ -11,15 +11,20 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from wbflow_stages.core.cameras import backproject, project, relative_pose, scaled_intrinsics
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
-from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, View
+from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
+
+if TYPE_CHECKING:
+    from wbflow_stages.synthetic.shooting import Daytime
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 CORRECT_PX = 3.0
@@ -93,8 +98,16 @@ def photographed(scene: str, width: int, names: list[str] | None = None) -> dict
     return views
 
 
+def read_rgb(file: Path) -> Uint8s:
+    """The pixels (h, w, 3) of an image file."""
+    pixels = cv2.imread(str(file))
+    if pixels is None:
+        raise SystemExit(f"{file} is not there, or no image")
+    return np.ascontiguousarray(pixels[..., ::-1]).astype(np.uint8)
+
+
 def _photograph(scene: str, name: str, file: Path, c: dict[str, list[float]], width: int) -> TrueView:
-    pixels = cv2.imread(str(file))[..., ::-1]
+    pixels = read_rgb(file)
     s = width / pixels.shape[1]
     small = cv2.resize(pixels, None, fx=s, fy=s, interpolation=cv2.INTER_AREA)
     h, w = small.shape[:2]
@@ -106,12 +119,12 @@ def _photograph(scene: str, name: str, file: Path, c: dict[str, list[float]], wi
         stored = np.load(depth_file)["depth"]
         half_step = np.spacing(stored) / 2  # the maps were truncated to half precision
         depth = np.where(stored > 0, stored.astype(np.float32) + half_step, 0)
-    frame = Frame(np.ascontiguousarray(small), np.ones((h, w), bool), View(w, h, K))
+    frame = Frame(small.astype(np.uint8), np.ones((h, w), bool), View(w, h, K))
     whole = Camera(np.array(c["K"]), R, C, pixels.shape[1], pixels.shape[0])
     return TrueView(scene, name, frame, Camera(K, R, C, w, h), depth, whole)
 
 
-def rendered(light: str, cache: Path, width: int = 1280) -> dict[str, TrueView]:
+def rendered(light: Daytime, cache: Path, width: int = 1280) -> dict[str, TrueView]:
     """The demo yard by "day", "dusk" or "night"; rendered once (about 40 s) into `cache`."""
     from wbflow_stages.synthetic.yard import yard
 
@@ -119,14 +132,14 @@ def rendered(light: str, cache: Path, width: int = 1280) -> dict[str, TrueView]:
     views = {}
     file = cache / f"yard-{light}-{width}.npz"
     if not file.exists():
-        arrays = {}
-        for c in yard(light=light, size=(width, width * 9 // 16)).cameras:  # type: ignore[arg-type]
+        arrays: dict[str, npt.NDArray[Any]] = {}
+        for c in yard(light=light, size=(width, width * 9 // 16)).cameras:
             frame = clean_frame([_png(i) for i in c.captures], c.lens, _png(c.mask.astype(np.uint8) * 255), resolution=None)
             arrays |= {
-                f"{c.name} image": frame.image, f"{c.name} mask": frame.mask, f"{c.name} K": frame.view.K,
+                f"{c.name} image": frame.image, f"{c.name} mask": frame.mask, f"{c.name} K": np.asarray(frame.view.K),
                 f"{c.name} depth": c.depth, f"{c.name} K0": c.camera.K, f"{c.name} R": c.camera.R, f"{c.name} C": c.camera.C,
             }  # fmt: skip
-        np.savez(file, **arrays)
+        np.savez(file, allow_pickle=False, **arrays)
     stored = np.load(file)
     for name in dict.fromkeys(key.split(" ")[0] for key in stored.files):
         image, mask, K, depth, K0, R, C = (stored[f"{name} {part}"] for part in ("image", "mask", "K", "depth", "K0", "R", "C"))
@@ -153,15 +166,10 @@ def transfer_error(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) 
         z = a.depth_at(xa)
         known = np.isfinite(z)
         error = np.full(len(xa), np.nan)
-        image, ahead = project(b.camera, backproject(_moved(a), xa[known], z[known]))
+        image, ahead = project(b.camera, backproject(a.camera, xa[known], z[known]))
         error[known] = np.where(ahead > 0, np.linalg.norm(image - xb[known], axis=1), np.inf)
         errors.append(error)
-    return np.fmin(*errors)
-
-
-def _moved(view: TrueView) -> Camera:
-    """The camera of the frame (its K may differ from that of the depth map by a resize)."""
-    return view.camera
+    return np.asarray(np.fmin(*errors))
 
 
 def correct(left: TrueView, right: TrueView, x1: Float64s, x2: Float64s) -> tuple[int, int]:

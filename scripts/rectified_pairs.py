@@ -59,8 +59,9 @@ def scaled(geometry: Geometry, left: TrueView, right: TrueView) -> Geometry:
     x1, x2 = ((x + 0.5) * s - 0.5 for x, s in ((geometry.x1, s1), (geometry.x2, s2)))
     noise = None if geometry.noise_px is None else geometry.noise_px * np.float32(s1)
     lens1, lens2 = (None if K is None else T @ K for K, T in ((geometry.lens1, T1), (geometry.lens2, T2)))
-    views = {"view1": left.frame.view, "view2": right.frame.view}
-    return replace(geometry, F=F / np.linalg.norm(F), x1=x1, x2=x2, noise_px=noise, lens1=lens1, lens2=lens2, **views)
+    F /= np.linalg.norm(F)
+    view1, view2 = left.frame.view, right.frame.view
+    return replace(geometry, F=F, x1=x1, x2=x2, noise_px=noise, lens1=lens1, lens2=lens2, view1=view1, view2=view2)
 
 
 def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:
@@ -69,7 +70,7 @@ def row_errors(rectification: Rectification, pair: TruePair) -> Float64s:
     shown = np.ones(len(y1), dtype=bool)
     for y, size in ((y1, rectification.size1), (y2, rectification.size2)):
         shown &= (y >= -0.5).all(axis=1) & (y <= np.array(size) - 0.5).all(axis=1)
-    return np.abs(y1[shown, 1] - y2[shown, 1])
+    return np.asarray(np.abs(y1[shown, 1] - y2[shown, 1]))
 
 
 def dense_errors(rectification: Rectification, disparity: Disparity, pair: TruePair) -> Float64s:
@@ -77,4 +78,4 @@ def dense_errors(rectification: Rectification, disparity: Disparity, pair: TrueP
     at = to_rectified(rectification, 1, pair.x1)
     d = sample_disparity(disparity_px(disparity, 1), at)
     found = from_rectified(rectification, 2, np.column_stack([at[:, 0] - d, at[:, 1]]))
-    return np.linalg.norm(found - pair.x2, axis=1)
+    return np.asarray(np.linalg.norm(found - pair.x2, axis=1))

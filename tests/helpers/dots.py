@@ -16,7 +16,7 @@ def texture(height: int, width: int, seed: int = 0) -> np.ndarray:
         layer = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), sigma)
         image += weight * layer / layer.std()
     low, high = np.percentile(image, [1, 99])
-    return np.clip(30 + 190 * (image - low) / (high - low), 30, 220).astype(np.float32)
+    return np.asarray(np.clip(30 + 190 * (image - low) / (high - low), 30, 220), np.float32)
 
 
 def true_disparity(height: int, width: int, offset: float = 20.0, slope: float = 0.04) -> np.ndarray:
@@ -24,7 +24,7 @@ def true_disparity(height: int, width: int, offset: float = 20.0, slope: float =
     y, x = np.mgrid[0:height, 0:width]
     floor = offset + slope * x + 0.5 * slope * y
     disc = np.hypot(x - 0.6 * width, y - 0.5 * height) < 0.15 * height
-    return np.where(disc, floor + 12, floor)
+    return np.asarray(np.where(disc, floor + 12, floor))
 
 
 def stereo_pair(height: int = 180, width: int = 240, offset: float = 20.0, slope: float = 0.04) -> tuple[np.ndarray, np.ndarray]:

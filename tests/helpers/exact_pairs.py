@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from wbflow_stages.core.cameras import project, relative_pose
 from wbflow_stages.twoview.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from wbflow_stages.twoview.robust import estimate_essential, estimate_fundamental, pose_of_fundamental
-from wbflow_stages.types import Camera, Geometry, Pair, Poses, View
+from wbflow_stages.types import Camera, Float64s, Geometry, Pair, Poses, View
 
 WIDTH, HEIGHT = 800, 600
 
@@ -76,7 +77,10 @@ def pair_geometry(
         inside &= (x > 0).all(axis=1) & (x[:, 0] < WIDTH) & (x[:, 1] < HEIGHT)
     seen = np.flatnonzero(inside)
     x1, x2 = pixels[pair[0]][seen], pixels[pair[1]][seen]
-    F, R, t = fundamental_from_cameras(left, right), *relative_pose(left, right)
+    F = fundamental_from_cameras(left, right)
+    R: Float64s | None
+    t: Float64s | None
+    R, t = relative_pose(left, right)
     if noise_px > 0:
         known = view1.K is not None and view1.focal_known
         found = estimate_essential(x1, x2, view1, view2, 1.0, 0, 1000) if known else estimate_fundamental(x1, x2, 1.0, 0)
@@ -88,7 +92,16 @@ def pair_geometry(
     return geometry_of(F, x1, x2, seen, view1, view2, R, t)
 
 
-def geometry_of(F, x1, x2, rows, view1, view2, R, t) -> Geometry:
+def geometry_of(
+    F: Float64s,
+    x1: Float64s,
+    x2: Float64s,
+    rows: npt.NDArray[np.integer],
+    view1: View,
+    view2: View,
+    R: Float64s | None,
+    t: Float64s | None,
+) -> Geometry:
     """A geometry that every judge of single pairs believes."""
     n = len(x1)
     return Geometry(

@@ -8,7 +8,7 @@ import numpy as np
 
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.depth import view_depth
-from wbflow_stages.rectification.warping import from_rectified, rectified_size, to_rectified
+from wbflow_stages.rectification.warping import Side, from_rectified, rectified_size, to_rectified
 from wbflow_stages.types import INVALID, Camera, DepthMap, Disparity, Frame, Pair, Rectification, Rejected, View
 
 BOX = (np.array([-1.5, -1.0, 0.0]), np.array([0.5, 1.0, 1.6]))  # two corners, metres at scale 1
@@ -33,7 +33,7 @@ class Yard:
         outside = np.linalg.norm(np.maximum(np.maximum(low - X, X - high), 0), axis=1)
         inside = np.minimum(X - low, high - X).min(axis=1)
         box = np.where(outside > 0, outside, np.abs(inside))
-        return np.minimum(np.minimum(np.abs(X[:, 2]), np.abs(X[:, 1] - WALL_Y)), box)
+        return np.asarray(np.minimum(np.minimum(np.abs(X[:, 2]), np.abs(X[:, 1] - WALL_Y)), box))
 
     def depths(self, **parameters: float) -> dict[str, DepthMap]:
         """Depth of each view from its pairs, where there is any."""
@@ -113,12 +113,12 @@ def _first(origin: np.ndarray, through: np.ndarray) -> np.ndarray:
         enter = ((BOX[0] - origin) / direction, (BOX[1] - origin) / direction)
         near, far = np.minimum(*enter).max(axis=1), np.maximum(*enter).min(axis=1)
     ts = np.stack([ground, wall, np.where((near <= far) & (near > 0), near, np.inf)])
-    return origin + direction * np.where(ts > 1e-9, ts, np.inf).min(axis=0)[:, None]
+    return np.asarray(origin + direction * np.where(ts > 1e-9, ts, np.inf).min(axis=0)[:, None])
 
 
 def _colour(X: np.ndarray) -> np.ndarray:
     waves = [np.sin(X @ np.array(k) + p) for k, p in (((3, 2, 5), 0), ((-4, 3, 2), 1), ((2, -5, 3), 2))]
-    return 128 + 60 * np.stack(waves, axis=-1) * np.cos(X @ np.array([1.3, 0.7, 2.1]))[..., None]
+    return np.asarray(128 + 60 * np.stack(waves, axis=-1) * np.cos(X @ np.array([1.3, 0.7, 2.1]))[..., None])
 
 
 def _calibrated(left: Camera, right: Camera) -> Rectification:
@@ -135,14 +135,15 @@ def _calibrated(left: Camera, right: Camera) -> Rectification:
     height = int(np.ceil(max(m[:, 1].max() for m in mapped) - top)) + 1
     shifted = [np.array([[1, 0, -m[:, 0].min()], [0, 1, -top], [0, 0, 1.0]]) @ h for h, m in zip(H, mapped, strict=True)]
     sizes = [(int(np.ceil(np.ptp(m[:, 0]))) + 1, height) for m in mapped]
-    return Rectification("calibrated", "exact", *shifted, *sizes, -100, 100, 0.0, 0.0, 20.0)
+    return Rectification("calibrated", "exact", shifted[0], shifted[1], sizes[0], sizes[1], -100, 100, 0.0, 0.0, 20.0)
 
 
 def _exact(
     left: Camera, right: Camera, rectified: Rectification, rng: np.random.Generator, noise: float, wrong: float
 ) -> Disparity:
     views = []
-    for side, camera, other in ((1, left, right), (2, right, left)):
+    sides: tuple[tuple[Side, Side, Camera, Camera], ...] = ((1, 2, left, right), (2, 1, right, left))
+    for side, opposite, camera, other in sides:
         w, h = rectified_size(rectified, side)
         v, u = np.mgrid[0:h, 0:w].reshape(2, -1).astype(np.float64)
         at = np.column_stack([u, v])
@@ -152,9 +153,9 @@ def _exact(
         seen = np.linalg.norm(_first(other.C, X) - X, axis=1) < 1e-6
         for p, c in ((pixel, camera), (partner, other)):
             seen &= (p >= 0).all(axis=1) & (p[:, 0] <= c.width - 1) & (p[:, 1] <= c.height - 1)
-        moved = to_rectified(rectified, 3 - side, partner)
+        moved = to_rectified(rectified, opposite, partner)
         d = (u - moved[:, 0]) * (1 if side == 1 else -1)
         d += noise * rng.normal(size=len(d)) + np.where(rng.random(len(d)) < wrong, rng.uniform(-20, 20, len(d)), 0)
         views.append(np.where(seen, np.round(np.clip(d, -1000, 1000) * 16), INVALID).astype(np.int16).reshape(h, w))
-    confidence = [np.where(view != INVALID, 255, 0).astype(np.uint8) for view in views]
-    return Disparity(*views, *confidence, 0, float((views[0] != INVALID).mean()))
+    sure1, sure2 = (np.where(view != INVALID, 255, 0).astype(np.uint8) for view in views)
+    return Disparity(views[0], views[1], sure1, sure2, 0, float((views[0] != INVALID).mean()))

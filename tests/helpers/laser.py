@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tests.helpers.images import read_image
 from wbflow_stages.core.cameras import backproject, project, scaled_intrinsics
 from wbflow_stages.types import Camera, Frame, View
 
@@ -31,7 +32,7 @@ class Photograph:
 def photograph(number: int) -> Photograph:
     name = f"{number:04d}"
     c = json.loads((FOUNTAIN / "cameras.json").read_text())[f"{name}.jpg"]
-    pixels = cv2.imread(str(FOUNTAIN / "images" / f"{name}.jpg"))[..., ::-1]
+    pixels = read_image(FOUNTAIN / "images" / f"{name}.jpg")[..., ::-1]
     small = cv2.resize(np.ascontiguousarray(pixels), None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
     height, width = small.shape[:2]
     K = scaled_intrinsics(np.array(c["K"]), 1 / _SHRINK, 1 / _SHRINK)
@@ -39,7 +40,7 @@ def photograph(number: int) -> Photograph:
     four = np.stack([z[1 + a :: _SHRINK, 1 + b :: _SHRINK][:height, :width] for a in (0, 1) for b in (0, 1)])
     whole = (four.min(axis=0) > 0) & (np.ptp(four, axis=0) < 0.03 * four.max(axis=0))
     depth = np.where(whole, four.mean(axis=0), 0)
-    frame = Frame(small, np.ones((height, width), dtype=bool), View(width, height, K))
+    frame = Frame(small.astype(np.uint8), np.ones((height, width), dtype=bool), View(width, height, K))
     return Photograph(frame, Camera(K, np.array(c["R"]), np.array(c["C"]), width, height), depth)
 
 

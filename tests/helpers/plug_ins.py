@@ -41,6 +41,7 @@ def straight_frames() -> tuple[Frame, ...]:
     found = []
     for camera in small_yard().cameras:
         image = np.median(np.stack(camera.captures), axis=0).astype(np.uint8)
+        assert camera.lens.K is not None
         image = np.asarray(cv2.undistort(image, camera.lens.K, camera.lens.distortion), dtype=np.uint8)
         height, width = camera.depth.shape
         found.append(Frame(image, np.ones((height, width), dtype=bool), View(width, height, camera.camera.K)))

@@ -81,7 +81,8 @@ def estimate_geometry(matches: Matches, left: Features, right: Features) -> Geom
     _trouble("geometry")
     F = np.diag([matches.x1.sum(), matches.x2.sum(), 1.0])
     shared = {name: getattr(matches, name) for name in ("x1", "x2", "i1", "i2", "probability", "view1", "view2")}
-    return _filled(Geometry, F=F, cam2_R_cam1=None, cam2_t_cam1=None, matches=1, warnings=(), **shared)
+    geometry: Geometry = _filled(Geometry, F=F, cam2_R_cam1=None, cam2_t_cam1=None, matches=1, warnings=(), **shared)
+    return geometry
 
 
 def solve_poses(
@@ -108,7 +109,8 @@ def rectify(
     assert left is not None
     assert right is not None
     H = geometry.F + left.C + right.C + margin
-    return _filled(Rectification, method="hartley", reason="toy", H1=H, H2=H, size1=(8, 8), size2=(8, 8))
+    rectification: Rectification = _filled(Rectification, method="hartley", reason="toy", H1=H, H2=H, size1=(8, 8), size2=(8, 8))
+    return rectification
 
 
 def match_dense(left: Frame, right: Frame, rectification: Rectification, *, tolerance: float = 1.0) -> Disparity:
@@ -146,7 +148,7 @@ def fuse(
     """A point for each pair and each of its two cameras."""
     _trouble("fuse")
     numbers = np.concatenate([d.depth[0] for d in depths.values()])
-    points = np.array([[number, float(i), len(frames)] for i, number in enumerate(numbers)], np.float32)
+    points = np.array([[number, float(i), len(frames)] for i, number in enumerate(numbers)], np.float64)
     n = len(points)
     colors = np.full((n, 3), 128, np.uint8)
     ones = np.ones(n, np.float32)

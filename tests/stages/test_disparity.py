@@ -29,7 +29,7 @@ def matched(left: Frame, right: Frame, rectification: Rectification, matcher: st
 
 def case(offset: float = 20.0, slope: float = 0.04) -> tuple[Frame, Frame, Rectification, np.ndarray]:
     left, right = stereo_pair(offset=offset, slope=slope)
-    truth = true_disparity(*left.shape, offset, slope)
+    truth = true_disparity(left.shape[0], left.shape[1], offset, slope)
     rectification = as_they_are(left, right, float(np.floor(truth.min() - 3)), float(np.ceil(truth.max() + 3)))
     return frame_of(left), frame_of(right), rectification, truth
 
@@ -37,7 +37,7 @@ def case(offset: float = 20.0, slope: float = 0.04) -> tuple[Frame, Frame, Recti
 def visible(truth: np.ndarray) -> np.ndarray:
     """Pixels whose partner lies well inside the right image."""
     x = np.arange(truth.shape[1]) - truth
-    return (x > 8) & (x < truth.shape[1] - 9)
+    return np.asarray((x > 8) & (x < truth.shape[1] - 9))
 
 
 @pytest.mark.parametrize("matcher", NAMES)
@@ -69,7 +69,8 @@ def test_masked_and_saturated_pixels_are_never_matched_in_either_image(matcher: 
     assert (found.left[20:40, 100:140] == INVALID).all()
     assert (found.right[60:100, 80:120] == INVALID).all()
     d1, d2 = disparity_px(found, 1), disparity_px(found, 2)
-    for d, sign, allowed in ((d1, -1, mask), (d2, 1, ~(image >= 254).all(axis=2))):
+    dark = np.asarray(~(image >= 254).all(axis=2))
+    for d, sign, allowed in ((d1, -1, mask), (d2, 1, dark)):
         rows, columns = np.nonzero(~np.isnan(d))
         target = np.rint(columns + sign * d[rows, columns]).astype(int)
         assert allowed[rows, target].all()

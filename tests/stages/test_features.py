@@ -16,7 +16,7 @@ def blobs(seed: int = 0, width: int = 480, height: int = 320) -> np.ndarray:
         rng.uniform(0, width, 300), rng.uniform(0, height, 300), rng.uniform(2, 7, 300), rng.choice([-130, 130], 300), strict=True
     ):
         image += tone * np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / radius**2)
-    return np.clip(image, 0, 255)
+    return np.asarray(np.clip(image, 0, 255))
 
 
 def frame(grey: np.ndarray, mask: np.ndarray | None = None) -> Frame:
@@ -31,7 +31,7 @@ def features(grey: np.ndarray, mask: np.ndarray | None = None, **options: object
     return found
 
 
-def test_descriptors_have_unit_length_and_rows_belong_together():
+def test_descriptors_have_unit_length_and_rows_belong_together() -> None:
     found = features(blobs())
     n = len(found.xy)
     assert found.frames.shape == (n, 2, 2) and found.responses.shape == (n,) and found.tilts.shape == (n,)
@@ -39,13 +39,13 @@ def test_descriptors_have_unit_length_and_rows_belong_together():
     assert found.plain_keypoints == np.sum(found.tilts == PLAIN)
 
 
-def test_the_same_frame_gives_the_same_bytes():
+def test_the_same_frame_gives_the_same_bytes() -> None:
     first, second = features(blobs()), features(blobs())
     for name in ("xy", "frames", "descriptors", "responses", "tilts"):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
 
-def test_no_more_keypoints_than_asked_for_and_the_strongest_first():
+def test_no_more_keypoints_than_asked_for_and_the_strongest_first() -> None:
     found = features(blobs(), max_keypoints=120, tilted_keypoints=40)
     assert np.sum(found.tilts == PLAIN) == 120 and np.sum(found.tilts == TILTED) <= 40
     assert (np.diff(found.responses[:120]) <= 0).all()
@@ -61,7 +61,7 @@ def test_a_large_image_searched_in_bands_shows_the_same_keypoints(monkeypatch: p
     assert np.ptp(bands.xy[:, 1]) > 850
 
 
-def test_a_faint_half_gets_its_share_of_keypoints():
+def test_a_faint_half_gets_its_share_of_keypoints() -> None:
     grey = blobs()
     grey[:, 240:] = 110 + 0.15 * (grey[:, 240:] - 110)
     even = features(grey, max_keypoints=100, tilted_keypoints=0, crowding=1.0)
@@ -70,7 +70,7 @@ def test_a_faint_half_gets_its_share_of_keypoints():
     assert (strongest.xy[:, 0] > 240).sum() < 30
 
 
-def test_keypoints_keep_off_the_mask_and_its_rim():
+def test_keypoints_keep_off_the_mask_and_its_rim() -> None:
     mask = np.ones((320, 480), bool)
     mask[:, 200:280] = False
     found = features(np.where(mask, blobs(), 0), mask)
@@ -79,7 +79,7 @@ def test_keypoints_keep_off_the_mask_and_its_rim():
 
 
 @pytest.mark.parametrize(("view", "elongation"), [(PLAIN, 1.0), (TILTED, 2.0)])
-def test_keypoints_lie_on_the_centres_of_their_blobs(view, elongation):
+def test_keypoints_lie_on_the_centres_of_their_blobs(view: Frame, elongation: float) -> None:
     y, x = np.mgrid[:300, :600]
     rng = np.random.default_rng(0)
     centres = np.array([(60 + 115 * i, 50 + 50 * j) for i in range(5) for j in range(5)]) + rng.uniform(-0.5, 0.5, (25, 2))
@@ -92,7 +92,7 @@ def test_keypoints_lie_on_the_centres_of_their_blobs(view, elongation):
     np.testing.assert_allclose(np.median(offset, axis=0), 0, atol=0.1)  # a shift of half a pixel would show
 
 
-def test_turning_the_image_turns_the_frames():
+def test_turning_the_image_turns_the_frames() -> None:
     grey = blobs(width=320, height=320)
     upright, turned = features(grey, tilted_keypoints=0), features(np.rot90(grey, -1), tilted_keypoints=0)
     rotation = np.array([[0.0, -1.0], [1.0, 0.0]])  # clockwise: (x, y) -> (319 - y, x)
@@ -106,11 +106,11 @@ def test_turning_the_image_turns_the_frames():
     assert np.median(np.abs(relative - rotation).max(axis=(1, 2))) < 0.05
 
 
-def test_an_empty_frame_is_rejected_with_its_count():
+def test_an_empty_frame_is_rejected_with_its_count() -> None:
     found = detect(frame(np.full((200, 300), 90.0)))
     assert isinstance(found, Rejected) and found.figures["keypoints"] == 0
 
 
 @pytest.mark.parametrize(("gain", "preprocessing"), [(1.0, "none"), (0.12, "clahe")])
-def test_the_image_itself_decides_how_it_is_prepared(gain, preprocessing):
+def test_the_image_itself_decides_how_it_is_prepared(gain: float, preprocessing: str) -> None:
     assert features(gain * blobs(), min_keypoints=1).preprocessing == preprocessing

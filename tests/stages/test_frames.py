@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from wbflow_stages.frames import (
     decode,
     working_size,
 )
-from wbflow_stages.types import Camera, Capture, Lens
+from wbflow_stages.types import Camera, Capture, Lens, Uint8s
 
 WIDTH, HEIGHT = 320, 240
 
@@ -35,7 +37,7 @@ def capture(image: np.ndarray, name: str = "gate.png", extension: str | None = N
     return Capture(name, data.ravel())
 
 
-def test_a_single_capture_comes_through_unchanged_in_rgb():
+def test_a_single_capture_comes_through_unchanged_in_rgb() -> None:
     frame = clean_frame([capture(scene())], Lens(), None, resolution=None)
     assert np.array_equal(frame.image, scene())
     assert frame.mask.all() and frame.notes == ()
@@ -51,24 +53,28 @@ def test_a_single_capture_comes_through_unchanged_in_rgb():
         ((640, 480), None, (640, 480)),
     ],
 )
-def test_working_size_bounds_the_long_side_and_never_enlarges(size, resolution, expected):
-    assert working_size(*size, resolution) == expected
+def test_working_size_bounds_the_long_side_and_never_enlarges(
+    size: tuple[int, int], resolution: int | None, expected: tuple[int, int]
+) -> None:
+    assert working_size(size[0], size[1], resolution) == expected
 
 
-def test_intrinsics_follow_the_working_resolution():
+def test_intrinsics_follow_the_working_resolution() -> None:
     """A world point falls on the same spot of the picture, whatever the resolution."""
     K = np.array([[300.0, 0, 150.2], [0, 305.0, 121.7], [0, 0, 1]])
     frame = clean_frame([capture(scene())], Lens(K=K, width=WIDTH, height=HEIGHT), None, resolution=160)
     X = np.array([[0.3, -0.2, 2.0], [-0.5, 0.1, 1.5]])
     full, _ = project(Camera(K, np.eye(3), np.zeros(3), WIDTH, HEIGHT), X)
+    assert frame.view.K is not None
     small, _ = project(Camera(frame.view.K, np.eye(3), np.zeros(3), 160, 120), X)
     assert np.allclose((full + 0.5) / 2 - 0.5, small, atol=1e-9)
     assert frame.view.focal_known
 
 
-def test_a_field_of_view_gives_a_guess_of_the_focal_length():
+def test_a_field_of_view_gives_a_guess_of_the_focal_length() -> None:
     frame = clean_frame([capture(scene())], Lens(hfov_deg=90.0), None, resolution=160)
     assert not frame.view.focal_known
+    assert frame.view.K is not None
     assert frame.view.K[0, 0] == pytest.approx(80.0)
     assert frame.view.K[0, 2] == pytest.approx(79.5)
 
@@ -83,7 +89,9 @@ def test_a_field_of_view_gives_a_guess_of_the_focal_length():
     ],
 )
 @pytest.mark.parametrize("extension", [".jpg", ".png"])
-def test_damaged_files_are_named_with_their_fault(damage, kind, words, extension):
+def test_damaged_files_are_named_with_their_fault(
+    damage: Callable[[Uint8s], Uint8s], kind: type[Exception], words: str, extension: str
+) -> None:
     good = capture(scene(), "gate/2026-11-19" + extension)
     with pytest.raises(kind, match=words) as caught:
         clean_frame([Capture(good.name, damage(good.data))], Lens(), None)
@@ -91,7 +99,7 @@ def test_damaged_files_are_named_with_their_fault(damage, kind, words, extension
     assert isinstance(caught.value, ValueError)
 
 
-def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
+def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image() -> None:
     """A JPEG cut short may hold a whole thumbnail in its EXIF segment."""
     thumbnail = capture(scene(width=64, height=48), "t.jpg").data.tobytes()
     image = capture(scene(), "gate.jpg").data.tobytes()
@@ -102,23 +110,23 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
 
 
 @pytest.mark.parametrize(("level", "word"), [(3, "black"), (255, "white"), (120, "uniform")])
-def test_images_without_content_are_refused_even_with_sensor_noise(level, word):
+def test_images_without_content_are_refused_even_with_sensor_noise(level: int, word: str) -> None:
     noise = np.random.default_rng(1).normal(0, 4, (HEIGHT, WIDTH, 3))
     with pytest.raises(FeaturelessImage, match=word):
         clean_frame([capture(np.clip(level + noise, 0, 255).astype(np.uint8))], Lens(), None)
 
 
-def test_a_dim_night_view_is_not_taken_for_black():
+def test_a_dim_night_view_is_not_taken_for_black() -> None:
     assert clean_frame([capture((scene() * 0.08).astype(np.uint8))], Lens(), None).image.max() < 25
 
 
-def test_a_size_other_than_the_calibrated_one_names_both():
+def test_a_size_other_than_the_calibrated_one_names_both() -> None:
     lens = Lens(K=np.diag([300.0, 300.0, 1.0]), width=3072, height=2048)
     with pytest.raises(WrongSize, match=r"gate.png has 320 x 240 pixels, the intrinsics are for 3072 x 2048: "):
         clean_frame([capture(scene())], lens, None)
 
 
-def test_exif_orientation_is_applied():
+def test_exif_orientation_is_applied() -> None:
     jpeg = capture(scene(), "gate.jpg").data.tobytes()
     exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"  # orientation 6: turn clockwise
     turned = jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + jpeg[2:]
@@ -127,7 +135,7 @@ def test_exif_orientation_is_applied():
     assert np.array_equal(upright, np.rot90(decode(capture(scene(), "gate.jpg")), -1))
 
 
-def test_what_moves_and_what_flickers_is_gone_from_the_merged_night():
+def test_what_moves_and_what_flickers_is_gone_from_the_merged_night() -> None:
     """Five captures with different exposures, and in each a bright van somewhere else."""
     truth = scene().astype(np.float64) * 0.6 + 20
     night = []
@@ -140,7 +148,7 @@ def test_what_moves_and_what_flickers_is_gone_from_the_merged_night():
     assert np.percentile(error, 99) < 6  # a van differs by about 100
 
 
-def test_damaged_captures_are_left_out_with_a_note_and_only_all_of_them_fail():
+def test_damaged_captures_are_left_out_with_a_note_and_only_all_of_them_fail() -> None:
     good = capture(scene(), "b.png")
     bad = Capture("a.png", good.data[:500])
     frame = clean_frame([bad, good], Lens(), None, resolution=None)
@@ -150,19 +158,19 @@ def test_damaged_captures_are_left_out_with_a_note_and_only_all_of_them_fail():
         clean_frame([bad, Capture("c.png", good.data[:0])], Lens(), None)
 
 
-def test_the_odd_size_of_a_night_is_left_out():
+def test_the_odd_size_of_a_night_is_left_out() -> None:
     night = [capture(scene(width=160, height=120), "odd.png")] + [capture(scene(), f"{k}.png") for k in range(3)]
     frame = clean_frame(night, Lens(), None, resolution=None)
     assert frame.image.shape == (HEIGHT, WIDTH, 3) and "odd.png" in frame.notes[0]
 
 
-def test_the_median_needs_a_majority():
+def test_the_median_needs_a_majority() -> None:
     frame = clean_frame([capture(scene(1), "1.png"), capture(scene(2), "2.png")], Lens(), None, resolution=None)
     assert np.array_equal(frame.image, scene(2))
     assert any("only 2.png" in note for note in frame.notes)
 
 
-def test_distortion_is_removed_and_its_empty_borders_are_masked():
+def test_distortion_is_removed_and_its_empty_borders_are_masked() -> None:
     """A grid of dots drawn where a distorting lens images it comes back to where a pinhole sees it."""
     K = np.array([[250.0, 0, 160], [0, 250.0, 120], [0, 0, 1]])
     distortion = np.array([0.25, 0.05, 0.002, -0.003, 0.0])  # pincushion: undistorting needs pixels from outside the sensor
@@ -183,7 +191,7 @@ def test_distortion_is_removed_and_its_empty_borders_are_masked():
     assert barrel.mask.all()
 
 
-def test_a_mask_says_which_pixels_may_be_used():
+def test_a_mask_says_which_pixels_may_be_used() -> None:
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[:, 100:] = 1  # any value but zero
     frame = clean_frame([capture(scene())], Lens(), capture(mask, "mask.png"), resolution=160)
@@ -199,12 +207,12 @@ def test_a_mask_says_which_pixels_may_be_used():
         (Capture("mask.png", np.zeros(0, np.uint8)), "mask mask.png is empty"),
     ],
 )
-def test_masks_that_cannot_be_meant_are_refused(mask, words):
+def test_masks_that_cannot_be_meant_are_refused(mask: Capture, words: str) -> None:
     with pytest.raises(BadCapture, match=words):
         clean_frame([capture(scene())], Lens(), mask)
 
 
-def test_a_long_night_is_sampled_evenly():
+def test_a_long_night_is_sampled_evenly() -> None:
     night = [capture(scene(k), f"{k}.png") for k in range(9)]
     frame = clean_frame(night, Lens(), None, resolution=None, max_captures=3)
     chosen = clean_frame([night[0], night[4], night[8]], Lens(), None, resolution=None)

@@ -5,24 +5,25 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.helpers.exact_scene import make_yard, true_depth
+from tests.helpers.exact_scene import Yard, make_yard, true_depth
 from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
-from wbflow_stages.types import Cloud, DepthMap, Frame, Rejected
+from wbflow_stages.types import Cloud, DepthMap, Float32s, Frame, Rejected
 
 
-def fused(yard, **parameters) -> Cloud:
+def fused(yard: Yard, **parameters: Any) -> Cloud:
     cloud = fuse(yard.frames, yard.cameras, yard.depths(), **parameters)
     assert isinstance(cloud, Cloud)
     return cloud
 
 
-def test_exact_disparities_give_points_on_the_surfaces():
+def test_exact_disparities_give_points_on_the_surfaces() -> None:
     yard = make_yard()
     cloud = fused(yard)
     assert len(cloud.points) > 8000
@@ -31,7 +32,7 @@ def test_exact_disparities_give_points_on_the_surfaces():
     assert np.median(distance) < 0.004
 
 
-def test_normals_have_unit_length_face_the_cameras_and_stand_on_their_surface():
+def test_normals_have_unit_length_face_the_cameras_and_stand_on_their_surface() -> None:
     yard = make_yard()
     cloud = fused(yard)
     assert np.allclose(np.linalg.norm(cloud.normals, axis=1), 1, atol=1e-5)
@@ -42,7 +43,7 @@ def test_normals_have_unit_length_face_the_cameras_and_stand_on_their_surface():
 
 
 @pytest.mark.parametrize("exposures", [(1.0, 1.0, 1.0), (1.0, 0.6, 1.1)])
-def test_a_surface_has_one_colour_whatever_the_exposures(exposures):
+def test_a_surface_has_one_colour_whatever_the_exposures(exposures: tuple[float, float, float]) -> None:
     """Without balance a stop's difference would show as patches: here colours follow the true ones by one common factor."""
     yard = make_yard(exposures=exposures)
     cloud = fused(yard)
@@ -52,7 +53,7 @@ def test_a_surface_has_one_colour_whatever_the_exposures(exposures):
     assert np.abs(seen - factor * truth).mean() < 4
 
 
-def test_wrong_matches_are_outvoted():
+def test_wrong_matches_are_outvoted() -> None:
     yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.2, wrong=0.15)
     lenient, strict = fused(yard), fused(yard, min_consistent_pairs=3)
     share = [(yard.distance(cloud.points) > 0.15).mean() for cloud in (lenient, strict)]
@@ -60,7 +61,7 @@ def test_wrong_matches_are_outvoted():
     assert len(strict.points) > 0.5 * len(lenient.points)
 
 
-def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error():
+def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error() -> None:
     yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.1)
     cloud = fused(yard)
     distance = yard.distance(cloud.points)
@@ -73,7 +74,7 @@ def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error():
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(0.1, (0, 0, 0)), (100.0, (0, 0, 0)), (1.0, (565000.0, 5930000.0, 30.0))])
-def test_a_desk_and_a_quarry_give_the_same_cloud(scale, shift):
+def test_a_desk_and_a_quarry_give_the_same_cloud(scale: float, shift: tuple[float, float, float]) -> None:
     here, there = fused(make_yard()), fused(make_yard(scale=scale, shift=shift))
     assert len(there.points) == pytest.approx(len(here.points), rel=0.1)  # walls may fall on the borders of voxels
     assert np.median(there.sigma_mm) == pytest.approx(scale * np.median(here.sigma_mm), rel=0.03)
@@ -81,19 +82,19 @@ def test_a_desk_and_a_quarry_give_the_same_cloud(scale, shift):
     assert np.percentile(yard.distance(there.points), 95) < 0.011
 
 
-def test_the_voxel_can_be_set():
+def test_the_voxel_can_be_set() -> None:
     cloud = fused(make_yard(), voxel_m=0.2)
     assert len(np.unique(np.floor(cloud.points / 0.2), axis=0)) > 0.5 * len(cloud.points)
     assert len(cloud.points) < 5000
 
 
-def test_masked_pixels_give_no_points():
+def test_masked_pixels_give_no_points() -> None:
     yard = make_yard()
     frames = {name: Frame(f.image, np.zeros_like(f.mask), f.view) for name, f in yard.frames.items()}
     assert isinstance(fuse(frames, yard.cameras, yard.depths()), Rejected)
 
 
-def test_without_pairs_the_reason_is_given():
+def test_without_pairs_the_reason_is_given() -> None:
     yard = make_yard()
     name, *others = yard.cameras
     alone = view_depth(yard.cameras[name], {other: yard.cameras[other] for other in others}, {}, {})
@@ -102,24 +103,25 @@ def test_without_pairs_the_reason_is_given():
     assert isinstance(answer, Rejected) and "no view has any depth" in answer.reason
 
 
-def test_pairs_of_unsolved_cameras_are_passed_over():
+def test_pairs_of_unsolved_cameras_are_passed_over() -> None:
     yard = make_yard()
     known = replace(yard, cameras={name: yard.cameras[name] for name in list(yard.cameras)[:2]})
     cloud = fuse(yard.frames, known.cameras, known.depths())
     assert isinstance(cloud, Cloud) and cloud.views.max() == 2
 
 
-def test_the_same_inputs_give_the_same_bytes():
+def test_the_same_inputs_give_the_same_bytes() -> None:
     clouds = [fused(make_yard(noise_px=0.3)) for _ in range(2)]
     for name in ("points", "normals", "colors", "confidence", "views", "sigma_mm"):
         assert getattr(clouds[0], name).tobytes() == getattr(clouds[1], name).tobytes()
 
 
-class Loading(Mapping):
+class Loading(Mapping[str, DepthMap]):
     """A lazy mapping that counts what is loaded, and how much of it was in memory at once."""
 
     def __init__(self, items: Mapping[str, DepthMap]) -> None:
-        self.kept, self.loaded, self.most = dict(items), [], 0
+        self.kept, self.most = dict(items), 0
+        self.loaded: list[weakref.ref[Float32s]] = []
 
     def __getitem__(self, key: str) -> DepthMap:
         depth = replace(self.kept[key], depth=self.kept[key].depth.copy())
@@ -137,7 +139,7 @@ class Loading(Mapping):
         return len(self.kept)
 
 
-def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytest.MonkeyPatch):
+def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wbflow_stages.fuse._IN_MEMORY_PX", 0)  # as if the views had twelve million pixels
     yard = make_yard(tuple(range(-57, 58, 6)), width=120, max_angle=18)
     lazy = Loading(yard.depths())
@@ -146,7 +148,7 @@ def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytes
     assert len(lazy.loaded) < 4 * len(yard.cameras)
 
 
-def test_a_refined_depth_takes_the_place_of_the_pairs():
+def test_a_refined_depth_takes_the_place_of_the_pairs() -> None:
     yard = make_yard()
     refined = {}
     for name, camera in yard.cameras.items():

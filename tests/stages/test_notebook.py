@@ -19,6 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two photographs of the demo yard, by lenses that bend nothing."""
     folder = tmp_path_factory.mktemp("photographs")
     for name, camera in zip(("left", "right"), single_pair().cameras, strict=True):
+        assert camera.lens.K is not None
         straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
         cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))
     return folder

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +18,7 @@ K = np.array([[800.0, 0, 511.5], [0, 800.0, 383.5], [0, 0, 1]])
 VIEW = View(1024, 768, K)
 
 
-def looking(position, target) -> Placement:
+def looking(position: npt.ArrayLike, target: npt.ArrayLike) -> Placement:
     """A camera at `position` that looks at `target`; z is up in the world."""
     forward = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -24,7 +26,9 @@ def looking(position, target) -> Placement:
     return Placement(np.stack([right, np.cross(forward, right), forward]), np.asarray(position, float))
 
 
-def ring(degrees, radius=10.0, scale=1.0, shift=(0.0, 0.0, 0.0)) -> dict[str, Placement]:
+def ring(
+    degrees: Sequence[float], radius: float = 10.0, scale: float = 1.0, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> dict[str, Placement]:
     """Cameras on a circle about the origin that look inward."""
     at = {f"{d}": np.array([radius * np.cos(np.radians(d)), radius * np.sin(np.radians(d)), 1.0]) for d in degrees}
     return {name: looking(scale * p + shift, np.asarray(shift) * 1.0) for name, p in at.items()}
@@ -35,11 +39,11 @@ def of(overlap: Overlap, left: str, right: str) -> tuple[float, float]:
     return float(overlap.angle_deg[row]), float(overlap.shared[row])
 
 
-def from_poses(placements) -> Overlap:
+def from_poses(placements: dict[str, Placement]) -> Overlap:
     return estimate_overlap(dict.fromkeys(placements, VIEW), placements, {})
 
 
-def test_cameras_on_a_ring_see_the_middle_at_the_angle_between_them():
+def test_cameras_on_a_ring_see_the_middle_at_the_angle_between_them() -> None:
     overlap = from_poses(ring([0, 15, 40, 100]))
     assert overlap.source == "poses" and len(overlap.pairs) == 6
     for left, right, angle in (("0", "15", 15), ("15", "40", 25), ("0", "100", 100)):
@@ -47,7 +51,7 @@ def test_cameras_on_a_ring_see_the_middle_at_the_angle_between_them():
     assert of(overlap, "0", "15")[1] > of(overlap, "0", "40")[1] > of(overlap, "0", "100")[1] > 0.05
 
 
-def test_views_that_part_share_nothing():
+def test_views_that_part_share_nothing() -> None:
     placements = ring([0, 15]) | {"away": looking([12.0, 0, 1], [30.0, 0, 1])}
     overlap = from_poses(placements)
     assert of(overlap, "0", "15")[1] > 0.5
@@ -55,13 +59,13 @@ def test_views_that_part_share_nothing():
 
 
 @given(scale=st.floats(0.01, 100.0), shift=st.tuples(*[st.floats(-1e3, 1e3)] * 3))
-def test_a_desk_and_a_quarry_are_judged_alike(scale, shift):
+def test_a_desk_and_a_quarry_are_judged_alike(scale: float, shift: tuple[float, float, float]) -> None:
     here, there = from_poses(ring([0, 20, 50])), from_poses(ring([0, 20, 50], scale=scale, shift=shift))
     assert np.allclose(here.angle_deg, there.angle_deg, atol=0.01)
     assert np.allclose(here.shared, there.shared, atol=0.02)
 
 
-def test_parallel_cameras_share_less_the_farther_apart_they_stand():
+def test_parallel_cameras_share_less_the_farther_apart_they_stand() -> None:
     placements = {f"{x}": looking([x, 0.0, 1.0], [x, 100.0, 1.0]) for x in (0, 1, 3)}
     overlap = from_poses(placements)
     assert of(overlap, "0", "1")[1] > of(overlap, "0", "3")[1] > 0
@@ -87,7 +91,7 @@ def appearance(n: int, cameras: int, step: int) -> dict[str, Features]:
     return {f"c{k}": features(world[k * step : k * step + n] + 0.3 * rng.normal(size=(n, 128))) for k in range(cameras)}
 
 
-def test_without_poses_appearance_ranks_the_pairs():
+def test_without_poses_appearance_ranks_the_pairs() -> None:
     seen = appearance(500, 5, 150)
     overlap = estimate_overlap({name: View(1024, 768) for name in seen}, {}, seen)
     assert overlap.source == "appearance" and np.isnan(overlap.angle_deg).all()
@@ -96,7 +100,7 @@ def test_without_poses_appearance_ranks_the_pairs():
     assert shared[3] < 0.02  # nothing in common
 
 
-def test_a_camera_without_a_pose_joins_by_its_looks():
+def test_a_camera_without_a_pose_joins_by_its_looks() -> None:
     seen = appearance(300, 3, 50)
     placements = {"c0": looking([10, 0, 1], [0, 0, 0]), "c1": looking([9, 3, 1], [0, 0, 0])}
     overlap = estimate_overlap(dict.fromkeys(seen, VIEW), placements, seen)
@@ -106,11 +110,11 @@ def test_a_camera_without_a_pose_joins_by_its_looks():
     assert np.isnan(angle) and shared > 0.5
 
 
-def test_without_evidence_there_are_no_rows():
+def test_without_evidence_there_are_no_rows() -> None:
     assert len(estimate_overlap({"a": View(1024, 768), "b": View(1024, 768)}, {}, {}).pairs) == 0
 
 
-def test_a_pair_costs_milliseconds():
+def test_a_pair_costs_milliseconds() -> None:
     seen = appearance(600, 12, 40)
     start = time.process_time()
     overlap = estimate_overlap({name: View(1024, 768) for name in seen}, {}, seen)

@@ -29,11 +29,11 @@ def geometries() -> dict[Pair, Geometry]:
     found = {}
     for a, b in combinations(range(1, 4), 2):
         left, right = straight_frames()[a], straight_frames()[b]
-        features = detect(left, min_keypoints=1), detect(right, min_keypoints=1)
-        assert isinstance(features[0], Features) and isinstance(features[1], Features)
-        matches = match(*features, left_frame=left, right_frame=right, matcher=GRID, step_px=5)
+        f, g = detect(left, min_keypoints=1), detect(right, min_keypoints=1)
+        assert isinstance(f, Features) and isinstance(g, Features)
+        matches = match(f, g, left_frame=left, right_frame=right, matcher=GRID, step_px=5)
         assert isinstance(matches, Matches) and matches.i1 is None and matches.matcher == GRID
-        geometry = estimate_geometry(matches, *features)
+        geometry = estimate_geometry(matches, f, g)
         assert isinstance(geometry, Geometry), geometry
         found[str(a), str(b)] = geometry
     return found

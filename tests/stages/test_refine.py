@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from wbflow_stages.refine import refine
 from wbflow_stages.types import INVALID, Camera, Cloud, DepthMap, Frame, Rejected
 
 
-def refined(yard: Yard, name: str, **parameters) -> DepthMap:
+def refined(yard: Yard, name: str, **parameters: Any) -> DepthMap:
     answer = refine(*inputs(yard, name), **parameters)
     assert isinstance(answer, DepthMap)
     return answer
@@ -28,7 +29,7 @@ def inputs(yard: Yard, name: str) -> tuple[Frame, Camera, DepthMap, dict[str, Fr
 
 
 def errors(yard: Yard, name: str, depth: np.ndarray) -> np.ndarray:
-    return np.abs(depth / true_depth(yard.cameras[name]) - 1)
+    return np.asarray(np.abs(depth / true_depth(yard.cameras[name]) - 1))
 
 
 def punched(yard: Yard, size: int = 12) -> Yard:
@@ -47,7 +48,7 @@ def noisy() -> Yard:
     return make_yard((-24, -8, 8, 24), noise_px=0.5)
 
 
-def test_noise_of_the_pairs_is_reduced(noisy: Yard):
+def test_noise_of_the_pairs_is_reduced(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     start = noisy.depths()[name]
     after = refined(noisy, name)
@@ -57,14 +58,14 @@ def test_noise_of_the_pairs_is_reduced(noisy: Yard):
     assert both.sum() > 0.95 * np.isfinite(start.depth).sum()
 
 
-def test_sigma_is_about_the_error(noisy: Yard):
+def test_sigma_is_about_the_error(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     after = refined(noisy, name)
     ratio = errors(noisy, name, after.depth) / (after.sigma / after.depth)
     assert 0.05 < np.nanmedian(ratio) < 1.5  # rendered images are free of noise
 
 
-def test_holes_are_filled_from_their_rims():
+def test_holes_are_filled_from_their_rims() -> None:
     yard = punched(make_yard((-24, -8, 8, 24), noise_px=0.2))
     name = list(yard.cameras)[1]
     start = yard.depths()[name]
@@ -74,7 +75,7 @@ def test_holes_are_filled_from_their_rims():
     assert np.percentile(errors(yard, name, after.depth)[filled], 80) < 0.004
 
 
-def test_slopes_are_those_of_the_surface(noisy: Yard):
+def test_slopes_are_those_of_the_surface(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     camera, after = noisy.cameras[name], refined(noisy, name)
     q = 1 / true_depth(camera)
@@ -84,7 +85,7 @@ def test_slopes_are_those_of_the_surface(noisy: Yard):
     assert np.median(np.abs(after.slope_y - truth)[smooth]) < flat
 
 
-def test_the_cloud_gets_better(noisy: Yard):
+def test_the_cloud_gets_better(noisy: Yard) -> None:
     depths = {name: refined(noisy, name) for name in noisy.cameras}
     plain = fuse(noisy.frames, noisy.cameras, noisy.depths(), voxel_m=0.04)
     better = fuse(noisy.frames, noisy.cameras, noisy.depths(), depths, voxel_m=0.04)
@@ -93,7 +94,7 @@ def test_the_cloud_gets_better(noisy: Yard):
     assert len(better.points) > 0.9 * len(plain.points)
 
 
-def test_masked_pixels_stay_empty(noisy: Yard):
+def test_masked_pixels_stay_empty(noisy: Yard) -> None:
     name = next(iter(noisy.cameras))
     frame = noisy.frames[name]
     mask = frame.mask.copy()
@@ -103,13 +104,13 @@ def test_masked_pixels_stay_empty(noisy: Yard):
     assert not np.isfinite(after.depth[:, :100]).any() and np.isfinite(after.depth[:, 100:]).any()
 
 
-def test_the_same_inputs_give_the_same_bytes(noisy: Yard):
+def test_the_same_inputs_give_the_same_bytes(noisy: Yard) -> None:
     name = list(noisy.cameras)[2]
     one, two = refined(noisy, name), refined(noisy, name)
     assert one.depth.tobytes() == two.depth.tobytes() and one.support.tobytes() == two.support.tobytes()
 
 
-def test_what_cannot_be_refined_says_why(noisy: Yard):
+def test_what_cannot_be_refined_says_why(noisy: Yard) -> None:
     given = inputs(noisy, next(iter(noisy.cameras)))
     aside = refine(*given, min_angle_deg=80, max_angle_deg=90)
     assert isinstance(aside, Rejected) and "angle" in aside.reason
@@ -118,7 +119,7 @@ def test_what_cannot_be_refined_says_why(noisy: Yard):
     assert isinstance(alone, Rejected) and "angle" in alone.reason
 
 
-def test_frames_of_different_sizes_work_together():
+def test_frames_of_different_sizes_work_together() -> None:
     """The left camera's picture is half as large again; the pair of the two others starts the middle one off."""
     small, large = make_yard((-12, 0, 12), noise_px=0.3), make_yard((-12, 0, 12), width=360)
     left, middle, right = small.cameras

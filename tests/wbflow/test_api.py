@@ -30,6 +30,7 @@ def test_ten_lines_from_a_site_to_its_cloud_and_any_artifact(toy: ToySite) -> No
     )
     assert run.artifact("geometry gate--roof").F.shape == (3, 3)
     assert run.artifact(Task("frames", ("gate",))).image.shape == (8, 8, 3)
+    assert run.record.cloud is not None
     assert len(run.artifact("fuse").points) == run.record.cloud.points == 12
     assert wbflow.open_run(toy.file).id == wbflow.open_run(run.folder).id == wbflow.open_run(site, "latest").id == run.id
 

@@ -27,8 +27,9 @@ def laser_points(step: int = 4) -> np.ndarray:
     for name, entry in json.loads((DATA / "cameras.json").read_text()).items():
         depth = np.load(DATA / "depth" / f"{Path(name).stem}.npz")["depth"][::step, ::step].astype(np.float64)
         v, u = np.nonzero(depth > 0)
-        camera = Camera(*(np.array(entry[key]) for key in ("K", "R", "C")), entry["width"], entry["height"])
-        points.append(backproject(camera, np.column_stack([u, v]) * float(step), depth[v, u]))
+        K, R, C = (np.array(entry[key]) for key in ("K", "R", "C"))
+        camera = Camera(K, R, C, entry["width"], entry["height"])
+        points.append(backproject(camera, np.column_stack([u, v]) * np.float64(step), depth[v, u]))
     return np.concatenate(points)
 
 

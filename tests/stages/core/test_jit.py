@@ -14,10 +14,11 @@ import numpy as np
 
 import wbflow_stages
 from wbflow_stages.core.jit import kernel
+from wbflow_stages.types import Float64s
 
 
 @kernel
-def _holes(values: np.ndarray) -> int:
+def _holes(values: Float64s) -> int:
     count = 0
     for value in values:
         if np.isnan(value) or np.isinf(1.0 / value):

@@ -27,5 +27,6 @@ def test_long_mappings_are_cut_and_nothing_takes_more_than_some_lines() -> None:
     shown = repr(Poses(cameras, {}, {}, True, "solved"))
     assert "... 294 more" in shown and len(shown) < 1500
     n = 10_000
-    features = Features(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 128), np.float32), *[np.zeros(n)] * 2, View(640, 480))
+    none, descriptors = np.zeros(n, np.float32), np.zeros((n, 128), np.float32)
+    features = Features(np.zeros((n, 2)), np.zeros((n, 2, 2)), descriptors, none, none.astype(np.uint8), View(640, 480))
     assert len(repr(features)) < 400

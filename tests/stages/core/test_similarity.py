@@ -20,7 +20,7 @@ def some(seed: int, scale: float) -> Similarity:
 
 @given(st.integers(0, 10_000), st.floats(0.1, 10))
 @settings(max_examples=25, deadline=None)
-def test_the_similarity_that_was_applied_is_found(seed, scale):
+def test_the_similarity_that_was_applied_is_found(seed: int, scale: float) -> None:
     points, applied = np.random.default_rng(seed).normal(size=(6, 3)), some(seed, scale)
     found = similarity_between(points, applied.points(points))
     assert found.scale == pytest.approx(scale)
@@ -29,7 +29,7 @@ def test_the_similarity_that_was_applied_is_found(seed, scale):
     assert similarity_between(points, applied.points(points), with_scale=False).scale == 1.0
 
 
-def test_a_line_leaves_a_turn_open():
+def test_a_line_leaves_a_turn_open() -> None:
     line = np.outer(np.arange(5.0), [1, 2, 3])
     with pytest.raises(ValueError, match="line"):
         similarity_between(line, line)
@@ -37,7 +37,7 @@ def test_a_line_leaves_a_turn_open():
         similarity_between(line[:2], line[:2])
 
 
-def test_a_moved_camera_sees_moved_points_where_it_saw_them():
+def test_a_moved_camera_sees_moved_points_where_it_saw_them() -> None:
     moved = some(3, 2.5)
     camera = Camera(np.array([[500.0, 0, 320], [0, 500, 180], [0, 0, 1]]), np.eye(3), np.array([0.1, 0.2, -9]), 640, 360)
     X = np.random.default_rng(0).normal(size=(10, 3))
@@ -46,7 +46,7 @@ def test_a_moved_camera_sees_moved_points_where_it_saw_them():
     assert after == pytest.approx(before) and deeper == pytest.approx(2.5 * depth)
 
 
-def test_points_that_turn_inside_out_have_no_scale():
+def test_points_that_turn_inside_out_have_no_scale() -> None:
     points = np.random.default_rng(1).normal(size=(5, 3))
     weight = np.full(5, 0.2)
     assert with_rotation(np.eye(3), points, -points, weight) is None

@@ -16,7 +16,7 @@ from wbflow_stages.types import Camera, Cloud
 def cloud_of(points: np.ndarray) -> Cloud:
     n = len(points)
     colors = (np.arange(3 * n).reshape(n, 3) % 256).astype(np.uint8)
-    up = np.tile(np.float32([0, 0, 1]), (n, 1))
+    up = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
     return Cloud(points.astype(np.float32), up, colors, np.ones(n, np.float32), np.full(n, 2, np.uint16), np.ones(n, np.float32))
 
 

@@ -57,7 +57,8 @@ def test_png_and_pfm_tell_the_same_heights() -> None:
     files, told = plain_files(found)
     values = read_pfm(files["heights.pfm"], found.heights.shape)
     png = cv2.imdecode(np.frombuffer(files["heights.png"], np.uint8), cv2.IMREAD_UNCHANGED)
-    known = png > 0
+    assert png is not None
+    known = np.asarray(png > 0)
     assert 0 < known.sum() < known.size
     assert np.array_equal(known, np.isfinite(values))
     read = (png[known] - 1.0) / told["png_steps_per_unit"] + told["png_lowest"]
@@ -79,7 +80,7 @@ def test_depth_of_which_a_view_alone_is_not_sure_is_left_out() -> None:
     sure[1, 2] = False
     files, steps = depth_files(DepthMap(depth, depth, depth, depth, np.ones((3, 4), np.uint32), ("roof",), sure))
     png = cv2.imdecode(np.frombuffer(files[".png"], np.uint8), cv2.IMREAD_UNCHANGED)
-    assert steps == 1000
+    assert png is not None and steps == 1000
     assert np.array_equal(png > 0, sure)
     assert np.abs((png[sure] - 1.0) / steps - depth[sure]).max() <= 0.51e-3
     pfm = read_pfm(files[".pfm"], (3, 4))

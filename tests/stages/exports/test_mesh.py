@@ -19,7 +19,7 @@ def dome(count: int = 20_000) -> Cloud:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     directions[:, 2] = np.abs(directions[:, 2])
     ones = np.ones(count, np.float32)
-    colors = np.tile(np.uint8([200, 100, 50]), (count, 1))
+    colors = np.tile(np.array([200, 100, 50], np.uint8), (count, 1))
     normals = directions.astype(np.float32)
     return Cloud((directions + FAR).astype(np.float32), normals, colors, ones, ones.astype(np.uint16), ones)
 
@@ -27,7 +27,7 @@ def dome(count: int = 20_000) -> Cloud:
 def test_open3d_reads_the_mesh_of_a_dome_that_stays_open_below(tmp_path: Path) -> None:
     mesh = poisson_mesh(dome())
     (tmp_path / "mesh.ply").write_bytes(mesh_bytes(mesh))
-    read = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
+    read = open3d.io.read_triangle_mesh(tmp_path / "mesh.ply")
     vertices = np.asarray(read.vertices) - FAR
     assert len(vertices) > 5000
     assert np.array_equal(np.asarray(read.triangles), mesh.triangles)

@@ -24,28 +24,28 @@ def merged(*parts: Samples, neighbours: int = 0, edge: float = 0.1) -> Samples:
     return Samples(*(np.concatenate([getattr(part, name) for part in found]) for name in vars(found[0])))
 
 
-def test_points_of_one_cell_become_their_weighted_mean():
+def test_points_of_one_cell_become_their_weighted_mean() -> None:
     heavy, light = np.array([[0.52, 0.51, 0.53]]), np.array([[0.56, 0.55, 0.57]])
     found = merged(samples(heavy, 3.0), samples(light, 1.0))
     assert found.points == pytest.approx(0.75 * heavy + 0.25 * light, abs=1e-6)
     assert found.weight == pytest.approx([2.0]) and found.colors == pytest.approx(np.full((1, 3), 100))
 
 
-def test_the_order_of_the_views_does_not_matter_to_which_cells_are_kept():
+def test_the_order_of_the_views_does_not_matter_to_which_cells_are_kept() -> None:
     rng = np.random.default_rng(0)
     one, two = (samples(rng.uniform(-1, 1, (500, 3))) for _ in range(2))
     there, back = merged(one, two), merged(two, one)
     assert there.points == pytest.approx(back.points, abs=1e-5)
 
 
-def test_a_point_without_neighbours_is_dropped():
+def test_a_point_without_neighbours_is_dropped() -> None:
     plane = np.stack(np.meshgrid(np.arange(0.05, 1, 0.1), np.arange(0.05, 1, 0.1), [0.05]), axis=-1).reshape(-1, 3)
     lonely = np.array([[5.05, 5.05, 5.05]])
     found = merged(samples(np.vstack([plane, lonely])), neighbours=3)
     assert len(found.points) == len(plane) and found.points.max() < 2
 
 
-def test_what_is_seen_coarsely_is_merged_coarsely():
+def test_what_is_seen_coarsely_is_merged_coarsely() -> None:
     line = np.column_stack([np.arange(0.05, 1.6, 0.1), np.full((16, 2), 0.05)])
     assert len(merged(samples(line)).points) == 16
     assert len(merged(samples(line, footprint=0.45)).points) == 4

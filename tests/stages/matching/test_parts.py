@@ -1,5 +1,7 @@
 """The parts of the matchers against what they replace: dense SVD, brute force, exact maps."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,16 +12,17 @@ from wbflow_stages.matching.affine_field import fit_affine_field
 from wbflow_stages.matching.assignment import assign, without_repeats
 from wbflow_stages.matching.neighbours import nearest_neighbours
 from wbflow_stages.matching.procrustes import literal_dominance, nearest_dominance, procrustes
+from wbflow_stages.types import Float64s
 
 
 def unit_rows(rng: np.random.Generator, n: int, d: int = 32) -> np.ndarray:
     x = rng.normal(size=(n, d)).astype(np.float32)
-    return x / np.linalg.norm(x, axis=1, keepdims=True)
+    return np.asarray(x / np.linalg.norm(x, axis=1, keepdims=True))
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 700), st.integers(1, 60), st.integers(1, 6), st.integers(0, 1000))
-def test_neighbours_are_those_of_brute_force(n1, n2, k, seed):
+def test_neighbours_are_those_of_brute_force(n1: int, n2: int, k: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = unit_rows(rng, n1), unit_rows(rng, n2)
     near = nearest_neighbours(a, b, k)
@@ -30,14 +33,14 @@ def test_neighbours_are_those_of_brute_force(n1, n2, k, seed):
     np.testing.assert_allclose(np.take_along_axis(distance, near.rows.astype(int), 1), near.row_distance, atol=2e-3)
 
 
-def test_of_equal_neighbours_the_first_stays():
+def test_of_equal_neighbours_the_first_stays() -> None:
     near = nearest_neighbours(np.eye(4, dtype=np.float32)[[0]], np.eye(4, dtype=np.float32)[[1, 0, 0, 2]], 1)
     assert near.rows[0, 0] == 1
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 300), st.integers(1, 40), st.sampled_from([0.0, 1e-4, 1.0, 30.0]), st.integers(0, 1000))
-def test_nearest_points_are_those_of_brute_force_however_they_lie(n, k, width, seed):
+def test_nearest_points_are_those_of_brute_force_however_they_lie(n: int, k: int, width: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.random((n, 2)) * [500.0 * width, 500.0]
     points[: n // 3] = points[0] + rng.random((n // 3, 2))  # a cluster
@@ -51,7 +54,7 @@ def test_nearest_points_are_those_of_brute_force_however_they_lie(n, k, width, s
     assert all(len(set(row)) == k for row in index.tolist())
 
 
-def test_thin_procrustes_equals_the_dense_svd_on_the_row_space():
+def test_thin_procrustes_equals_the_dense_svd_on_the_row_space() -> None:
     rng = np.random.default_rng(0)
     X, Y = rng.normal(size=(90, 12)), rng.normal(size=(110, 12))
     thin = procrustes(X, Y, max_iterations=6)
@@ -65,7 +68,7 @@ def test_thin_procrustes_equals_the_dense_svd_on_the_row_space():
     np.testing.assert_allclose(thin.affine, dense_A, rtol=1e-10, atol=1e-10)
 
 
-def test_thin_procrustes_finds_a_permutation_of_few_points():
+def test_thin_procrustes_finds_a_permutation_of_few_points() -> None:
     rng = np.random.default_rng(1)
     X = rng.normal(size=(10, 12))
     order = rng.permutation(10)
@@ -76,7 +79,7 @@ def test_thin_procrustes_finds_a_permutation_of_few_points():
     assert fired.sum() == 10 and fired[i, j].all() and len(i) == 10
 
 
-def test_dominance_is_the_published_inequality():
+def test_dominance_is_the_published_inequality() -> None:
     P = np.array([[0.9, 0.1, -0.1], [0.2, 0.1, 0.1], [0.0, 0.1, 0.5]], np.float32)
     expected = np.array(
         [[P[k, j] > 0.8 * (abs(P[k]).sum() - abs(P[k, j])) and P[k, j] > 0.8 * (abs(P[:, j]).sum() - abs(P[k, j]))
@@ -87,7 +90,7 @@ def test_dominance_is_the_published_inequality():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 1000))
-def test_probabilities_share_rows_and_columns(n1, n2, seed):
+def test_probabilities_share_rows_and_columns(n1: int, n2: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     keep = rng.random((n1, n2)) < 0.3
     i, j = (part.astype(np.int32) for part in np.nonzero(keep))
@@ -96,14 +99,14 @@ def test_probabilities_share_rows_and_columns(n1, n2, seed):
     assert (np.bincount(i, p, n1) <= 1 + 1e-6).all() and (np.bincount(j, p, n2) <= 1 + 1e-6).all()
 
 
-def test_a_lone_candidate_has_the_probability_that_balances_its_odds():
+def test_a_lone_candidate_has_the_probability_that_balances_its_odds() -> None:
     p = assign(np.zeros(1, np.int32), np.zeros(1, np.int32), np.array([2.0]), 1, 1, iterations=200)[0]
     assert p / (1 - p) ** 2 == pytest.approx(np.exp(2.0), rel=1e-6)  # mass = p / (what u leaves * what v leaves)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 60), st.integers(0, 1000))
-def test_repeats_keep_the_most_probable_and_nothing_near_it(n, seed):
+def test_repeats_keep_the_most_probable_and_nothing_near_it(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     x1, x2, p = rng.uniform(-4, 9, (n, 2)), rng.uniform(0, 12, (n, 2)), rng.random(n)
     keep = without_repeats(x1, x2, p, 1.5)
@@ -117,11 +120,11 @@ def test_repeats_keep_the_most_probable_and_nothing_near_it(n, seed):
         assert gaps.min() < 1.5
 
 
-def test_the_field_finds_a_smooth_map_in_spite_of_outliers():
+def test_the_field_finds_a_smooth_map_in_spite_of_outliers() -> None:
     rng = np.random.default_rng(2)
     x1 = rng.uniform(0, [800, 600], (600, 2))
 
-    def bend(x):
+    def bend(x: Float64s) -> Float64s:
         return np.column_stack([0.8 * x[:, 0] + 1e-4 * x[:, 0] ** 2, 0.1 * x[:, 0] + 0.9 * x[:, 1]])
 
     x2 = bend(x1) + rng.normal(0, 0.3, x1.shape)
@@ -136,7 +139,7 @@ def test_the_field_finds_a_smooth_map_in_spite_of_outliers():
     assert np.median(np.abs(field.affine.mean(axis=0) - expected)) < 0.05
 
 
-def test_the_field_at_a_place_does_not_depend_on_the_other_places_asked_for():
+def test_the_field_at_a_place_does_not_depend_on_the_other_places_asked_for() -> None:
     rng = np.random.default_rng(5)
     x1, x2 = rng.uniform(0, [800, 600], (90, 2)), rng.uniform(0, [800, 600], (90, 2))
     queries = rng.uniform(0, [800, 600], (300, 2))
@@ -148,7 +151,7 @@ def test_the_field_at_a_place_does_not_depend_on_the_other_places_asked_for():
         assert alone.sigma_px == together.sigma_px[n] and alone.support == together.support[n]
 
 
-def test_the_field_does_not_listen_to_the_match_on_the_query_itself():
+def test_the_field_does_not_listen_to_the_match_on_the_query_itself() -> None:
     rng = np.random.default_rng(3)
     x1 = rng.uniform(0, 100, (50, 2))
     x2 = x1 + np.array([10, 0])

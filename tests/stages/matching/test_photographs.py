@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.helpers.images import read_image
 from wbflow_stages.core.cameras import relative_pose, scaled_intrinsics
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.features import detect
@@ -26,12 +27,12 @@ WIDTH = 768
 def view(scene: str, number: int) -> tuple[Features, Camera]:
     name = f"{number:04d}.jpg"
     c = json.loads((DATA / scene / "cameras.json").read_text())[name]
-    pixels = cv2.imread(str(DATA / scene / "images" / name))[..., ::-1]
+    pixels = read_image(DATA / scene / "images" / name)[..., ::-1]
     s = WIDTH / pixels.shape[1]
     image = np.ascontiguousarray(cv2.resize(pixels, None, fx=s, fy=s, interpolation=cv2.INTER_AREA))
     h, w = image.shape[:2]
     K = scaled_intrinsics(np.array(c["K"]), s, s)
-    found = detect(Frame(image, np.ones((h, w), bool), View(w, h, K)))
+    found = detect(Frame(image.astype(np.uint8), np.ones((h, w), bool), View(w, h, K)))
     assert isinstance(found, Features)
     return found, Camera(K, np.array(c["R"]), np.array(c["C"]), w, h)
 
@@ -48,7 +49,7 @@ def pair(left: int, right: int, **options: object) -> tuple[Matches, int]:
 @pytest.mark.parametrize(
     ("left", "right", "gain", "precision"), [(5, 4, 1.0, 0.92), (5, 2, 1.2, 0.85), (5, 9, 1.5, 0.75), (2, 9, 1.3, 0.62)]
 )
-def test_structure_finds_more_right_matches_than_the_kdtree(left, right, gain, precision):
+def test_structure_finds_more_right_matches_than_the_kdtree(left: int, right: int, gain: float, precision: float) -> None:
     structural, good = pair(left, right, tilt="never")
     _, rival = pair(left, right, matcher="kdtree")
     assert good > gain * rival
@@ -56,7 +57,7 @@ def test_structure_finds_more_right_matches_than_the_kdtree(left, right, gain, p
 
 
 @pytest.mark.parametrize(("left", "right"), [(5, 4), (5, 1), (5, 9), (5, 10)])
-def test_the_relative_pose_is_right_to_a_fraction_of_a_degree(left, right):
+def test_the_relative_pose_is_right_to_a_fraction_of_a_degree(left: int, right: int) -> None:
     (f, cam1), (g, cam2) = view("fountain", left), view("fountain", right)
     matches, _ = pair(left, right)
     found = estimate_geometry(matches, f, g)
@@ -68,7 +69,7 @@ def test_the_relative_pose_is_right_to_a_fraction_of_a_degree(left, right):
 
 
 @pytest.mark.parametrize(("left", "right"), [(0, 5), (2, 2), (4, 6)])
-def test_views_that_share_nothing_are_not_believed(left, right):
+def test_views_that_share_nothing_are_not_believed(left: int, right: int) -> None:
     f, g = view("fountain", left)[0], view("entry", right)[0]
     matches = match(f, g)
     found = estimate_geometry(matches, f, g) if isinstance(matches, Matches) else matches

@@ -52,7 +52,7 @@ def site(count: int, score: float = 2.0, wrong: dict[Pair, float] | None = None)
     return pairs
 
 
-def test_a_site_of_right_pairs_is_believed_and_all_triangles_close():
+def test_a_site_of_right_pairs_is_believed_and_all_triangles_close() -> None:
     checks = check_loops(site(5))
     assert all(v.rejected is None for v in checks.values())
     assert all(v.closed == v.triangles == 3 for v in checks.values())
@@ -60,14 +60,14 @@ def test_a_site_of_right_pairs_is_believed_and_all_triangles_close():
 
 
 @pytest.mark.parametrize("score", [1.0, 3.0])
-def test_a_wrong_pair_of_good_score_is_dropped_as_a_lookalike(score):
+def test_a_wrong_pair_of_good_score_is_dropped_as_a_lookalike(score: float) -> None:
     checks = check_loops(site(5, wrong={("c1", "c3"): score}))
     assert checks["c1", "c3"].rejected is not None and checks["c1", "c3"].rejected.code == "look-alike"
     assert checks["c1", "c3"].closed == 0 and checks["c1", "c3"].good_probability <= 0.5
     assert all(v.rejected is None for pair, v in checks.items() if pair != ("c1", "c3"))
 
 
-def test_loops_confirm_a_pair_that_is_doubtful_alone():
+def test_loops_confirm_a_pair_that_is_doubtful_alone() -> None:
     doubtful = site(5)
     doubtful["c0", "c4"] = geometry(*pose(doubtful["c0", "c4"]), score=-0.7)
     assert check_loops(doubtful)["c0", "c4"].rejected is None
@@ -80,20 +80,20 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     return g.cam2_R_cam1, g.cam2_t_cam1
 
 
-def test_two_cameras_need_more_than_cameras_that_others_confirm():
+def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:
     pair = next(iter(site(2).values()))
     modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 2.5))
     assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
     assert sure.rejected is None
 
 
-def test_what_two_poses_explain_is_ambiguous():
+def test_what_two_poses_explain_is_ambiguous() -> None:
     pair = next(iter(site(2).values()))
     check = check_loops({("a", "b"): geometry(*pose(pair), score=0.0)})["a", "b"]
     assert check.rejected is not None and check.rejected.code == "ambiguous"
 
 
-def test_pairs_without_pose_are_judged_by_their_score():
+def test_pairs_without_pose_are_judged_by_their_score() -> None:
     some = site(3)
     bare = {p: Geometry(**{**vars(g), "cam2_R_cam1": None, "cam2_t_cam1": None}) for p, g in some.items()}
     checks = check_loops(bare)
@@ -101,7 +101,7 @@ def test_pairs_without_pose_are_judged_by_their_score():
     assert check_loops({}) == {}
 
 
-def test_the_check_does_not_depend_on_the_order_of_the_pairs():
+def test_the_check_does_not_depend_on_the_order_of_the_pairs() -> None:
     pairs = site(5, wrong={("c0", "c2"): 1.5})
     there, back = check_loops(pairs), check_loops(dict(reversed(pairs.items())))
     assert {p: v.rejected is None for p, v in there.items()} == {p: v.rejected is None for p, v in back.items()}

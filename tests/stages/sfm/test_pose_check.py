@@ -48,7 +48,9 @@ def test_right_poses_are_taken_as_they_are_and_their_figures_kept() -> None:
         ("c1", (0.0, 0.0, 0.5), (0.0, 0.0, 0.0)),
     ],
 )
-def test_the_one_wrong_pose_is_named_with_how_far_it_is_off_and_bends_no_other(name, degrees, metres) -> None:
+def test_the_one_wrong_pose_is_named_with_how_far_it_is_off_and_bends_no_other(
+    name: str, degrees: tuple[float, float, float], metres: tuple[float, float, float]
+) -> None:
     site = make_pair_site(5, noise_px=0.2)
     known = placements(site, **{name: moved(site, name, degrees, metres)})
     poses = solve(site, known)
@@ -59,8 +61,10 @@ def test_the_one_wrong_pose_is_named_with_how_far_it_is_off_and_bends_no_other(n
     assert check.off_deg == pytest.approx(np.linalg.norm(degrees), abs=0.1)
     assert f"{check.off_m:.3f} m and {check.off_deg:.2f} degrees" in poses.suspects[name]
     for other in set(site.cameras) - {name}:
-        assert np.array_equal(poses.cameras[other].C, known[other].C)
-        assert np.array_equal(poses.cameras[other].R, known[other].R)
+        C, R = known[other].C, known[other].R
+        assert C is not None and R is not None
+        assert np.array_equal(poses.cameras[other].C, C)
+        assert np.array_equal(poses.cameras[other].R, R)
     assert np.linalg.norm(poses.cameras[name].C - site.cameras[name].C) < 0.02
 
 

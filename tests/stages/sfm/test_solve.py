@@ -116,6 +116,7 @@ def test_two_known_poses_stay_and_give_frame_and_scale() -> None:
     poses = solve(site, known)
     assert poses.metric and poses.scale == "2 known positions" and poses.source == "mixed"
     for name, placement in known.items():
+        assert placement.C is not None and placement.R is not None
         assert np.array_equal(poses.cameras[name].C, placement.C)
         assert np.array_equal(poses.cameras[name].R, placement.R)
     for name, camera in poses.cameras.items():

@@ -9,7 +9,7 @@ from wbflow_stages.stereo.consistency import agreeing, disagreement, fill_along_
 NAN = np.float32(np.nan)
 
 
-def constant(value: float, shape: tuple[int, int] = (6, 40)) -> np.ndarray:
+def constant(value: float | np.float32, shape: tuple[int, int] = (6, 40)) -> np.ndarray:
     return np.full(shape, value, dtype=np.float32)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -13,12 +14,13 @@ from wbflow_stages.stereo.blocks import blocks
 from wbflow_stages.stereo.census_sgm import match_census_sgm
 from wbflow_stages.stereo.coarse_range import with_coarse_range
 from wbflow_stages.stereo.denoise import noise_level, quietened
-from wbflow_stages.stereo.matcher import DenseMatcher, RectifiedPair, halved, mirrored
+from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.plane_filter import doubt, smoothed
 from wbflow_stages.stereo.sgbm import match_in_one_piece, match_sgbm
 
-MATCHERS = [match_sgbm, match_census_sgm, match_patchmatch]
+Matcher = Callable[[RectifiedPair], DenseMatches]
+MATCHERS: list[Matcher] = [match_sgbm, match_census_sgm, match_patchmatch]
 
 
 def pair_of(left: np.ndarray, right: np.ndarray, low: int, high: int) -> RectifiedPair:
@@ -28,12 +30,12 @@ def pair_of(left: np.ndarray, right: np.ndarray, low: int, high: int) -> Rectifi
 
 def well_inside(truth: np.ndarray) -> np.ndarray:
     x = np.arange(truth.shape[1]) - truth
-    return (x > 10) & (x < truth.shape[1] - 11)
+    return np.asarray((x > 10) & (x < truth.shape[1] - 11))
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
 @pytest.mark.parametrize("offset", [-40.0, 0.0, 15.0, 40.0])
-def test_any_sign_of_disparity_is_found(matcher: DenseMatcher, offset: float) -> None:
+def test_any_sign_of_disparity_is_found(matcher: Matcher, offset: float) -> None:
     left, right = stereo_pair(120, 224, offset)
     truth = true_disparity(120, 224, offset)
     found = matcher(pair_of(left, right, int(offset) - 4, int(offset) + 28))
@@ -62,7 +64,7 @@ def _drawn(right: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
-def test_both_views_tell_the_same_story(matcher: DenseMatcher) -> None:
+def test_both_views_tell_the_same_story(matcher: Matcher) -> None:
     left, right = stereo_pair(120, 224)
     pair = pair_of(left, right, 16, 48)
     found, swapped = matcher(pair), matcher(mirrored(pair))
@@ -244,7 +246,7 @@ def test_images_without_texture_keep_the_range_of_the_matches() -> None:
 
 @pytest.mark.parametrize("level", [2.0, 6.0])
 def test_noise_is_told_from_texture(level: float) -> None:
-    smooth = cv2.GaussianBlur(texture(240, 320), (0, 0), 3)
+    smooth = cv2.GaussianBlur(texture(240, 320), (0, 0), 3).astype(np.float32)
     valid = np.ones(smooth.shape, dtype=bool)
     assert noise_level(smooth, valid) < 0.5
     noisy = (smooth + np.random.default_rng(0).normal(0, level, smooth.shape)).astype(np.float32)
@@ -253,14 +255,14 @@ def test_noise_is_told_from_texture(level: float) -> None:
 
 
 def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alone() -> None:
-    left, right = (cv2.GaussianBlur(image, (0, 0), 1.5) for image in stereo_pair(160, 256))
+    left, right = (cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float32) for image in stereo_pair(160, 256))
     valid = np.ones(left.shape, dtype=bool)
     np.testing.assert_array_equal(quietened(left, valid), left)
     rng = np.random.default_rng(0)
     noisy = [(image + rng.normal(0, 6, image.shape)).astype(np.float32) for image in (left, right)]
     truth = true_disparity(160, 256)
     as_given, smoothed = (
-        np.abs(match_patchmatch(pair_of(*images, 16, 48)).left - truth)[well_inside(truth)]
+        np.abs(match_patchmatch(pair_of(images[0], images[1], 16, 48)).left - truth)[well_inside(truth)]
         for images in (noisy, [quietened(image, valid) for image in noisy])
     )
     assert np.mean(smoothed < 0.5) > np.mean(as_given < 0.5) + 0.03

@@ -11,7 +11,7 @@ from wbflow_stages.synthetic.movers import movers
 from wbflow_stages.synthetic.paint import Texture, encode
 from wbflow_stages.synthetic.renderer import Light, PreparedScene, build_atlas
 from wbflow_stages.synthetic.scene import SceneBuilder, joined
-from wbflow_stages.synthetic.shooting import render_pixels, render_view, touched, true_depth
+from wbflow_stages.synthetic.shooting import Daytime, render_pixels, render_view, touched, true_depth
 from wbflow_stages.types import Camera
 
 OVERCAST = Light((0.0, 0.6, 0.8), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
@@ -36,7 +36,7 @@ def floor(texture: Texture) -> PreparedScene:
     return PreparedScene(scene, OVERCAST, build_atlas(scene.textures))
 
 
-def test_faces_of_a_box_look_outward():
+def test_faces_of_a_box_look_outward() -> None:
     build = SceneBuilder()
     texture = build.add_texture(checker(0.1))
     build.box((1.0, 2.0, 0.0), (2.0, 3.0, 4.0), texture, yaw=0.3)
@@ -56,7 +56,7 @@ def test_faces_of_a_box_look_outward():
     assert (np.einsum("ni,ni->n", outward, scene.normals) > 0).all()
 
 
-def test_near_a_texture_is_sharp_and_far_away_it_is_its_mean():
+def test_near_a_texture_is_sharp_and_far_away_it_is_its_mean() -> None:
     near = render_view(floor(checker(0.1)), above(1.0), None)
     far = render_view(floor(checker(0.03)), above(300.0, focal=2000.0), None)[20:60, 20:60]  # 15 cm a pixel
     assert near.max() > 10 * near.min()
@@ -64,7 +64,7 @@ def test_near_a_texture_is_sharp_and_far_away_it_is_its_mean():
     assert far.mean() == pytest.approx(near.mean(), rel=0.1)
 
 
-def test_texture_lies_where_its_coordinates_say():
+def test_texture_lies_where_its_coordinates_say() -> None:
     """A white spot 1.2 m right and 0.7 m below the top left corner of a floor is seen there."""
     spot = np.full((80, 80, 3), 0.02, np.float32)
     spot[5:9, 10:14] = 0.9
@@ -75,14 +75,14 @@ def test_texture_lies_where_its_coordinates_say():
     assert y == pytest.approx(39.5 + 10 * (-4 + 0.7), abs=0.6)
 
 
-def test_depth_is_measured_along_the_axis():
+def test_depth_is_measured_along_the_axis() -> None:
     depth, normals = true_depth(floor(checker(0.1)), above(3.0))
     assert depth == pytest.approx(3.0, abs=3e-3)
     assert normals[..., 2] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("light", ["day", "night"])
-def test_only_pixels_that_movers_touch_need_to_be_rendered_again(light):
+def test_only_pixels_that_movers_touch_need_to_be_rendered_again(light: Daytime) -> None:
     still = static_yard(np.random.default_rng(1), 0.15, MOUNTS)
     mover = movers(np.random.default_rng(2), 0.15, 1)[0]
     scene = joined(still, mover)

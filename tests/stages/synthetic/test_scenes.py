@@ -31,7 +31,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "yard"])
-def test_depth_of_one_camera_is_what_another_sees_there(name):
+def test_depth_of_one_camera_is_what_another_sees_there(name: str) -> None:
     """A point may lie behind what another camera sees, but not in front of it."""
     site = tiny(name)
     left = site.cameras[0]
@@ -50,7 +50,7 @@ def test_depth_of_one_camera_is_what_another_sees_there(name):
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "yard"])
-def test_something_moves_between_captures_and_most_stays(name):
+def test_something_moves_between_captures_and_most_stays(name: str) -> None:
     shares = []
     for camera in tiny(name).cameras:
         first, second = (cv2.GaussianBlur(c, (0, 0), 1.0).astype(np.float32) for c in camera.captures[:2])
@@ -60,7 +60,7 @@ def test_something_moves_between_captures_and_most_stays(name):
     assert max(shares) < 0.4
 
 
-def test_the_same_arguments_give_the_same_bytes_and_another_seed_another_scene():
+def test_the_same_arguments_give_the_same_bytes_and_another_seed_another_scene() -> None:
     first, second = (render("houses", cameras=2, size=(64, 36), captures=2) for _ in range(2))
     other = render("houses", cameras=1, size=(64, 36), captures=1, seed=1)
     for a, b in zip(first.cameras, second.cameras, strict=True):
@@ -70,7 +70,7 @@ def test_the_same_arguments_give_the_same_bytes_and_another_seed_another_scene()
     assert not np.array_equal(first.cameras[0].captures[0], other.cameras[0].captures[0])
 
 
-def test_the_squares_ground_is_flat_at_zero():
+def test_the_squares_ground_is_flat_at_zero() -> None:
     camera = tiny("square").cameras[0]
     v, u = np.nonzero(camera.depth[70:] > 0)  # the lowest rows, where nothing but tiles is near
     points = backproject(camera.camera, np.column_stack([u, v + 70]).astype(float), camera.depth[v + 70, u].astype(float))
@@ -78,14 +78,14 @@ def test_the_squares_ground_is_flat_at_zero():
     assert (np.abs(points[:, 2]) < 1e-3).mean() > 0.7
 
 
-def test_the_squares_first_three_cameras_are_42_56_and_98_degrees_apart_and_2_5_m_up():
+def test_the_squares_first_three_cameras_are_42_56_and_98_degrees_apart_and_2_5_m_up() -> None:
     centres = [np.array(v.centre) for v in square.viewpoints()]
     assert all(c[2] == 2.5 for c in centres)
     flat = [c[:2] / np.linalg.norm(c[:2]) for c in centres]
     assert [round(angle_deg(flat[i], flat[j])) for i, j in ((0, 1), (1, 2), (0, 2))] == [42, 56, 98]
 
 
-def test_tiles_repeat_to_the_bit():
+def test_tiles_repeat_to_the_bit() -> None:
     pixels = repeating_tiles(np.random.default_rng(3), 0.8, 8, 0.0125).pixels
     period = len(pixels) // 8
     assert period == 64
@@ -94,7 +94,7 @@ def test_tiles_repeat_to_the_bit():
     assert not np.array_equal(pixels, np.roll(pixels, period // 2, axis=0))
 
 
-def test_the_square_looks_the_same_one_tile_on():
+def test_the_square_looks_the_same_one_tile_on() -> None:
     """Two views straight down, a tile apart: what tells them apart is nothing but noise of filtering."""
     build = SceneBuilder()
     square._ground(build, np.random.default_rng(0), 0.05)
@@ -109,7 +109,7 @@ def test_the_square_looks_the_same_one_tile_on():
 
 
 @pytest.mark.parametrize(("symmetry", "turn", "same"), [(4, 3, True), (4, 6, True), (2, 6, True), (2, 3, False), (1, 3, False)])
-def test_the_hall_looks_the_same_from_another_side(symmetry, turn, same):
+def test_the_hall_looks_the_same_from_another_side(symmetry: int, turn: int, same: bool) -> None:
     """From camera k and from k + 3 (a quarter turn) or k + 6 (half a turn); lens, light and shadow included."""
     prepared = hall_stage(symmetry)
     views = hall.viewpoints()
@@ -132,7 +132,7 @@ def hall_stage(symmetry: int) -> PreparedScene:
     return PreparedScene(scene, overcast_of("night", hall.LAMPS), build_atlas(scene.textures), hall.even_sky(scene))
 
 
-def test_the_masts_cameras_hang_together_and_look_far():
+def test_the_masts_cameras_hang_together_and_look_far() -> None:
     centres = np.array([v.centre for v in mast.viewpoints()])
     apart = np.linalg.norm(centres[:, None] - centres, axis=2)[~np.eye(len(centres), dtype=bool)]
     assert 0.25 < apart.min() < 0.4
@@ -141,7 +141,7 @@ def test_the_masts_cameras_hang_together_and_look_far():
     assert np.median(depth[depth > 0]) > 200
 
 
-def test_dark_is_night_without_lamps_and_a_camera_still_sees_something():
+def test_dark_is_night_without_lamps_and_a_camera_still_sees_something() -> None:
     assert light_of("night", [(0.0, 0.0, 5.0)]).lamps
     assert not light_of("dark", [(0.0, 0.0, 5.0)]).lamps
     day, dark = (render("yard", cameras=1, size=(320, 180), captures=1, light=light).cameras[0] for light in ("day", "dark"))
@@ -152,11 +152,11 @@ def test_dark_is_night_without_lamps_and_a_camera_still_sees_something():
     assert np.corrcoef(*fine)[0, 1] > 0.25
 
 
-def test_an_unknown_scene_is_refused_with_the_names_that_there_are():
+def test_an_unknown_scene_is_refused_with_the_names_that_there_are() -> None:
     with pytest.raises(ValueError, match=r"no scene 'moon'; there are yard, square, hall"):
         render("moon")
 
 
-def test_more_cameras_than_there_are_are_refused():
+def test_more_cameras_than_there_are_are_refused() -> None:
     with pytest.raises(ValueError, match="1 to 6 cameras, not 7"):
         render("square", cameras=7, small=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from tests.helpers.synthetic_site import single_pair, small_yard
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.evaluate import correct_matches, true_correspondences
-from wbflow_stages.synthetic.cameras import MOUNTS, camera_of, distort, pixel_rays
+from wbflow_stages.synthetic.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
 from wbflow_stages.synthetic.shooting import DemoCamera
 from wbflow_stages.synthetic.yard import yard
 
@@ -17,10 +19,11 @@ from wbflow_stages.synthetic.yard import yard
 def background(camera: DemoCamera) -> np.ndarray:
     """The undistorted view (h, w, 3) without what moves, by OpenCV's own idea of the lens."""
     middle = np.median(np.stack(camera.captures), axis=0).astype(np.uint8)
+    assert camera.lens.K is not None
     return cv2.undistort(middle, camera.lens.K, camera.lens.distortion)
 
 
-def test_the_same_arguments_give_the_same_bytes_on_any_number_of_threads():
+def test_the_same_arguments_give_the_same_bytes_on_any_number_of_threads() -> None:
     first = yard(2, (96, 54), captures=2, threads=1)
     second = yard(2, (96, 54), captures=2, threads=2)
     for a, b in zip(first.cameras, second.cameras, strict=True):
@@ -31,7 +34,7 @@ def test_the_same_arguments_give_the_same_bytes_on_any_number_of_threads():
     assert not np.array_equal(first.cameras[0].captures[0], other.cameras[0].captures[0])
 
 
-def test_depth_of_one_camera_agrees_with_what_its_neighbour_sees():
+def test_depth_of_one_camera_agrees_with_what_its_neighbour_sees() -> None:
     left, right = small_yard().cameras[1:3]
     v, u = np.nonzero(left.depth > 0)
     points = backproject(left.camera, np.column_stack([u, v]).astype(float), left.depth[v, u].astype(float))
@@ -45,11 +48,12 @@ def test_depth_of_one_camera_agrees_with_what_its_neighbour_sees():
 
 
 @pytest.mark.parametrize("mount", MOUNTS, ids=lambda m: m.name)
-def test_lenses_distort_as_opencv_says(mount):
+def test_lenses_distort_as_opencv_says(mount: Mount) -> None:
     camera, lens = camera_of(mount, (320, 180))
     y, x = (grid.ravel().astype(float) for grid in np.mgrid[0:180:20, 0:320:20])
     rays = pixel_rays(camera, lens, x, y).astype(float)
     straight, _ = project(camera, camera.C + rays)
+    assert lens.K is not None
     turn = cv2.Rodrigues(camera.R)[0]
     theirs = cv2.projectPoints(camera.C + rays, turn, -camera.R @ camera.C, lens.K, lens.distortion)[0][:, 0]
     assert np.abs(theirs - np.column_stack([x, y])).max() < 2e-3  # rays are float32
@@ -57,16 +61,19 @@ def test_lenses_distort_as_opencv_says(mount):
     assert np.abs(straight - np.column_stack([x, y])).max() > 2  # and the distortion is there to be removed
 
 
-def test_pictures_lens_poses_and_depth_belong_together():
+def test_pictures_lens_poses_and_depth_belong_together() -> None:
     """Seen through the true depth, one view looks like its neighbour; through a depth 3 % off, it doesn't."""
     left, right = small_yard().cameras[1:3]
     one, other = (cv2.cvtColor(background(c), cv2.COLOR_RGB2GRAY).astype(np.float32) for c in (left, right))
 
     def likeness(depth_error: float) -> float:
         y, x = np.divmod(np.arange(320 * 180), 320)
-        points = backproject(left.camera, np.column_stack([x, y]).astype(float), left.depth.ravel() * (1 + depth_error))
+        points = backproject(
+            left.camera, np.column_stack([x, y]).astype(float), left.depth.ravel().astype(float) * (1 + depth_error)
+        )
         seen, _ = project(right.camera, points)
-        warped = cv2.remap(other, *(seen.T.reshape(2, 180, 320).astype(np.float32)), cv2.INTER_LINEAR, borderValue=-1)
+        map1, map2 = seen.T.reshape(2, 180, 320).astype(np.float32)
+        warped = cv2.remap(other, map1, map2, cv2.INTER_LINEAR, borderValue=-1)
         use = (warped > 0) & (one > 0) & left.mask
         fine = [image - cv2.blur(image, (15, 15)) for image in (one, warped)]
         return float(np.corrcoef(fine[0][use], fine[1][use])[0, 1])
@@ -76,7 +83,7 @@ def test_pictures_lens_poses_and_depth_belong_together():
     assert likeness(0.0) > likeness(-0.03) + 0.2
 
 
-def test_something_moves_between_captures_and_everything_else_stays():
+def test_something_moves_between_captures_and_everything_else_stays() -> None:
     for camera in small_yard().cameras:
         first, second = (cv2.GaussianBlur(c, (0, 0), 1.5).astype(np.float32) for c in camera.captures[:2])
         gain = np.median((first + 1) / (second + 1))
@@ -84,7 +91,7 @@ def test_something_moves_between_captures_and_everything_else_stays():
         assert 0.002 < changed.mean() < 0.25
 
 
-def test_the_clock_is_written_where_the_mask_says():
+def test_the_clock_is_written_where_the_mask_says() -> None:
     camera = small_yard().cameras[0]
     differs = np.abs(np.diff([c.astype(int).max(axis=-1) for c in camera.captures[:2]], axis=0))[0] > 100
     assert differs[~camera.mask].any()
@@ -92,7 +99,7 @@ def test_the_clock_is_written_where_the_mask_says():
     assert 0.01 < 1 - camera.mask.mean() < 0.04
 
 
-def test_reference_points_lie_on_what_two_cameras_see():
+def test_reference_points_lie_on_what_two_cameras_see() -> None:
     site = small_yard()
     cloud, votes = site.reference, np.zeros(len(site.reference.points), int)
     for c in site.cameras:
@@ -107,14 +114,14 @@ def test_reference_points_lie_on_what_two_cameras_see():
     assert (toward > 0).mean() > 0.99
 
 
-def test_cameras_form_a_connected_half_ring():
+def test_cameras_form_a_connected_half_ring() -> None:
     axes = np.array([camera_of(mount, (1280, 720))[0].R[2] for mount in MOUNTS])
     angles = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
     assert ((np.diag(angles, 1) > 13) & (np.diag(angles, 1) < 30)).all()
     assert angles.max() > 60
 
 
-def test_night_is_dark_and_noisy_and_has_the_same_geometry():
+def test_night_is_dark_and_noisy_and_has_the_same_geometry() -> None:
     day, night = small_yard().cameras[1], small_yard("night").cameras[1]
     assert np.array_equal(day.depth, night.depth)
     assert night.captures[0].mean() < 0.75 * day.captures[0].mean()
@@ -128,11 +135,12 @@ def test_night_is_dark_and_noisy_and_has_the_same_geometry():
     assert noise(night) > 2 * noise(day)
 
 
-def test_neighbours_have_plenty_of_true_sift_matches_and_the_windows_give_false_ones():
+def test_neighbours_have_plenty_of_true_sift_matches_and_the_windows_give_false_ones() -> None:
     left, right = single_pair().cameras
-    sift = cv2.SIFT_create(3000, contrastThreshold=0.02)
+    sift = cv2.SIFT.create(3000, contrastThreshold=0.02)
     found = []
     for camera in (left, right):
+        assert camera.lens.K is not None
         mask = cv2.undistort(camera.mask.astype(np.uint8), camera.lens.K, camera.lens.distortion)
         points, descriptors = sift.detectAndCompute(cv2.cvtColor(background(camera), cv2.COLOR_RGB2GRAY), mask)
         found.append((np.array([p.pt for p in points]), descriptors))
@@ -145,7 +153,7 @@ def test_neighbours_have_plenty_of_true_sift_matches_and_the_windows_give_false_
     assert 0.5 < correct.mean() < 0.98
 
 
-def test_neighbours_share_most_of_what_they_see():
+def test_neighbours_share_most_of_what_they_see() -> None:
     left, right = small_yard().cameras[1:3]
     x1, _ = true_correspondences(left.camera, left.depth, right.camera, right.depth, step=4)
     assert len(x1) > 0.4 * (320 // 4) * (180 // 4)
@@ -155,6 +163,6 @@ def test_neighbours_share_most_of_what_they_see():
     ("arguments", "words"),
     [((9, (96, 54)), "1 to 8 cameras"), ((2, (96, 54), 0), "at least 1 capture"), ((1, (64, 36), 1, 0, "noon"), "noon")],
 )
-def test_what_is_impossible_is_refused(arguments, words):
+def test_what_is_impossible_is_refused(arguments: tuple[Any, ...], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         yard(*arguments)

@@ -21,13 +21,13 @@ WORSE = [{"inliers": 30}, {"distinct_cells": 5}, {"distinct_share": 0.2}, {"agre
 
 
 @pytest.mark.parametrize(("worse", "known"), [*product(WORSE, [True, False]), ({"half_rotation_deg": 8.0}, True)])
-def test_less_evidence_is_a_lower_score(worse, known):
+def test_less_evidence_is_a_lower_score(worse: dict[str, float], known: bool) -> None:
     unknown = {} if known else {"half_rotation_deg": float("nan")}
     good, bad = PairEvidence(**{**vars(GOOD), **unknown}), PairEvidence(**{**vars(GOOD), **unknown, **worse})
     assert pair_score(bad) < pair_score(good) and pair_score(good) > 1
 
 
-def test_a_contradicted_pair_is_never_believed_alone():
+def test_a_contradicted_pair_is_never_believed_alone() -> None:
     assert pair_score(GOOD) > 0 >= pair_score(GOOD, contradicted=True)
 
 
@@ -52,7 +52,7 @@ def solid_pair(seed: int, lookalikes: bool) -> tuple[Features, Features]:
     return views[0], views[1]
 
 
-def test_distinctive_matches_are_believed_more_than_twins():
+def test_distinctive_matches_are_believed_more_than_twins() -> None:
     scores = []
     for lookalikes in (False, True):
         left, right = solid_pair(1, lookalikes)
@@ -65,7 +65,7 @@ def test_distinctive_matches_are_believed_more_than_twins():
     assert scores[0] > scores[1] + 2
 
 
-def test_a_geometry_below_the_least_score_is_rejected_with_its_figures():
+def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None:
     left, right = solid_pair(2, lookalikes=True)
     matches = match(left, right)
     assert isinstance(matches, Matches)

@@ -1,5 +1,7 @@
 """The last refinement of F and E: exact keypoints have more of the say, and what is known of the lenses stays true."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from tests.helpers.two_views import K, looking, scene, seen_by_both
 from wbflow_stages.twoview.epipolar import fundamental_from_cameras, sampson_distance
 from wbflow_stages.twoview.refinement import refine_two_view
 from wbflow_stages.twoview.robust import estimate_fundamental
+from wbflow_stages.types import Float64s
 
 LEFT, RIGHT = looking(np.zeros(3), np.array([0.0, 0.0, 9.0])), looking(np.array([2.0, 0.1, 0.3]), np.array([0.0, 0.0, 9.0]))
 
@@ -27,7 +30,7 @@ def error_px(F: np.ndarray) -> float:
 
 @pytest.mark.parametrize("lenses", [None, (K, K)])
 @pytest.mark.parametrize("wrong", [0, 100])
-def test_f_is_more_exact_when_fine_keypoints_count_more(lenses, wrong):
+def test_f_is_more_exact_when_fine_keypoints_count_more(lenses: tuple[Float64s, Float64s] | None, wrong: int) -> None:
     x1, x2, size = noisy(wrong)
     rough = estimate_fundamental(x1, x2, 1.0, seed=0)
     assert rough is not None
@@ -38,13 +41,13 @@ def test_f_is_more_exact_when_fine_keypoints_count_more(lenses, wrong):
     assert error_px(weighted) < 0.75 * error_px(rough.F)
 
 
-def test_noise_comes_out_as_it_went_in():
+def test_noise_comes_out_as_it_went_in() -> None:
     x1, x2, size = noisy()
     _, noise = refine_two_view(fundamental_from_cameras(LEFT, RIGHT), x1, x2, size)
     np.testing.assert_allclose(noise, 0.1 * size, rtol=0.1)
 
 
-def test_with_known_lenses_f_stays_that_of_two_such_cameras_and_without_it_stays_of_rank_two():
+def test_with_known_lenses_f_stays_that_of_two_such_cameras_and_without_it_stays_of_rank_two() -> None:
     x1, x2, size = noisy()
     rough = fundamental_from_cameras(LEFT, RIGHT) + 1e-7
     bare = np.linalg.svd(refine_two_view(rough, x1, x2, size)[0], compute_uv=False)
@@ -53,7 +56,7 @@ def test_with_known_lenses_f_stays_that_of_two_such_cameras_and_without_it_stays
     np.testing.assert_allclose(E / E[0], [1, 1, 0], atol=1e-9)
 
 
-def test_exact_matches_give_the_exact_f():
+def test_exact_matches_give_the_exact_f() -> None:
     x1, x2 = seen_by_both(LEFT, RIGHT, scene())
     F, noise = refine_two_view(fundamental_from_cameras(LEFT, RIGHT), x1, x2, np.ones(len(x1)))
     assert error_px(F) < 1e-6 and (noise > 0).all()

@@ -28,6 +28,7 @@ def test_a_colmap_text_model(tmp_path: Path) -> None:
     camera = read_calibration(model)["gate/a b.jpg"]
     assert camera.K == [[500, 0, 319.5], [0, 510, 239.5], [0, 0, 1]]
     assert camera.distortion == [-0.1, 0.02, 0.001, 0.002, 0.0]
+    assert camera.R is not None and camera.C is not None
     assert np.allclose(camera.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     assert np.allclose(camera.C, [-2, 1, -3])
 

@@ -37,6 +37,7 @@ def test_a_good_site_file(tmp_path: Path) -> None:
     assert [camera.id for camera in site.cameras] == ["gate", "roof"]
     assert site.work == tmp_path / ".wbflow" / "yard"
     assert site.resolution == 1600
+    assert site.cameras[1].placement.R is not None
     assert site.cameras[1].placement.R[2] == pytest.approx([10 / 125**0.5, 0, -5 / 125**0.5])
     assert not site.posed
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
 from wbflow.cli import main
 
@@ -20,6 +21,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     paths = folder / "one.png", folder / "two.png"
     for path, camera in zip(paths, small_yard().cameras[:2], strict=True):
         # no F fits two views through a lens as bent as the yard's
+        assert camera.lens.K is not None
         straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
         cv2.imwrite(str(path), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))
     return paths
@@ -37,7 +39,7 @@ def test_two_photographs_give_matches_geometry_rectified_images_and_disparity(
     lines = x1 @ F.T
     assert np.median(np.abs((x2 * lines).sum(1)) / np.hypot(lines[:, 0], lines[:, 1])) < 0.5
     summary = json.loads((tmp_path / "pair.json").read_text())
-    png = cv2.imread(str(tmp_path / "left-disparity.png"), cv2.IMREAD_UNCHANGED)
+    png = read_image(tmp_path / "left-disparity.png", cv2.IMREAD_UNCHANGED)
     pfm = (tmp_path / "left-disparity.pfm").read_bytes()
     height, width = png.shape
     values = np.frombuffer(pfm[-4 * width * height :], "<f4").reshape(height, width)[::-1]
@@ -46,7 +48,7 @@ def test_two_photographs_give_matches_geometry_rectified_images_and_disparity(
     assert np.array_equal(known, np.isfinite(values))
     steps, offset = summary["png_steps_per_px"], summary["png_offset_px"]
     assert np.abs((png[known] - 1.0) / steps + offset - values[known]).max() <= 0.5 / steps
-    shapes = {cv2.imread(str(tmp_path / f"{name}-rectified.png")).shape[0] for name in ("left", "right")}
+    shapes = {read_image(tmp_path / f"{name}-rectified.png").shape[0] for name in ("left", "right")}
     assert shapes == {height}, "the same rows in both"
 
 

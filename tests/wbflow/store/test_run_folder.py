@@ -9,15 +9,16 @@ from pathlib import Path
 import pytest
 
 from tests.wbflow.store.test_record import some_record
-from wbflow.store.events import TaskEvent, WarningEvent, event_from_json
+from wbflow.store.events import Event, TaskEvent, WarningEvent, event_from_json
 from wbflow.store.layout import WorkFolder, run_id
 from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run
 from wbflow.task import Task
 
-EVENTS = [
-    TaskEvent(
-        Task("matches", ("gate", "roof")), "rejected", "t", fresh=True, reason="3 inliers", code="too-few", key="ab", cpu=0.1
-    ),
+REJECTED = TaskEvent(
+    Task("matches", ("gate", "roof")), "rejected", "t", fresh=True, reason="3 inliers", code="too-few", key="ab", cpu=0.1
+)
+EVENTS: list[Event] = [
+    REJECTED,
     WarningEvent("picture not drawn", "t", Task("frames", ("gate",)), "install more", "Traceback"),
     WarningEvent("the ledger was not written", "t"),
 ]
@@ -42,7 +43,7 @@ def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
     ]
     assert RunFolder.at(folder.paths.folder).record().cameras[0].id == "gate"
     assert folder.events() == EVENTS
-    assert folder.tasks() == {EVENTS[0].task: EVENTS[0]}
+    assert folder.tasks() == {REJECTED.task: REJECTED}
     assert folder.cameras() == {"gate": {"K": []}}
     assert RunFolder.of(work, "latest").id == RunFolder.of(work).id == folder.id
 
@@ -98,8 +99,8 @@ def test_runs_that_cannot_be_read_are_named(tmp_path: Path) -> None:
 
 def test_events_of_later_versions_are_passed_over() -> None:
     assert event_from_json({"event": "pinned", "at": "t", "who": "me"}) is None
-    line = json.loads(json.dumps(EVENTS[0].to_json()))
-    assert event_from_json(line | {"more": 1}) == EVENTS[0]
+    line = json.loads(json.dumps(REJECTED.to_json()))
+    assert event_from_json(line | {"more": 1}) == REJECTED
 
 
 def test_a_warning_in_words() -> None:

@@ -1,0 +1,107 @@
+"""What the guides show works when it is typed as it stands there."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import cv2
+import pytest
+import yaml
+from click.testing import CliRunner
+
+import wbflow
+from tests.helpers.synthetic_site import small_yard
+from wbflow.cli import main
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def blocks(guide: str, language: str) -> list[str]:
+    """The fenced blocks of one language in a guide."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / guide).read_text(), re.MULTILINE | re.DOTALL)
+
+
+def wbflow_says(*arguments: str | Path) -> str:
+    """What a command prints; it must end well."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The README's site file, in a folder with four photographs of which nothing else is known, and a run of it."""
+    (typed,) = blocks("README.md", "yaml")
+    assert len(typed.splitlines()) == 9
+    folder = tmp_path_factory.mktemp("photographs")
+    (folder / "site.yaml").write_text(typed)
+    for name, camera in zip(yaml.safe_load(typed)["cameras"], small_yard().cameras, strict=True):
+        cv2.imwrite(str(folder / f"{name}.jpg"), camera.captures[0][..., ::-1])
+    wbflow_says("run", folder, "--jobs", "1")
+    return folder
+
+
+def test_nine_lines_and_four_photographs_make_a_cloud(folder: Path) -> None:
+    run = wbflow.open_run(folder)
+    assert len(run.cloud.points) > 20_000
+    assert {camera.outcome for camera in run.cameras.values()} == {"ok"}
+
+
+def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    (typed,) = blocks("README.md", "python")
+    (folder / "typed.py").write_text(typed.replace("jobs=2", "jobs=1"))
+    monkeypatch.chdir(folder)
+    names = runpy.run_path("typed.py")
+    assert names["F"].shape == (3, 3)
+    assert "gate--roof ok" in capsys.readouterr().out
+
+
+def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
+    _, typed = blocks("stages/README.md", "python")
+    (named,) = blocks("stages/README.md", "yaml")
+    (folder / "orb.py").write_text(typed)
+    site = folder / "orb.yaml"
+    site.write_text((folder / "site.yaml").read_text() + named)
+    wbflow_says("check", site)
+    wbflow_says("run", site, "--jobs", "1", "--until", "geometry")
+    run = wbflow.open_run(site)
+    found = [pair for pair in run.pairs.values() if pair.outcome == "ok"]
+    assert len(found) >= 3, "neighbours have a geometry"
+    matches = run.artifact(f"matches {found[0].name}")
+    assert matches.matcher == "orb:match_orb"
+    assert matches.i1 is None, "points that are no keypoints"
+
+
+def test_two_photographs_to_disparity(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typed, _ = blocks("stages/README.md", "python")
+    assert len(typed.splitlines()) <= 10
+    (tmp_path / "one.jpg").write_bytes((folder / "gate.jpg").read_bytes())
+    (tmp_path / "two.jpg").write_bytes((folder / "roof.jpg").read_bytes())
+    (tmp_path / "typed.py").write_text(typed)
+    monkeypatch.chdir(tmp_path)
+    names = runpy.run_path("typed.py")
+    assert names["disparity"].density > 0.2
+    assert "of the left view has a disparity" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("guide", ["README.md", "wbflow/README.md", "stages/README.md", "scripts/README.md"])
+def test_what_guides_point_to_is_there(guide: str) -> None:
+    text = (ROOT / guide).read_text()
+    links = re.findall(r"\]\((?!http)([^)#]+)\)", text)
+    assert not [link for link in links if not (ROOT / guide).parent.joinpath(link).exists()]
+    assert not [
+        name for name in re.findall(r"`((?:wbflow|stages|scripts|tests|sites)/[\w./-]+)`", text) if not (ROOT / name).exists()
+    ]
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) < 150
+
+
+def test_the_readme_lists_every_command() -> None:
+    listed = set(re.findall(r"^\| `wbflow (\w+)", (ROOT / "README.md").read_text(), re.MULTILINE))
+    assert listed == set(main.commands)
