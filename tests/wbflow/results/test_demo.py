@@ -138,7 +138,9 @@ def test_what_was_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
     assert file.read_text() == edited
 
 
-def test_another_scene_is_a_site_of_its_own_and_the_yards_manifest_names_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_scene_is_a_site_of_its_own_and_the_yards_manifest_names_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("wbflow_stages.synthetic.square.square", rendered)
     write_demo(tmp_path / "square", scene="square", small=True, captures=2)
     assert load_site(tmp_path / "square").name == "square"
