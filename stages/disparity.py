@@ -6,12 +6,12 @@ import numpy as np
 
 from .core.methods import bind
 from .reasons import Reason, Rejected
-from .rectification.warping import Side, warp_with_mask
+from .rectification.warping import Side
 from .stereo.coarse_range import with_coarse_range
 from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_speckles
-from .stereo.denoise import quietened
 from .stereo.matcher import DenseMatches, RectifiedPair
-from .types import INVALID, Bools, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
+from .stereo.rectified import rectified_pair
+from .types import INVALID, Disparity, Frame, Int16s, Rectification, Uint8s
 
 MATCHERS = {
     "patchmatch": "wbflow_stages.stereo.patchmatch:match_patchmatch",
@@ -23,8 +23,6 @@ MATCHERS = {
 
 _SIDES: tuple[tuple[Side, int], ...] = ((1, -1), (2, 1))
 """Both views, and the sign with which a disparity leads to the other one."""
-
-_WHOLE_PX = 32
 
 _WIDEST_RANGE_PX = 4000
 """What int16 sixteenths can hold."""
@@ -76,7 +74,7 @@ def match_dense(
     """
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
-    pair = with_coarse_range(_rectified(left, right, rectification))
+    pair = with_coarse_range(rectified_pair(left, right, rectification))
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
@@ -98,34 +96,6 @@ def match_dense(
         offset_px=offset,
         density=density,
     )
-
-
-def _rectified(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
-    """Both rectified images in grey, padded to one width, and what of them may be matched.
-
-    The width is even at every size that matchers go down to: a mirror image of half the size is then half the mirror image.
-    """
-    width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
-    images, masks = [], []
-    for frame, (side, _) in zip((left, right), _SIDES, strict=True):
-        grey, mask = quietened(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
-        grey, mask = warp_with_mask(rectification, side, grey, mask)
-        padding = (0, 0), (0, width - grey.shape[1])
-        images.append(np.pad(grey, padding, mode="edge"))
-        masks.append(np.pad(mask, padding))
-    low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
-    return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high)
-
-
-def _grey(image: Uint8s) -> Float32s:
-    """Luminance, float32 and not rounded: rounding to 8 bits loses the faint texture of white walls."""
-    return np.asarray(image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], dtype=np.float32), dtype=np.float32)
-
-
-def _saturated(image: Uint8s) -> Bools:
-    red, green, blue = (image[..., k] for k in range(3))
-    darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
-    return np.asarray((darkest >= 254) | (brightest <= 1))
 
 
 def _kept(

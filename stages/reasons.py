@@ -67,6 +67,13 @@ class Reason(StrEnum):
         "F is that of implausible intrinsics: it is wrong, or the fields of view must be given",
     )
     CAMERAS_CONTRADICT_MATCHES = "cameras-contradict-matches", "the cameras contradict the matches"
+    NOTHING_KNOWN = "nothing-known", "neither matches nor cameras tell how the two views lie to each other"
+    NOTHING_IN_COMMON = "nothing-in-common", "the cameras see nothing in common where the scene is expected"
+    ROWS_NOT_CONFIRMED = (
+        "rows-not-confirmed",
+        "dense matching does not confirm the cameras: {row_share:.1%} of the common area match on the rows that they give, "
+        "{row_chance:.1%} eight rows off",
+    )
     NO_BASELINE = "no-baseline", "almost no baseline: the rays converge by {angle_deg:.2f} degrees, {needed_deg:g} needed"
     NO_PARALLAX = "no-parallax", "one homography explains the pair: almost no baseline, or a flat scene"
     EPIPOLE_AMONG_MATCHES = "epipole-among-matches", "the matches lie on both sides of the epipole: F is wrong"

@@ -7,25 +7,24 @@ The homographies of `congruent`, `literal`, `hartley` and `calibrated` cannot wo
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from .core.cameras import rays
 from .core.methods import bind
-from .core.nearest_points import nearest_points
 from .core.order_statistics import median, percentiles
+from .mvs.ground import ground_homography
 from .reasons import Reason, Rejected
-from .rectification.hartley import hartley
-from .rectification.method import Homographies, MatchedPair, PolarImages
-from .rectification.placement import frame_grid, place
-from .rectification.polar import polar
-from .rectification.quality import line_uncertainty, order_agreement, parallax_px
-from .rectification.warping import Side, from_rectified, rectified_size, resampling, to_rectified
-from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
-from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, freedoms
-from .types import Camera, Float64s, Geometry, PairCheck, Rectification
+from .rectification.fitting import Placed, finished, placed
+from .rectification.method import MatchedPair
+from .rectification.predicted import predict
+from .rectification.quality import parallax_px
+from .rectification.warping import to_rectified
+from .stereo.witness import ask_witness
+from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
+from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
+from .types import Camera, Float32s, Float64s, Frame, Geometry, PairCheck, Rectification, Scene
 
 METHODS = {
     "congruent": "wbflow_stages.rectification.congruent:congruent",
@@ -36,35 +35,24 @@ METHODS = {
 }
 """Methods of rectification (see `Rectifier`) by name."""
 
-_SMALLEST_SIDE_PX = 16
-
-_NOMINAL_SIDE = 768
-"""Long side of the frame, pixels, that `max_row_error_px` is said for."""
-
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
 
-_DEVIATIONS = 3.5
-"""Standard deviations by which epipolar lines may be off: residuals don't tell all, matches err together and wrong ones agree.
-Chosen on fountain with known lenses as the least with which no pair of wrong rows passes; checked on entry and the demo."""
+_FEWEST_POINTS = 50
+"""So few points of a dense match show no scene."""
 
-
-class _Footprint(NamedTuple):
-    """Where a rectified image shows its frame: points (n, 2) of a regular grid over the frame, their share of the grid, and areas
-    and sides (n,) of the pixels resampled there."""
-
-    points: Float64s
-    share: float
-    area: Float64s
-    longer: Float64s
-    shorter: Float64s
+_MARGIN_OF_POINTS = 0.1
+"""The disparity range reaches beyond the points of a dense match by this share of their range."""
 
 
 def rectify(
-    geometry: Geometry,
+    geometry: Geometry | None = None,
     left: Camera | None = None,
     right: Camera | None = None,
     verdict: PairCheck | None = None,
+    left_frame: Frame | None = None,
+    right_frame: Frame | None = None,
+    scene: Scene | None = None,
     *,
     method: str = "congruent",
     fallback: bool = True,
@@ -72,18 +60,28 @@ def rectify(
     max_row_error_px: float = 0.5,
     min_angle_deg: float = 0.7,
     range_margin: float = 0.1,
+    min_row_share: float = 0.01,
+    min_row_ratio: float = 2.0,
     **options: object,
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
+
+    Where both cameras are known, they give the rows.  Matches that agree with them choose scale, crop and disparity range; where
+    these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
 
     Parameters
     ----------
     geometry
         Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no cameras.
+        May be missing where both cameras are known.
     left, right
         Solved or known cameras; F comes from them when both are given.
     verdict
-        What the cameras of the whole site say of the pair; one that contradicts them is rejected.
+        What the cameras of the whole site say of the pair's matches; those that contradict the cameras are not used.
+    left_frame, right_frame
+        The frames of the pair, looked at where the matches are too few.
+    scene
+        Where the scene lies, as far as it is known, for the same case.
     method
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
         the matches; "literal": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
@@ -93,7 +91,7 @@ def rectify(
     fallback
         Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
     min_matches
-        Fewer matches than this reject the pair; fewer than 50 warn.
+        Fewer matches than this reject the pair where no cameras are known; fewer than 50 warn.
     max_row_error_px
         Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a frame whose long
         side is 768: the limit grows with larger frames, whose pixels show as much less.  Smaller frames keep the limit in their
@@ -103,13 +101,17 @@ def rectify(
         a homography that explains the pair takes its place.
     range_margin
         The disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
+    min_row_share
+        Without matches, this share of the common area must match densely, no unit...
+    min_row_ratio
+        ...and so many times what matches with one image shifted by eight rows.
     options
         Parameters of the method, see its function.
 
     Raises
     ------
     ValueError
-        No such method, or it needs the cameras.
+        No such method, or it needs the cameras; neither geometry nor cameras.
     TypeError
         A parameter that the method does not read.
 
@@ -117,15 +119,73 @@ def rectify(
     ----------
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
-    if verdict is not None and not verdict.kept:
-        return Rejected(Reason(verdict.code), words=verdict.reason)
-    pair = _obeying(geometry, left, right)
-    rectifier = bind(METHODS, method, {"pair": pair, "geometry": geometry, "left": left, "right": right}, options)
-    refusal = _unbelievable(geometry, pair) or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
-    if refusal is not None:
-        return refusal
-    placed = _placed(pair, method, rectifier, fallback)
-    return placed if isinstance(placed, Rejected) else _finished(*placed, pair, geometry, max_row_error_px, range_margin)
+
+    def fitted(pair: MatchedPair) -> Placed | Rejected:
+        rectifier = bind(METHODS, method, {"pair": pair, "geometry": geometry, "left": left, "right": right}, options)
+        return placed(pair, method, rectifier, fallback)
+
+    refused = Rejected(Reason.NOTHING_KNOWN)
+    if geometry is not None:
+        pair = _obeying(geometry, left, right)
+        refusal = _contradicted(verdict) or _unbelievable(geometry, pair)
+        refusal = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
+        found = refusal or fitted(pair)
+        if not isinstance(found, Rejected):
+            return finished(*found, pair, geometry, max_row_error_px, range_margin)
+        refused = found
+    if left is None or right is None or left_frame is None or right_frame is None or refused.code == Reason.NO_BASELINE:
+        return refused
+    limits = min_row_share, min_row_ratio, min_angle_deg
+    return _from_cameras((left, right), (left_frame, right_frame), scene, fitted, limits)
+
+
+def _from_cameras(
+    cameras: tuple[Camera, Camera],
+    frames: tuple[Frame, Frame],
+    scene: Scene | None,
+    fitted: Callable[[MatchedPair], Placed | Rejected],
+    limits: tuple[float, float, float],
+) -> Rectification | Rejected:
+    """The rectification that two cameras give, laid out by the scene that both should see; dense matching must confirm it, and
+    shows where the scene really is.  limits: `min_row_share`, `min_row_ratio`, `min_angle_deg` of `rectify`."""
+    expected = predict(*cameras, scene)
+    if expected is None:
+        return Rejected(Reason.NOTHING_IN_COMMON)
+    ground = None if scene is None or scene.ground is None else ground_homography(*cameras, scene.ground)
+    first = fitted(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
+    if isinstance(first, Rejected):
+        return first
+    reach = to_rectified(first[0], 1, expected.ends1)[:, 0] - to_rectified(first[0], 2, expected.ends2)[:, 0]
+    low, high = percentiles(reach[np.isfinite(reach)], 2, 98)
+    likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
+    witness = ask_witness(*frames, likely)
+    rows = witness.rows
+    if not rows.passed(*limits[:2]) or len(witness.x1) < _FEWEST_POINTS:
+        return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
+    pair = _known_pair(cameras, witness.x1, witness.x2, witness.confidence)
+    if pair.angle_deg < limits[2]:
+        return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": limits[2]})
+    second = fitted(pair)
+    if isinstance(second, Rejected):
+        return second
+    found = finished(*second, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    if isinstance(found, Rejected):
+        return found
+    return replace(
+        found, verified="dense", row_share=rows.share, row_chance=rows.chance, row_error_px=rows.row_error_px, ground=ground
+    )
+
+
+def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, probability: Float32s) -> MatchedPair:
+    """Points x1, x2 (n, 2) in the place of matches, of cameras that give F."""
+    left, right = cameras
+    sizes = (left.width, left.height), (right.width, right.height)
+    F = fundamental_from_cameras(left, right)
+    return MatchedPair(F, x1, x2, probability, *sizes, left, right, _angle_deg(left, right, x1, x2))
+
+
+def _contradicted(verdict: PairCheck | None) -> Rejected | None:
+    return None if verdict is None or verdict.kept else Rejected(Reason(verdict.code), words=verdict.reason)
 
 
 def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:
@@ -174,174 +234,3 @@ def _angle_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> 
     rays1, rays2 = rays(camera1, x1), rays(camera2, x2)
     cosine = np.sum(rays1 * rays2, axis=0) / np.sqrt(np.sum(rays1**2, axis=0) * np.sum(rays2**2, axis=0))
     return float(np.degrees(median(np.arccos(np.clip(cosine, -1, 1)))))
-
-
-_Placed = tuple[Rectification, list[_Footprint]]
-
-
-def _placed(
-    pair: MatchedPair, method: str, rectifier: Callable[[], Homographies | PolarImages], fallback: bool
-) -> _Placed | Rejected:
-    """The rectification by the method; where that can't be, by Hartley's homographies, which bend x least; else by rows."""
-    reason = "as asked"
-    attempts = {method: rectifier}
-    if method not in ("hartley", "polar"):
-        attempts["hartley"] = partial(hartley, pair)
-    for name, attempt in attempts.items():
-        try:
-            found = attempt()
-        except ValueError as error:
-            reason = str(error)
-            continue
-        if isinstance(found, PolarImages):
-            return _by_rows(pair, found, name, reason)
-        placed = _by_homographies(pair, found, name, reason, torn_too=not fallback)
-        if not isinstance(placed, str):
-            return placed
-        reason = placed
-    return _by_rows(pair, polar(pair), "polar", reason)
-
-
-def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason: str, torn_too: bool) -> _Placed | str:
-    """A rectification by two homographies, or why there can be none."""
-    H1, H2 = found
-    near1, near2 = _third(H1, pair.x1) > 0, _third(H2, pair.x2) > 0
-    if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
-        return "an epipole lies among the matches"
-    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (pair.x1, pair.x2))  # five times as fast as x[...]
-    H1, H2, size1, size2 = place(H1, H2, x1, x2, pair.size1, pair.size2)
-    result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
-    footprints = [_footprint(result, pair, side) for side in _SIDES]
-    for footprint, H in zip(footprints, (H1, H2), strict=True):
-        if len(footprint.points) == 0 or _third(H, footprint.points).min() <= 0:
-            return "the line sent to infinity crosses the image"
-        if torn_too:
-            continue
-        low, high = np.sqrt(percentiles(np.abs(footprint.area), 5, 95))
-        if high > 4 * low:
-            return f"{method} stretches the image {high / low:.1f} times: an epipole is near, or the matches scatter"
-        (anisotropy,) = percentiles(footprint.longer / footprint.shorter, 95)
-        if anisotropy > 3:
-            return f"{method} makes pixels {anisotropy:.1f} times longer than wide: an epipole is near, or the matches scatter"
-    return result, footprints
-
-
-def _third(H: Float64s, x: Float64s) -> Float64s:
-    """(n,): third homogeneous coordinate of the images of points x (n, 2); 0 on the line sent to infinity."""
-    return np.asarray(x @ H[2, :2] + H[2, 2], dtype=np.float64)
-
-
-def _by_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> _Placed | Rejected:
-    rows1, rows2, size1, size2, agreement = images
-    if agreement < 0.98:
-        return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
-    if min(*size1, *size2) < _SMALLEST_SIDE_PX:
-        return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
-    found = Rectification(method, reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
-    footprints = [_footprint(found, pair, side) for side in _SIDES]
-    if min(footprint.share for footprint in footprints) == 0:
-        return Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
-    return found, footprints
-
-
-def _finished(
-    found: Rectification,
-    footprints: list[_Footprint],
-    pair: MatchedPair,
-    geometry: Geometry,
-    max_row_error_px: float,
-    range_margin: float,
-) -> Rectification | Rejected:
-    """The rectification with its figures, or why it must not be used."""
-    y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
-    vertical = np.abs(y1[:, 1] - y2[:, 1])
-    agreement = order_agreement(y1, y2)
-    if agreement < 0.7:
-        return Rejected(Reason.ROW_ORDER, {"rank_correlation": agreement})
-    areas = [median(footprint.area) for footprint in footprints]
-    if min(areas) <= 0:
-        return Rejected(Reason.MIRRORED, {"area1": areas[0], "area2": areas[1]})
-    disparity = y1[:, 0] - y2[:, 0]
-    low, high = percentiles(disparity, 0.5, 99.5)
-    margin = range_margin * (high - low) + 0.01 * pair.size1[0]
-    scale = float(np.sqrt(median(np.concatenate([footprint.area for footprint in footprints]))))
-    uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
-    allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
-    if uncertainty > allowed:
-        figures = {"row_error_px": uncertainty, "allowed_px": allowed}
-        return Rejected(Reason.UNCERTAIN_ROWS, figures)
-    return Rectification(
-        method=found.method,
-        reason=found.reason,
-        H1=found.H1,
-        H2=found.H2,
-        size1=found.size1,
-        size2=found.size2,
-        disparity_min_px=float(np.floor(low - margin)),
-        disparity_max_px=float(np.ceil(high + margin)),
-        vertical_px=float(vertical.mean()),
-        vertical_p95_px=percentiles(vertical, 95)[0],
-        angle_deg=pair.angle_deg,
-        polar1=found.polar1,
-        polar2=found.polar2,
-        scale=scale,
-        anisotropy=percentiles(np.concatenate([f.longer / f.shorter for f in footprints]), 95)[0],
-        kept1=footprints[0].share,
-        kept2=footprints[1].share,
-        depth_resolution=_depth_resolution(pair, scale),
-        warnings=("few matches",) if len(pair.x1) < 50 else (),
-    )
-
-
-_SIDES: tuple[Side, ...] = (1, 2)
-
-
-def _footprint(rectification: Rectification, pair: MatchedPair, side: Side) -> _Footprint:
-    grid = frame_grid(pair.size1 if side == 1 else pair.size2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = to_rectified(rectification, side, grid)
-        width, height = rectified_size(rectification, side)
-        inside = (x[:, 0] >= -0.5) & (x[:, 0] <= width - 0.5) & (x[:, 1] >= -0.5) & (x[:, 1] <= height - 0.5)
-        shown = np.compress(inside, grid, axis=0)
-        shapes = resampling(rectification, side, shown)
-    return _Footprint(shown, len(shown) / len(grid), *shapes)
-
-
-def _row_uncertainty_px(
-    rectification: Rectification, shown: Float64s, pair: MatchedPair, geometry: Geometry, y1: Float64s, y2: Float64s
-) -> float:
-    """How far the epipolar lines may be off over the shared area (95 %), pixels of the frame; 0 when cameras gave F.
-
-    Asked where the scene probably is: at the disparity of the nearest match y1, y2 (n, 2).
-    """
-    if pair.camera1 is not None:
-        return 0.0
-    r = to_rectified(rectification, 1, shown)
-    r[:, 0] -= (y1[:, 0] - y2[:, 0])[nearest_points(y1, r, 1)[1][:, 0]]
-    partner = from_rectified(rectification, 2, r)
-    inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
-    if not inside.any():
-        return 0.0
-    essential = _intrinsics_behind(geometry)
-    lenses = None
-    if geometry.lens1 is not None and geometry.lens2 is not None:
-        lenses = freedoms(pair.F, geometry.lens1, geometry.lens2, geometry.view1, geometry.view2)
-    noise = None if geometry.noise_px is None else geometry.noise_px.astype(np.float64)
-    shown, partner = np.compress(inside, shown, axis=0), np.compress(inside, partner, axis=0)
-    sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown, partner, essential, noise, lenses)
-    return _DEVIATIONS * percentiles(sigma, 95)[0]
-
-
-def _intrinsics_behind(geometry: Geometry) -> tuple[Float64s, Float64s] | None:
-    """K1, K2 where F comes from an essential matrix, and so has five degrees of freedom only."""
-    K1, K2 = geometry.view1.K, geometry.view2.K
-    return (K1, K2) if geometry.model == "E" and K1 is not None and K2 is not None else None
-
-
-def _depth_resolution(pair: MatchedPair, scale: float) -> float:
-    """Median error of the depth, as a share of it, that one rectified pixel of disparity makes."""
-    if pair.camera1 is None or pair.camera2 is None:
-        return float("nan")
-    depth, per_pixel = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
-    known = np.isfinite(depth)
-    return median(per_pixel[known] / depth[known]) / scale if known.any() else float("nan")

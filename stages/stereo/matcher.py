@@ -19,7 +19,8 @@ class RectifiedPair:
     """Two rectified images; a point at x in the left one lies at x - d in the right one, on the same row.
 
     left, right: (h, w) float32 grey, 0 to 255, never rounded, of one size; valid_left, valid_right: (h, w) bool, True where a
-    pixel may be matched; disparity_min, disparity_max: whole pixels, the range to search, both ends included.
+    pixel may be matched; disparity_min, disparity_max: whole pixels, the range to search, both ends included; prior_left,
+    prior_right: (h, w) float32, the disparity of a surface that is likely to be there (the ground), nan where there is none.
     """
 
     left: Float32s
@@ -28,6 +29,8 @@ class RectifiedPair:
     valid_right: Bools
     disparity_min: int
     disparity_max: int
+    prior_left: Float32s | None = None
+    prior_right: Float32s | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,8 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
         valid_right=flip(pair.valid_left),
         disparity_min=pair.disparity_min,
         disparity_max=pair.disparity_max,
+        prior_left=None if pair.prior_right is None else flip(pair.prior_right),
+        prior_right=None if pair.prior_left is None else flip(pair.prior_left),
     )
 
 
@@ -79,6 +84,8 @@ def halved(pair: RectifiedPair) -> RectifiedPair:
         valid_right=_half(pair.valid_right.astype(np.float32)) > 0.99,
         disparity_min=pair.disparity_min // 2 - 1,
         disparity_max=-(-pair.disparity_max // 2) + 1,
+        prior_left=None if pair.prior_left is None else _half(pair.prior_left) / np.float32(2),
+        prior_right=None if pair.prior_right is None else _half(pair.prior_right) / np.float32(2),
     )
 
 

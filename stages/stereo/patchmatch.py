@@ -30,6 +30,9 @@ _DOUBTFUL = 2.5
 _DIRECT_PX = 1.0e6
 """Larger pairs start from PatchMatch at half the size, others from SGM at half the size."""
 
+_LIKELY = 0.1
+"""A surface that is likely to be there may cost so much more than what was found."""
+
 _BEYOND = 0.5
 """Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
 
@@ -59,6 +62,19 @@ class _View:
         beyond = _BEYOND * (self.pair.disparity_max - self.pair.disparity_min)
         low, high = self.pair.disparity_min - beyond, self.pair.disparity_max + beyond
         return Propagation(self.pair.left, self.pair.right, self.pair.valid_left, low, high)
+
+    def lean_on_prior(self, propagation: Propagation) -> None:
+        """Take the likely surface where it shows the other image about as well as what was found: repeated tiles fit at many
+        disparities, and bare asphalt at any."""
+        prior = self.pair.prior_left
+        if prior is None:
+            return
+        along_y, along_x = np.gradient(prior)
+        planes = np.stack([prior, along_x, along_y]).astype(np.float32)
+        cost = propagation.costs(planes)
+        likely = np.isfinite(planes).all(axis=0) & (cost < _DEAREST) & (cost <= self.cost + _LIKELY)
+        self.planes[:, likely] = planes[:, likely]
+        self.cost[likely] = cost[likely]
 
     def smoothed(self, rounds: int) -> Float32s:
         """Planes (3, h, w), nan where too costly."""
@@ -98,6 +114,7 @@ def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> 
         proposals = [view.seen_from_other() for view in views[::-1]] if number else [view.planes for view in views]
         for view, propagation, proposed in zip(views, propagations, proposals, strict=True):
             propagation.round(number, view.planes, view.cost, proposed)
+            view.lean_on_prior(propagation)
     return views
 
 

@@ -64,6 +64,12 @@ class Propagation:
             Scalar(1.5 * 0.6**number), Scalar(0.3 * 0.7**number),
         )  # fmt: skip
 
+    def costs(self, planes: Float32s) -> Float32s:
+        """(h, w) what `planes` (3, h, w) cost; 1 where they are nan or lead out of the range."""
+        cost = np.ones(planes.shape[1:], dtype=np.float32)
+        _judge(self.left, self.pairs, self.valid, planes, cost, *self.range)
+        return cost
+
 
 @kernel
 def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: Float32s) -> None:
@@ -257,3 +263,21 @@ def _propagate(
                 _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
                 shift *= np.float32(0.35)
                 turn *= np.float32(0.45)
+
+
+@kernel
+def _judge(left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, cost: Float32s, low: Scalar, high: Scalar) -> None:
+    height, width = cost.shape
+    window = np.zeros(_WINDOW, dtype=np.float32)
+    scratch = np.zeros(_SCRATCH, dtype=np.float32)
+    taken = np.zeros(_ACROSS * _BLOCK, dtype=np.uint64)
+    trial, trial_cost = np.zeros(3 * _BLOCK, dtype=np.float32), np.zeros(_BLOCK, dtype=np.float32)
+    for y in range(height):
+        for x0 in range(0, width, _BLOCK):
+            n = min(_BLOCK, width - x0)
+            if not valid[y + _RADIUS, x0 + _RADIUS : x0 + _RADIUS + n].any():
+                continue
+            _windows(left, valid, y, x0, n, window)
+            _neighbours(planes, valid, y, x0, n, 0, 0, low, high, trial)
+            _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
+            cost[y, x0 : x0 + n] = trial_cost[:n]

@@ -5,7 +5,7 @@ from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uin
 from .captured import Capture, Lens, Placement, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
 from .pairs import Geometry, Matches, Overlap, PairCheck
-from .site import PoseCheck, Poses
+from .site import PoseCheck, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
 
 __all__ = [
@@ -38,6 +38,7 @@ __all__ = [
     "Reason",
     "Rectification",
     "Rejected",
+    "Scene",
     "Survey",
     "Uint8s",
     "Uint16s",

@@ -66,6 +66,18 @@ class Rectification:
     """Median depth error of one pixel of disparity over depth, nan without cameras."""
     warnings: tuple[str, ...] = ()
     """What weakens the result without making it useless."""
+    verified: str = "sparse"
+    """Who says that the rows are right: "sparse" (matches of keypoints) or "dense" (the cameras, and dense matches; see
+    `stereo.row_test`)."""
+    row_share: float = float("nan")
+    """Of rows that dense matches verified: share of the common area whose pixels find their partners on them..."""
+    row_chance: float = float("nan")
+    """...and on rows shifted by eight."""
+    row_error_px: float = float("nan")
+    """By how many rows the images seem to be off."""
+    ground: Float64s | None = None
+    """(3, 3) homography of frame 1 to frame 2 of what stands on the ground, where that is known; its third coordinate is positive
+    before both cameras."""
 
 
 @short_repr

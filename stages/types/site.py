@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ..core.short_repr import short_repr
+from .arrays import Float64s
 from .pairs import PairCheck
 from .views import Camera
 
@@ -27,6 +28,17 @@ class PoseCheck:
     """How far that is from the known pose, world lengths; nan where not moved, or unknown."""
     off_deg: float = float("nan")
     """The same in degrees."""
+
+
+@short_repr
+@dataclass(frozen=True)
+class Scene:
+    """Where the things that the cameras look at are expected, in the world of the cameras."""
+
+    box: Float64s | None = None
+    """(2, 3) lowest and highest corner of all that matters, world lengths."""
+    ground: Float64s | None = None
+    """(4,) plane n, d with n X + d = 0, n of unit length and pointing up: where most of it stands."""
 
 
 @short_repr

@@ -1,0 +1,219 @@
+"""The ground: the plane on which most of a site stands, found by what all views together show of it.
+
+Fixed cameras hang upright, so that their rows are level: which way is up follows from the cameras alone.  Planes at many heights
+below the lowest camera are tried: where patches of one view, carried over a plane into another view, look there as they do here,
+the plane is the ground.  Repeated tiles fit at many heights in one pair of views, at one height only in all of them.
+
+References
+----------
+Collins, A space-sweep approach to true multi-image matching, CVPR 1996.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from ..core.cameras import rays, relative_pose, scaled_intrinsics
+from ..core.jit import kernel
+from ..types import Camera, Float32s, Float64s
+
+_HEIGHTS = 200
+_LOWEST, _HIGHEST = 0.02, 1.5
+"""Heights of the lowest camera above the planes that are tried, as shares of the longest baseline."""
+
+_PATCHES = 28
+"""Patches across the wider side of a view."""
+
+_RADIUS = 4
+_ALIKE = 0.6
+"""Patches that correlate so well look alike."""
+
+_CANDIDATES = 4
+_MOST_PAIRS = 8
+_LEAST_SHARE = 0.04
+"""Share of the patches that must look alike on the ground."""
+
+_CLEARER, _CLEARER_FOR_TWO = 1.4, 3.0
+"""The ground must have so many times the likeness of any other height; more where two views alone must tell, to which repeated
+tiles fit at many heights."""
+
+_SAME_HEIGHT = 0.06
+"""Heights within this share of the best one are the same."""
+
+_LEVEL_DEG = 5.0
+"""World axes whose z is no farther from the cameras' up are meant to have z up."""
+
+
+def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -> Float64s | None:
+    """The ground plane (4,): n, d with n X + d = 0, n of unit length and pointing up; None where no plane stands out.
+
+    Parameters
+    ----------
+    images
+        (h, w) float32 grey frame of each camera.
+    cameras
+        The same cameras, in one world.
+    """
+    names = [name for name in cameras if name in images]
+    views = [_halved(images[name], cameras[name]) for name in names]
+    pairs = _pairs([camera for _, camera in views])
+    if not pairs:
+        return None
+    found: list[tuple[float, Float64s]] = []
+    for up in _ups([camera for _, camera in views]):
+        for plane in _level(views, pairs, up):
+            settled = _settled(views, pairs, plane)
+            found.append((_share_alike(views, pairs, settled), settled))
+    if not found:
+        return None
+    share, ground = max(found, key=lambda each: each[0])
+    centre = np.mean([camera.C for _, camera in views], axis=0)
+    height = float(ground[:3] @ centre + ground[3])
+    rivals = [s for s, plane in found if abs((plane[:3] @ centre + plane[3]) / height - 1) > _SAME_HEIGHT]
+    clearer = _CLEARER if len(names) > 2 else _CLEARER_FOR_TWO
+    return ground if share >= _LEAST_SHARE and share >= clearer * max(rivals, default=0.0) else None
+
+
+def _halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
+    """A view at half its size: planes a little off still fit there, so that fewer have to be tried."""
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    small = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean(axis=(1, 3), dtype=np.float32)
+    return small, replace(camera, K=scaled_intrinsics(camera.K, 0.5, 0.5), width=width, height=height)
+
+
+def _ups(cameras: list[Camera]) -> list[Float64s]:
+    """Where up may be: at right angles to the rows of all views; and the world's z axis, if that is nearly the same."""
+    across = np.stack([camera.R[0] for camera in cameras])
+    values, vectors = np.linalg.eigh(across.T @ across)
+    up = vectors[:, 0] * np.sign(-sum(camera.R[1] @ vectors[:, 0] for camera in cameras))
+    z = np.array([0.0, 0.0, 1.0])
+    level = float(up @ z) > np.cos(np.radians(_LEVEL_DEG))
+    turned = values[1] > 0.02 * len(cameras)  # views that all look the same way don't tell their tilt
+    upright = all(-camera.R[1] @ z > 0.5 for camera in cameras)
+    return ([z] if level or (upright and not turned) else []) + ([up] if turned else [])
+
+
+def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
+    """Pairs of views that look in about the same direction, the nearest ones first."""
+    found = []
+    for i, j in combinations(range(len(cameras)), 2):
+        if cameras[i].R[2] @ cameras[j].R[2] > -0.2:
+            found.append((float(np.linalg.norm(cameras[i].C - cameras[j].C)), i, j))
+    return [(i, j) for baseline, i, j in sorted(found) if baseline > 0][:_MOST_PAIRS]
+
+
+def _level(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[Float64s]:
+    """The level planes on which more looks alike than on those a little higher and lower, the best ones first."""
+    lowest = min(float(camera.C @ up) for _, camera in views)
+    longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
+    below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
+    shares = np.array([_share_alike(views, pairs, np.append(up, height - lowest)) for height in below])
+    planes: list[Float64s] = []
+    for k in np.argsort(-shares, kind="stable"):
+        apart = all(abs(below[k] / (plane[3] + lowest) - 1) > _SAME_HEIGHT for plane in planes)
+        if apart and shares[k] > 0 and len(planes) < _CANDIDATES:
+            planes.append(np.append(up, below[k] - lowest))
+    return planes
+
+
+def _share_alike(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], plane: Float64s) -> float:
+    """Share of the patches in view of two cameras that look alike to both if they lie on the plane; patches that only few of the
+    pairs see count as if they did not."""
+    alike, seen, all_ = 0, 0, 0
+    for i, j in pairs:
+        for one, two in ((views[i], views[j]), (views[j], views[i])):
+            patches = _patches(one[1], plane[:3])
+            likeness = _likeness(one, two, patches, plane)
+            alike += int(np.sum(likeness > _ALIKE))
+            seen += int(np.sum(np.isfinite(likeness)))
+            all_ += len(patches)
+    return alike / max(seen, 0.2 * all_, 1.0)
+
+
+def _settled(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], plane: Float64s) -> Float64s:
+    """The plane nearby on which patches look most alike: tilted and lifted a little."""
+    from scipy.optimize import minimize  # here: many sites need no ground
+
+    centre = np.mean([camera.C for _, camera in views], axis=0)
+    height = float(plane[:3] @ centre + plane[3])
+    a = np.linalg.svd(plane[None, :3])[2][1:]
+    ways = [(views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i))]
+    patches = [(one, two, _patches(one[1], plane[:3])) for one, two in ways]
+
+    def moved(change: Float64s) -> Float64s:
+        normal = plane[:3] + a.T @ (0.02 * change[:2])
+        normal /= np.linalg.norm(normal)
+        return np.append(normal, height * (1 + 0.02 * change[2]) - normal @ centre)
+
+    def unlikeness(change: Float64s) -> float:
+        likeness = np.concatenate([_likeness(one, two, at, moved(change)) for one, two, at in patches])
+        return -float(np.nansum(np.maximum(likeness, 0.0) ** 2))
+
+    simplex = np.vstack([np.zeros(3), np.eye(3)])
+    found = minimize(
+        unlikeness, np.zeros(3), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 80, "xatol": 0.01}
+    )
+    return moved(np.asarray(found.x, dtype=np.float64))
+
+
+def _patches(camera: Camera, up: Float64s) -> Float64s:
+    """(n, 2) whole pixels of a grid that look below the horizon."""
+    step = max(camera.width, camera.height) / _PATCHES
+    x, y = np.arange(step / 2, camera.width, step), np.arange(step / 2, camera.height, step)
+    pixels = np.floor(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    direction = rays(camera, pixels)
+    return np.asarray(pixels[up @ direction < -0.03 * np.linalg.norm(direction, axis=0)])
+
+
+def _likeness(one: tuple[Float32s, Camera], two: tuple[Float32s, Camera], patches: Float64s, plane: Float64s) -> Float64s:
+    """(n,) correlation of the patches of one view with what the other one shows there if they lie on the plane; nan: not seen."""
+    if plane[:3] @ one[1].C + plane[3] <= 0 or plane[:3] @ two[1].C + plane[3] <= 0:
+        return np.full(len(patches), np.nan)
+    out = np.empty(len(patches))
+    _correlate(one[0], two[0], patches, ground_homography(one[1], two[1], plane), _RADIUS, out)
+    return out
+
+
+def ground_homography(camera1: Camera, camera2: Camera, plane: Float64s) -> Float64s:
+    """(3, 3): pixels of camera 1 to those of camera 2, of points on the plane n X + d = 0; its third coordinate, and that of its
+    inverse, is positive for points before both cameras (Hartley & Zisserman, eq. 13.2)."""
+    R, t = relative_pose(camera1, camera2)
+    normal, offset = camera1.R @ plane[:3], float(plane[:3] @ camera1.C + plane[3])
+    return np.asarray(camera2.K @ (R - np.outer(t, normal) / offset) @ np.linalg.inv(camera1.K), dtype=np.float64)
+
+
+@kernel
+def _correlate(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, radius: int, out: Float64s) -> None:
+    h1, w1 = image1.shape
+    h2, w2 = image2.shape
+    for k in range(len(patches)):
+        out[k] = np.nan
+        x, y = int(patches[k, 0]), int(patches[k, 1])
+        if x < radius or y < radius or x >= w1 - radius or y >= h1 - radius:
+            continue
+        s1, s2, s11, s22, s12, n = 0.0, 0.0, 0.0, 0.0, 0.0, 0
+        for j in range(y - radius, y + radius + 1):
+            for i in range(x - radius, x + radius + 1):
+                z = H[2, 0] * i + H[2, 1] * j + H[2, 2]
+                u, v = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z, (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
+                if not (z > 0 and u >= 0 and v >= 0 and u < w2 - 1 and v < h2 - 1):
+                    n = -10000
+                    continue
+                a, b = int(u), int(v)
+                f, g = u - a, v - b
+                there = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
+                there += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
+                here = image1[j, i]
+                s1 += here
+                s2 += there
+                s11 += here * here
+                s22 += there * there
+                s12 += here * there
+                n += 1
+        if n > 0:
+            spread1, spread2 = s11 / n - (s1 / n) ** 2, s22 / n - (s2 / n) ** 2
+            out[k] = (s12 / n - s1 * s2 / n / n) / np.sqrt((spread1 + 4.0) * (spread2 + 4.0))

@@ -1,0 +1,154 @@
+"""What two known cameras both see, though nobody has matched it yet: where the scene would lie in both images, how far to search.
+
+A pair whose cameras are known needs no matches to be rectified.  The net that makes both images congruent, the crop and the range
+of disparities follow from points of the scene's likely surface and of its nearest and farthest ends, projected into both images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.cameras import backproject, project, rays
+from ..types import Camera, Float64s, Int64s, Scene
+
+_GRID = 24
+"""Points across the wider side of an image."""
+
+_STEPS = 32
+"""Depths tried along each ray, evenly spaced in inverse depth."""
+
+_NEAREST, _FARTHEST = 0.5, 2.5
+"""Where nothing else is known the scene reaches from half to two and a half times the distance at which the optical axes meet."""
+
+_PARALLEL = 8.0
+"""Where the axes don't meet, so many baselines take the place of that distance."""
+
+_CLOSEST = 0.02
+"""Nothing is nearer to a camera than this share of the box's diagonal."""
+
+_STANDING, _DEEPER = 0.3, 1.05
+"""What stands on the ground has at least this share of the ground's depth; nothing is farther than this share of it."""
+
+_FEWEST = 12
+"""Fewer points in common tell no net."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What both cameras would see."""
+
+    x1: Float64s
+    """(n, 2) pixels of image 1: points of the likely surface."""
+    x2: Float64s
+    """(n, 2) the same points in image 2."""
+    ends1: Float64s
+    """(m, 2) pixels of image 1: the nearest and the farthest point on each ray that both images show."""
+    ends2: Float64s
+    """(m, 2) the same points in image 2."""
+    angle_deg: float
+    """Median angle between the two rays of the points of the likely surface."""
+    distance: float
+    """Median depth of these points in camera 1, in world lengths."""
+
+
+def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Prediction | None:
+    """Points that both cameras see if the scene is where it is expected; None where their views have nothing in common.
+
+    Parameters
+    ----------
+    camera1, camera2
+        The two cameras, in one world.
+    scene
+        What is known of where things are.  Without a box, the optical axes tell the distance.
+    """
+    first = _seen_from(camera1, camera2, scene)
+    second = _seen_from(camera2, camera1, scene)
+    if len(first[0]) + len(second[0]) < _FEWEST:
+        return None
+    x1, x2 = np.concatenate([first[0], second[1]]), np.concatenate([first[1], second[0]])
+    ends1, ends2 = np.concatenate([first[2], second[3]]), np.concatenate([first[3], second[2]])
+    a, b = rays(camera1, x1), rays(camera2, x2)
+    cosine = np.sum(a * b, axis=0) / np.sqrt(np.sum(a * a, axis=0) * np.sum(b * b, axis=0))
+    angle = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+    return Prediction(x1, x2, ends1, ends2, angle, float(np.median(np.concatenate([first[4], second[4]]))))
+
+
+def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Float64s, Float64s, Float64s, Float64s, Float64s]:
+    """Pixels in both cameras of the likely surface and of the ends of what both see; depths in `camera` of the former."""
+    pixels = _grid(camera)
+    near, far = _reach(camera, other, pixels, scene)
+    usable = far > near
+    pixels, near, far = pixels[usable], near[usable], far[usable]
+    n = len(pixels)
+    inverse = 1 / far + np.linspace(0, 1, _STEPS)[:, None] * (1 / near - 1 / far)  # from far to near
+    depth = 1 / inverse
+    seen, behind = project(other, backproject(camera, np.tile(pixels, (_STEPS, 1)), depth.ravel()))
+    inside = (behind > 0) & (seen > -0.5).all(axis=1) & (seen < [other.width - 0.5, other.height - 0.5]).all(axis=1)
+    inside, seen = inside.reshape(_STEPS, n), seen.reshape(_STEPS, n, 2)
+    both = inside.any(axis=0)
+    farthest, nearest = inside.argmax(axis=0), _STEPS - 1 - inside[::-1].argmax(axis=0)
+    columns = np.arange(n)
+    likely = _likely_step(camera, pixels, inverse, scene)
+    likely = np.clip(likely, farthest, nearest)
+    shown = both & inside[likely, columns]
+    ends = np.concatenate([pixels[both], pixels[both]])
+    partners = np.concatenate([seen[farthest, columns][both], seen[nearest, columns][both]])
+    return pixels[shown], seen[likely, columns][shown], ends, partners, depth[likely, columns][shown]
+
+
+def _grid(camera: Camera) -> Float64s:
+    step = max(camera.width, camera.height) / _GRID
+    x, y = np.arange(step / 2, camera.width, step) - 0.5, np.arange(step / 2, camera.height, step) - 0.5
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def _reach(camera: Camera, other: Camera, pixels: Float64s, scene: Scene | None) -> tuple[Float64s, Float64s]:
+    """Nearest and farthest depth (n,) of the scene on the ray of each pixel; far <= near where the ray misses it."""
+    direction = rays(camera, pixels).T
+    if scene is None or scene.box is None:
+        distance = axes_meet_at(camera, other)
+        near, far = np.full(len(pixels), _NEAREST * distance), np.full(len(pixels), _FARTHEST * distance)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_low, to_high = (scene.box[0] - camera.C) / direction, (scene.box[1] - camera.C) / direction
+        closest = _CLOSEST * float(np.linalg.norm(scene.box[1] - scene.box[0]))
+        near = np.maximum(np.nanmax(np.minimum(to_low, to_high), axis=1), closest)
+        far = np.nanmin(np.maximum(to_low, to_high), axis=1)
+    if scene is not None and scene.ground is not None:
+        ground = _ground_depth(camera, pixels, scene.ground)
+        below = np.isfinite(ground)
+        near[below] = np.minimum(near[below], _STANDING * ground[below])
+        far[below] = np.minimum(far[below], _DEEPER * ground[below])
+    return near, far
+
+
+def _ground_depth(camera: Camera, pixels: Float64s, ground: Float64s) -> Float64s:
+    """(n,) depth at which the ray of each pixel meets the ground; nan where it looks above the horizon."""
+    with np.errstate(divide="ignore"):
+        depth = -(ground[:3] @ camera.C + ground[3]) / (ground[:3] @ rays(camera, pixels))
+    return np.where(depth > 0, depth, np.nan)
+
+
+def _likely_step(camera: Camera, pixels: Float64s, inverse: Float64s, scene: Scene | None) -> Int64s:
+    """Which of the inverse depths (steps, n) of each pixel is nearest the likely surface: the ground, else the middle one."""
+    middle = np.full(len(pixels), _STEPS // 2)
+    if scene is None or scene.ground is None:
+        return middle
+    depth = _ground_depth(camera, pixels, scene.ground)
+    step = np.abs(inverse - 1 / depth).argmin(axis=0)
+    return np.where(1 / depth > inverse[0], step, middle)
+
+
+def axes_meet_at(camera: Camera, other: Camera) -> float:
+    """Depth in `camera` at which the optical axes pass nearest each other; many baselines where they don't meet in front."""
+    between = other.C - camera.C
+    a, b = camera.R[2], other.R[2]
+    cosine = float(a @ b)
+    if abs(cosine) < np.cos(np.radians(2.0)):
+        along = (between @ a - cosine * (between @ b)) / (1 - cosine**2)
+        along_other = (cosine * (between @ a) - between @ b) / (1 - cosine**2)
+        if along > 0 and along_other > 0:
+            return float(along)
+    return _PARALLEL * float(np.linalg.norm(between))

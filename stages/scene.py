@@ -1,0 +1,40 @@
+"""Where the scene lies: its bounds as the site states them, and the ground, found by what all views together show of it.
+
+Asked where pairs of known cameras lack matches of keypoints: then this tells where to look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from .mvs.ground import find_ground
+from .types import Camera, Float32s, Frame, Scene
+
+
+def find_scene(
+    frames: Mapping[str, Frame], cameras: Mapping[str, Camera], *, bounds: list[list[float]] | None = None, ground: bool = True
+) -> Scene:
+    """What is known of where things are.
+
+    Parameters
+    ----------
+    frames
+        The clean frame of each camera.
+    cameras
+        Cameras by id; those of the main component have a say.
+    bounds
+        Two corners [[x, y, z], [x, y, z]] of the box that holds all that matters, in world lengths.
+    ground
+        Look for the plane on which most of the site stands.
+    """
+    known = {name: camera for name, camera in cameras.items() if camera.component == 0 and name in frames}
+    box = None if bounds is None else np.sort(np.array(bounds, dtype=np.float64), axis=0)
+    plane = find_ground({name: _grey(frames[name]) for name in known}, known) if ground and len(known) > 1 else None
+    return Scene(box, plane)
+
+
+def _grey(frame: Frame) -> Float32s:
+    return np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), dtype=np.float32)

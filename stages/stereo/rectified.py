@@ -1,0 +1,58 @@
+"""The two rectified images of a pair, made ready for dense matching."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..rectification.warping import Side, from_rectified, to_rectified, warp_with_mask
+from ..types import Bools, Float32s, Float64s, Frame, Rectification, Uint8s
+from .denoise import quietened
+from .matcher import RectifiedPair
+
+_SIDES: tuple[Side, ...] = (1, 2)
+_WHOLE_PX = 32
+
+
+def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> RectifiedPair:
+    """Both rectified images in grey, padded to one width, and what of them may be matched.
+
+    The width is even at every size that matchers go down to: a mirror image of half the size is then half the mirror image.
+    """
+    width = -(-max(rectification.size1[0], rectification.size2[0]) // _WHOLE_PX) * _WHOLE_PX
+    images, masks = [], []
+    for frame, side in zip((left, right), _SIDES, strict=True):
+        grey, mask = quietened(_grey(frame.image), frame.mask), frame.mask & ~_saturated(frame.image)
+        grey, mask = warp_with_mask(rectification, side, grey, mask)
+        padding = (0, 0), (0, width - grey.shape[1])
+        images.append(np.pad(grey, padding, mode="edge"))
+        masks.append(np.pad(mask, padding))
+    low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
+    priors: list[Float32s | None] = [None, None]
+    if rectification.ground is not None:
+        priors = [_ground_disparity(rectification, rectification.ground, side, images[0].shape) for side in _SIDES]
+    return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high, priors[0], priors[1])
+
+
+def _ground_disparity(rectification: Rectification, ground: Float64s, side: Side, shape: tuple[int, ...]) -> Float32s:
+    """(h, w) disparity of the ground in one rectified image, nan where that looks above the horizon."""
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
+    at = np.column_stack([x, y]).astype(np.float64)
+    H = ground if side == 1 else np.linalg.inv(ground)
+    pixels = from_rectified(rectification, side, at)
+    X, Y, z = H[:, :2] @ pixels.T + H[:, 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        there = to_rectified(rectification, 2 if side == 1 else 1, np.column_stack([X / z, Y / z]))
+        disparity = at[:, 0] - there[:, 0] if side == 1 else there[:, 0] - at[:, 0]
+    known = (z > 0) & (np.abs(there[:, 1] - at[:, 1]) < 1.0)
+    return np.where(known, disparity, np.nan).astype(np.float32).reshape(shape)
+
+
+def _grey(image: Uint8s) -> Float32s:
+    """Luminance, float32 and not rounded: rounding to 8 bits loses the faint texture of white walls."""
+    return np.asarray(image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], dtype=np.float32), dtype=np.float32)
+
+
+def _saturated(image: Uint8s) -> Bools:
+    red, green, blue = (image[..., k] for k in range(3))
+    darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+    return np.asarray((darkest >= 254) | (brightest <= 1))

@@ -1,0 +1,74 @@
+"""Are the rows right?  A witness for rectification that needs no keypoint.
+
+If rows correspond, many pixels find a partner that finds them back; if one image is shifted by a few rows, hardly any do.  So the
+share of pixels that survive the check between the two views, against the same share with one image shifted, tells whether the
+geometry is right, and where it is a little wrong, by how many rows.  It says nothing of what repeats along the rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..types import Float32s
+from .consistency import disagreement, within_reach, without_speckles
+from .matcher import RectifiedPair, halved
+from .patchmatch import match_patchmatch
+
+_BESIDE, _AWAY = 1, 4
+"""Rows of the halved images: an error that can be lived with, and one with which nothing should match."""
+
+_SPECKLE_SHARE = 5e-4
+"""Smaller pieces than this share of the image match anywhere."""
+
+
+@dataclass(frozen=True)
+class RowTest:
+    """How many pixels find their partners on the rows as they are, and on shifted ones."""
+
+    share: float
+    """Share of the common area that survives the check between the views, at the best of no shift and two rows up or down."""
+    chance: float
+    """The largest such share with one image shifted by eight rows."""
+    row_error_px: float
+    """By how many rows of the rectified images they seem to be shifted, with sign."""
+
+    def passed(self, least_share: float, least_ratio: float) -> bool:
+        """The rows are right: enough matches on them, and much less on shifted ones."""
+        return self.share >= least_share and self.share >= least_ratio * self.chance
+
+
+def row_test(pair: RectifiedPair) -> tuple[RowTest, Float32s, Float32s]:
+    """Match a pair at half its size on its rows and on shifted ones.
+
+    Returns
+    -------
+    RowTest
+    disparity : (h / 2, w / 2) float32
+        Of the halved left image on the rows as they are, nan where nothing matches.
+    confidence : (h / 2, w / 2) float32
+    """
+    small = halved(pair)
+    here, disparity, confidence = _matched(small)
+    shares = {shift: _matched(_shifted(small, shift))[0] for shift in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
+    above, below = shares[-_BESIDE], shares[_BESIDE]
+    error = 2.0 * _BESIDE * (below - above) / max(above + here + below, 1e-9)
+    return RowTest(max(above, here, below), max(shares[_AWAY], shares[-_AWAY]), error), disparity, confidence
+
+
+def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
+    """The pair with its right image moved down by so many rows; rows without a partner may not be matched."""
+    valid = np.roll(pair.valid_right, rows, axis=0)
+    valid[slice(rows) if rows > 0 else slice(rows, None)] = False
+    return replace(pair, right=np.roll(pair.right, rows, axis=0), valid_right=valid, prior_left=None, prior_right=None)
+
+
+def _matched(pair: RectifiedPair) -> tuple[float, Float32s, Float32s]:
+    """Share of the pixels with a possible partner that keep a disparity on which both views agree; that; and its confidence."""
+    matches = match_patchmatch(pair)
+    common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
+    agreed = common & (matches.confidence_left > 0) & (disagreement(matches.left, matches.right, -1) <= 1)
+    disparity = np.where(agreed, matches.left, np.float32(np.nan)).astype(np.float32)
+    disparity = without_speckles(disparity, max(60, round(_SPECKLE_SHARE * disparity.size)))
+    return float(np.isfinite(disparity).sum() / max(common.sum(), 1)), disparity, matches.confidence_left
