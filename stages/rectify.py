@@ -57,6 +57,7 @@ def rectify(
     method: str = "congruent",
     fallback: bool = True,
     min_matches: int = 20,
+    few_matches: int = 50,
     max_row_error_px: float = 0.5,
     min_angle_deg: float = 0.7,
     range_margin: float = 0.1,
@@ -91,7 +92,9 @@ def rectify(
     fallback
         Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
     min_matches
-        Fewer matches than this reject the pair where no cameras are known; fewer than 50 warn.
+        Fewer matches than this reject the pair where no cameras are known.
+    few_matches
+        Fewer are not left to tell where the scene lies if both cameras are known.
     max_row_error_px
         Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a frame whose long
         side is 768: the limit grows with larger frames, whose pixels show as much less.  Smaller frames keep the limit in their
@@ -124,19 +127,22 @@ def rectify(
         rectifier = bind(METHODS, method, {"pair": pair, "geometry": geometry, "left": left, "right": right}, options)
         return placed(pair, method, rectifier, fallback)
 
-    refused = Rejected(Reason.NOTHING_KNOWN)
+    by_matches: Rectification | Rejected = Rejected(Reason.NOTHING_KNOWN)
     if geometry is not None:
         pair = _obeying(geometry, left, right)
         refusal = _contradicted(verdict) or _unbelievable(geometry, pair)
         refusal = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
         found = refusal or fitted(pair)
-        if not isinstance(found, Rejected):
-            return finished(*found, pair, geometry, max_row_error_px, range_margin)
-        refused = found
-    if left is None or right is None or left_frame is None or right_frame is None or refused.code == Reason.NO_BASELINE:
-        return refused
+        by_matches = found if isinstance(found, Rejected) else finished(*found, pair, geometry, max_row_error_px, range_margin)
+        if isinstance(by_matches, Rectification) and (left is None or right is None or len(pair.x1) >= few_matches):
+            return by_matches
+    if left is None or right is None or left_frame is None or right_frame is None:
+        return by_matches
+    if isinstance(by_matches, Rejected) and by_matches.code == Reason.NO_BASELINE:
+        return by_matches
     limits = min_row_share, min_row_ratio, min_angle_deg
-    return _from_cameras((left, right), (left_frame, right_frame), scene, fitted, limits)
+    by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, limits)
+    return by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
 
 
 def _from_cameras(
@@ -151,7 +157,7 @@ def _from_cameras(
     expected = predict(*cameras, scene)
     if expected is None:
         return Rejected(Reason.NOTHING_IN_COMMON)
-    ground = None if scene is None or scene.ground is None else ground_homography(*cameras, scene.ground)
+    ground = _ground(*cameras, scene)
     first = fitted(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
     if isinstance(first, Rejected):
         return first
@@ -163,6 +169,7 @@ def _from_cameras(
     if not rows.passed(*limits[:2]) or len(witness.x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
     pair = _known_pair(cameras, witness.x1, witness.x2, witness.confidence)
+    pair = replace(pair, around=(expected.x1, expected.x2))
     if pair.angle_deg < limits[2]:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": limits[2]})
     second = fitted(pair)
@@ -182,6 +189,13 @@ def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, prob
     sizes = (left.width, left.height), (right.width, right.height)
     F = fundamental_from_cameras(left, right)
     return MatchedPair(F, x1, x2, probability, *sizes, left, right, _angle_deg(left, right, x1, x2))
+
+
+def _ground(left: Camera | None, right: Camera | None, scene: Scene | None) -> Float64s | None:
+    """(3, 3) homography of the ground between the frames of two cameras, where all three are known."""
+    if left is None or right is None or scene is None or scene.ground is None:
+        return None
+    return ground_homography(left, right, scene.ground)
 
 
 def _contradicted(verdict: PairCheck | None) -> Rejected | None:

@@ -20,10 +20,14 @@ import numpy as np
 
 from .core.cameras import ray_angles, transfer
 from .fusion.pair_depth import NoiseModel
+from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s
+from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene
+
+_LIKELY = 0.1
+"""The ground may cost so much more than what was found."""
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
@@ -35,6 +39,7 @@ def refine(
     depth: DepthMap,
     frames: Mapping[str, Frame],
     cameras: Mapping[str, Camera],
+    scene: Scene | None = None,
     *,
     radius: int = 3,
     sweeps: int = 3,
@@ -52,6 +57,8 @@ def refine(
         Of the view itself; depth: where to start from.
     frames, cameras
         Of the views around it, by id; views without a camera of the same world are passed over.
+    scene
+        Where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
     radius
         The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones: what it
         costs doesn't grow, since its pixels move apart.
@@ -81,6 +88,8 @@ def refine(
     nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, taps)
     cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
+    if scene is not None and scene.ground is not None:
+        _lean_on_ground(planes, cost, propagation, ground_planes(camera, scene.ground), max_cost)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     support = propagation.support(planes, max_cost)
@@ -88,6 +97,15 @@ def refine(
     sure = kept & (known | (support.second < _SURE_COST))
     z, sigma = _depth_and_sigma(np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=noise_px))
     return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), sure)
+
+
+def _lean_on_ground(planes: Float32s, cost: Float32s, propagation: Propagation, ground: Float32s, max_cost: float) -> None:
+    """Put the planes (3, h, w) of the ground in the place of those that fit hardly better: repeated tiles fit at many depths, and
+    bare asphalt at any."""
+    first = propagation.support(ground, max_cost).first
+    likely = np.isfinite(ground[0]) & (first < max_cost) & (first <= cost + _LIKELY)
+    planes[:, likely] = ground[:, likely]
+    cost[likely] = first[likely]
 
 
 def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tuple[Float32s, Float32s]:

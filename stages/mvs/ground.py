@@ -186,6 +186,16 @@ def ground_homography(camera1: Camera, camera2: Camera, plane: Float64s) -> Floa
     return np.asarray(camera2.K @ (R - np.outer(t, normal) / offset) @ np.linalg.inv(camera1.K), dtype=np.float64)
 
 
+def ground_planes(camera: Camera, plane: Float64s) -> Float32s:
+    """(3, h, w): inverse depth of the ground in each pixel of a camera, and how it changes per pixel in x and y; nan above the
+    horizon."""
+    across, down, at_origin = -(plane[:3] @ camera.R.T @ np.linalg.inv(camera.K)) / (plane[:3] @ camera.C + plane[3])
+    y, x = np.mgrid[0 : camera.height, 0 : camera.width]
+    inverse = across * x + down * y + at_origin
+    planes = np.stack([inverse, np.full_like(inverse, across), np.full_like(inverse, down)])
+    return np.where(inverse > 0, planes, np.nan).astype(np.float32)
+
+
 @kernel
 def _correlate(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, radius: int, out: Float64s) -> None:
     h1, w1 = image1.shape

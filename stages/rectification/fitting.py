@@ -71,10 +71,11 @@ def placed(
 def _by_homographies(pair: MatchedPair, found: Homographies, method: str, reason: str, torn_too: bool) -> Placed | str:
     """A rectification by two homographies, or why there can be none."""
     H1, H2 = found
-    near1, near2 = _third(H1, pair.x1) > 0, _third(H2, pair.x2) > 0
+    shown1, shown2 = pair.shown()
+    near1, near2 = _third(H1, shown1) > 0, _third(H2, shown2) > 0
     if min(near1.mean(), near2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
-    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (pair.x1, pair.x2))  # five times as fast as x[...]
+    x1, x2 = (np.compress(near1 & near2, x, axis=0) for x in (shown1, shown2))  # five times as fast as x[...]
     H1, H2, size1, size2 = place(H1, H2, x1, x2, pair.size1, pair.size2)
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
     footprints = [_footprint(result, pair, side) for side in _SIDES]

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from ..types import Camera, Float32s, Float64s, PolarRows
 from .placement import Size
+
+Points = tuple[Float64s, Float64s] | None
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,14 @@ class MatchedPair:
     camera2: Camera | None
     angle_deg: float
     """Median angle between the two rays of a match; nan when neither cameras nor geometry know it."""
+    around: Points = None
+    """Further points (m, 2), (m, 2) that the rectified images must show, though nobody has matched them."""
+
+    def shown(self) -> tuple[Float64s, Float64s]:
+        """Points in both images around which the rectified images are cropped."""
+        if self.around is None:
+            return self.x1, self.x2
+        return np.concatenate([self.x1, self.around[0]]), np.concatenate([self.x2, self.around[1]])
 
 
 class Homographies(NamedTuple):

@@ -28,7 +28,8 @@ def polar(pair: MatchedPair) -> PolarImages:
     The share of matches on one common side is 1 for a right F: every match lies on the half line that the other image's half line
     demands.
     """
-    F, x1, x2, size1, size2 = pair.F, pair.x1, pair.x2, pair.size1, pair.size2
+    F, size1, size2 = pair.F, pair.size1, pair.size2
+    x1, x2 = pair.shown()
     e1, e2 = (_finite(e, size) for e, size in zip(epipoles(F), (size1, size2), strict=True))
     away1, away2 = x1 - e1, x2 - e2
     forward = np.sum(_line_direction(F, x1) * away2, axis=1) > 0

@@ -49,8 +49,6 @@ class Prediction:
     """(m, 2) the same points in image 2."""
     angle_deg: float
     """Median angle between the two rays of the points of the likely surface."""
-    distance: float
-    """Median depth of these points in camera 1, in world lengths."""
 
 
 def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Prediction | None:
@@ -72,11 +70,11 @@ def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Pre
     a, b = rays(camera1, x1), rays(camera2, x2)
     cosine = np.sum(a * b, axis=0) / np.sqrt(np.sum(a * a, axis=0) * np.sum(b * b, axis=0))
     angle = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-    return Prediction(x1, x2, ends1, ends2, angle, float(np.median(np.concatenate([first[4], second[4]]))))
+    return Prediction(x1, x2, ends1, ends2, angle)
 
 
-def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Float64s, Float64s, Float64s, Float64s, Float64s]:
-    """Pixels in both cameras of the likely surface and of the ends of what both see; depths in `camera` of the former."""
+def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Float64s, Float64s, Float64s, Float64s]:
+    """Pixels in both cameras of the likely surface, and of the ends of what both see."""
     pixels = _grid(camera)
     near, far = _reach(camera, other, pixels, scene)
     usable = far > near
@@ -95,7 +93,7 @@ def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Floa
     shown = both & inside[likely, columns]
     ends = np.concatenate([pixels[both], pixels[both]])
     partners = np.concatenate([seen[farthest, columns][both], seen[nearest, columns][both]])
-    return pixels[shown], seen[likely, columns][shown], ends, partners, depth[likely, columns][shown]
+    return pixels[shown], seen[likely, columns][shown], ends, partners
 
 
 def _grid(camera: Camera) -> Float64s:

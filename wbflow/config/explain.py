@@ -21,6 +21,7 @@ _REMEDIES = {
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them",
     "site": "give the site a name: site: harbour",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
+    "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
     "degree": "give a whole number, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",

@@ -77,6 +77,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         model.captures.pattern,
         tuple(cameras),
         model.resolution,
+        model.bounds,
         pairs,
         stages,
         work,

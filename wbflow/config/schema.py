@@ -135,6 +135,7 @@ class SiteSection(Section):
     distances: list[Distance] = Field(default_factory=list)
     control_points: list[ControlPoint] = Field(default_factory=list)
     resolution: int | None = Field(1600, ge=64)
+    bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     work: str | None = None

@@ -80,8 +80,12 @@ class SiteCamera:
     @property
     def posed(self) -> bool:
         """Are intrinsics and pose both given, to be taken as they are?"""
-        stated = self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
-        return stated and not self.placement.sigma_m
+        return self.stated and not self.placement.sigma_m
+
+    @property
+    def stated(self) -> bool:
+        """Are intrinsics and pose both given, exactly or not?"""
+        return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,8 @@ class Site:
     pattern: str
     cameras: tuple[SiteCamera, ...]
     resolution: int | None
+    bounds: list[list[float]] | None
+    """Two corners of the box that holds all that matters; None where nobody says."""
     pairs: dict[str, Any]
     stages: dict[str, StageSettings]
     work: Path
@@ -120,3 +126,8 @@ class Site:
     def posed(self) -> bool:
         """Are the intrinsics and poses of all cameras given?"""
         return all(camera.posed for camera in self.cameras)
+
+    @property
+    def some_stated(self) -> bool:
+        """Are the intrinsics and poses of two cameras or more stated, exactly or not?"""
+        return sum(camera.stated for camera in self.cameras) > 1

@@ -101,7 +101,7 @@ class _Section:
         """Parameters that are set elsewhere in the site file, or by the plan."""
         if self.stage.pair_settings:
             return set(bound.parameters)
-        return {self.stage.resolution_parameter, self.stage.component_parameter} - {""}
+        return {*self.stage.site_parameters, self.stage.component_parameter} - {""}
 
     def _check(self, bound: Binding, key: str, value: Any, written: str) -> None:
         """One parameter.  written: what it is called in the file."""

@@ -105,7 +105,7 @@ def _elsewhere(stage: Stage, name: str) -> str:
     """Where in a site file a parameter is set that is not set in the stage's section."""
     if stage.pair_settings:
         return f", set by {name} in the section {stage.name}"
-    if name == stage.resolution_parameter:
+    if name in stage.site_parameters:
         return f", set by {name} at the top of the site file"
     return ", each component in turn" if name == stage.component_parameter else ""
 

@@ -95,6 +95,10 @@ class FromStage:
     """May be missing: then the function gets None, or an entry less."""
     unless_posed: bool = False
     """Not needed (an empty mapping) where the site file gives every camera's intrinsics and pose."""
+    empty_if_stated: bool = False
+    """May be an empty mapping where the site file states the intrinsics and poses of two cameras or more."""
+    unless: tuple[str, ...] = ()
+    """May be missing where the inputs of these names are there."""
 
 
 @dataclass(frozen=True)
@@ -215,8 +219,8 @@ class Stage:
     method: Method | None = None
     pair_settings: bool = False
     """Its parameters are the section `pairs` of the site file."""
-    resolution_parameter: str = ""
-    """The parameter that the site file's `resolution` is."""
+    site_parameters: tuple[str, ...] = ()
+    """Parameters that are set at the top of the site file, by the same name."""
     component_parameter: str = ""
     """Done once for each component of cameras; this parameter says which."""
     lists: str = ""

@@ -7,7 +7,7 @@ a crash finds in the cache exactly what was finished.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -184,7 +184,7 @@ class Plan:
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved."""
         bound = self._bound(stage)
-        inputs = {name: self._input(stage, task, need, among or set()) for name, need in bound.needs.items()}
+        inputs = self._inputs(stage, task, bound.needs, among or set())
         stated = self._stated_parameters(stage, task)
         return TaskSpec(
             task,
@@ -226,12 +226,29 @@ class Plan:
     def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
         values: dict[str, Any] = dict(self.site.pairs) if stage.pair_settings else {}
-        values[stage.resolution_parameter] = self.site.resolution
+        values |= {name: getattr(self.site, name) for name in stage.site_parameters}
         numbers = range(1, self._components())
         values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
         known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
+
+    def _inputs(self, stage: Stage, task: Task, needs: Mapping[str, Need], among: set[Task]) -> dict[str, Input]:
+        """All inputs of a task by argument name.  Raises _Waiting, _Impossible."""
+        found: dict[str, Input] = {}
+        impossible: dict[str, _Impossible] = {}
+        for name, need in needs.items():
+            try:
+                found[name] = self._input(stage, task, need, among)
+            except _Impossible as error:
+                if not (isinstance(need, FromStage) and need.unless):
+                    raise
+                found[name], impossible[name] = Absent(), error
+        for name, why in impossible.items():
+            need = needs[name]
+            if isinstance(need, FromStage) and any(isinstance(found.get(other, Absent()), Absent) for other in need.unless):
+                raise why
+        return found
 
     def _input(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
         if isinstance(need, FromSite):
@@ -293,7 +310,7 @@ class Plan:
                 items[upstream.subject] = Stored(upstream, need.part).resolved(self.cache, state.receipt)
             else:
                 faults.append(_because(upstream, state))
-        if not items and not need.optional:
+        if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):
             raise _Impossible(self._nothing(origin, faults))
         return Joined(items)
 

@@ -123,7 +123,9 @@ def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
         if state is None:
             continue
         record = replace(record, figures={**record.figures, **_told(state, reports)})
-        if not state.usable and record.ok:
+        if state.usable and stage.role is Role.DISPARITY:
+            record = replace(record, outcome="ok", reason=None, code=None, stage=None)
+        elif not state.usable and (record.ok or state.outcome != "skipped"):
             record = replace(record, outcome=state.outcome, reason=state.reason, code=_code(state), stage=stage.name)
     for solved, world in _worlds(plan):
         told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
