@@ -26,8 +26,11 @@ from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
 from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene
 
-_LIKELY = 0.1
+_LIKELY = 0.2
 """The ground may cost so much more than what was found."""
+
+_ON_GROUND = 0.02
+"""Inverse depths that differ from the ground's by less than this share belong to it."""
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
@@ -103,7 +106,9 @@ def _lean_on_ground(planes: Float32s, cost: Float32s, propagation: Propagation, 
     """Put the planes (3, h, w) of the ground in the place of those that fit hardly better: repeated tiles fit at many depths, and
     bare asphalt at any."""
     first = propagation.support(ground, max_cost).first
-    likely = np.isfinite(ground[0]) & (first < max_cost) & (first <= cost + _LIKELY)
+    with np.errstate(invalid="ignore"):
+        elsewhere = ~(np.abs(planes[0] / ground[0] - 1) < _ON_GROUND)  # what lies on it has its own, finer relief
+    likely = elsewhere & np.isfinite(ground[0]) & (first < max_cost) & (first <= cost + _LIKELY)
     planes[:, likely] = ground[:, likely]
     cost[likely] = first[likely]
 
