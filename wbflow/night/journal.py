@@ -50,7 +50,7 @@ def _event(task: Task, state: State, done: Done | None) -> TaskEvent:
         now(),
         fresh=done is not None and done.outcome != "cached",
         reason=state.reason,
-        code=receipt.code if receipt else None,
+        code=state.code,
         key=receipt.key if receipt else None,
         cpu=round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
         trace=done.trace if done else None,

@@ -18,7 +18,7 @@ from .journal import Costs, Journal
 from .night import Night
 from .options import Options
 from .plan import Plan
-from .state import State
+from .state import Cause, State
 
 MOST_REPAIRS = 3
 """How often one task's damaged artifact is made again in one run, before its disk is given up."""
@@ -67,7 +67,7 @@ def _until_settled(plan: Plan, executor: Executor, journal: Journal, costs: Cost
                     continue
                 costs.add(done)
                 outcome: Any = done.outcome
-                plan.settle(done.task, State(outcome, done.reason, done.receipt))
+                plan.settle(done.task, State(outcome, done.reason, done.code, done.receipt))
                 plan.force -= {str(done.task)}
                 journal.tell(plan, done)
 
@@ -87,7 +87,7 @@ def _repair(plan: Plan, task: Task, reason: str, repairs: Counter[Task], journal
     journal.retract(task)
     repairs[task] += 1
     if repairs[task] > MOST_REPAIRS:
-        plan.settle(task, State("failed", f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?"))
+        plan.settle(task, State("failed", f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?", Cause.DAMAGED))
     else:
         journal.warn(f"{reason}; made again", task=task)
         plan.forget(task)
