@@ -21,7 +21,7 @@ from .street import bench, car, car_textures, furniture_textures, street_lamp, t
 from .structures import Opening, facade
 from .traffic import traffic
 
-HALF, HEIGHT, EDGE = 8.0, 8.4, 36.0
+HALF, HEIGHT, EDGE = 8.0, 8.4, 35.6
 """Of the hall, its walls, and the ground, metres."""
 VIEWS, RADIUS, EYE = 12, 26.5, 4.6
 LAMPS = tuple((x, y, 4.4) for x, y in ((16.0, -9.5), (9.5, 16.0), (-16.0, 9.5), (-9.5, -16.0)))
@@ -103,7 +103,10 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def even_sky(still: Scene) -> SkyGrid:
-    """Visibility of the sky by directions that are the same after a quarter turn."""
+    """Visibility of the sky by directions that are the same after a quarter turn.
+
+    The cells must turn into each other as well, and none may lie in a wall: the edge of the ground sees to both.
+    """
     some = spiral(16)
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
     directions = np.concatenate([some @ np.linalg.matrix_power(quarter, k).T for k in range(4)])
@@ -133,7 +136,7 @@ def _quarter(build: SceneBuilder, rng: Rng, texel_m: float, *, portal: bool) -> 
     door = build.add_texture(paint.planks(rng, 2.6, 3.2, texel_m, (0.09, 0.16, 0.12)))
     openings = [Opening(x, HEIGHT - 5.4, 1.3, 3.0, tall) for x in (1.6, 3.9, 10.8, 13.1)]
     openings += [Opening(x, HEIGHT - 1.9, 1.3, 1.2, low) for x in (1.6, 3.9, 10.8, 13.1)]
-    middle = Opening(6.7, HEIGHT - 3.2, 2.6, 3.2, door, depth=0.4) if portal else Opening(7.35, HEIGHT - 5.4, 1.3, 3.0, tall)
+    middle = Opening(6.7, HEIGHT - 3.2, 2.6, 3.2, door, depth=0.36) if portal else Opening(7.35, HEIGHT - 5.4, 1.3, 3.0, tall)
     facade(part, np.array([-HALF, -HALF, HEIGHT]), np.array([1.0, 0, 0]), (2 * HALF, HEIGHT), wall, [*openings, middle], stone)
     for x in (-7.55, -2.9, 2.9, 7.55):
         part.box((x, -HALF - 0.05, 0.0), (0.7, 0.5, HEIGHT), stone)

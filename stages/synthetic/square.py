@@ -96,12 +96,12 @@ def square(
 
 
 def viewpoints() -> list[Viewpoint]:
-    """The six cameras, 2.5 m above the ground, looking across the square."""
+    """The six cameras, 2.5 m above the ground, looking down on the square: most of what they see is paving."""
     found = []
     for k, bearing in enumerate(np.deg2rad(BEARINGS_DEG)):
         distance = 15.5 + 0.8 * float(np.sin(2.3 * k))
         centre = (distance * float(np.sin(bearing)), -distance * float(np.cos(bearing)), 2.5)
-        target = (0.6 * float(np.sin(5.1 * k)), 0.6 * float(np.cos(4.3 * k)), 1.0)
+        target = (0.6 * float(np.sin(5.1 * k)), 0.6 * float(np.cos(4.3 * k)), -1.6)
         bend = -0.14 - 0.02 * (k % 3)
         shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
         found.append(
