@@ -30,7 +30,7 @@ from ..graph.pipeline import (
 )
 from ..store.cache import Cache, Receipt
 from ..store.pictures import read_drawing
-from ..task import Subject, Task
+from ..task import Subject, Task, component_name
 from .captures import CaptureFile, expected
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
 from .state import Cause, State, cached_state
@@ -326,9 +326,8 @@ class Plan:
         usable = [c.id for c in self.site.cameras if (state := self.states.get(Task(frame, (c.id,)))) and state.usable]
         if len(usable) < 2:
             have = f"only camera {usable[0]} has" if usable else "no camera has"
-            return _Impossible(
-                f"{have} a usable capture, a cloud needs two that see the same things{first}", Cause.TOO_FEW_CAMERAS
-            )
+            why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
+            return _Impossible(why, Cause.TOO_FEW_CAMERAS)
         pairs = self.states.get(graph)
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
@@ -390,11 +389,6 @@ def make_plan(
     """A plan for one night, not yet refreshed."""
     expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))
-
-
-def component_name(number: int) -> str:
-    """What a component of cameras other than the main one is called: component-2 is the second."""
-    return f"component-{number + 1}"
 
 
 def _because(task: Task, state: State) -> _Impossible:
