@@ -217,10 +217,7 @@ def demo(folder: Path, scene: str, small: bool, light: str, cameras: int | None,
     """Render the demo site (captures, site.yaml, truth) into DIR."""
     from .results.demo import write_demo
 
-    try:
-        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
-    except (FileExistsError, ValueError) as error:
-        raise UsageError(str(error)) from error
+    write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
     say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from ..io.rasters import pfm, png
 from ..rectification.warping import disparity_px, warp
 from ..types import Disparity, Frame, Geometry, Matches, Rectification
 from .previews import disparity_preview, matches_preview, rectified_preview
-from .rasters import pfm, png
 
 PNG_STEPS = 16
 """Steps of the 16-bit disparity image in a pixel."""
