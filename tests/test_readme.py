@@ -12,7 +12,7 @@ import yaml
 from click.testing import CliRunner
 
 import wbflow
-from tests.helpers.synthetic_site import small_yard
+from tests.helpers.synthetic_site import single_pair, small_yard
 from wbflow.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -75,12 +75,14 @@ def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
 
 
 def test_two_photographs_to_disparity(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     typed, _ = blocks("stages/README.md", "python")
     assert len(typed.splitlines()) <= 10
-    (tmp_path / "one.jpg").write_bytes((folder / "gate.jpg").read_bytes())
-    (tmp_path / "two.jpg").write_bytes((folder / "roof.jpg").read_bytes())
+    for name, camera in zip(("one", "two"), single_pair().cameras, strict=True):
+        assert camera.lens.K is not None
+        straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
+        cv2.imwrite(str(tmp_path / f"{name}.jpg"), straight[..., ::-1])
     (tmp_path / "typed.py").write_text(typed)
     monkeypatch.chdir(tmp_path)
     names = runpy.run_path("typed.py")
