@@ -23,13 +23,16 @@ _WIDTH_RANK = 8
 
 @dataclass(frozen=True)
 class AffineField:
-    """For each of m queries: prediction (m, 2), pixels in image 2; affine (m, 2, 2); sigma_px (m,), weighted median residual of
-    the neighbours, at least 1; support (m,), summed weight of the neighbours that agree."""
+    """A local affine model of the matches at each of m queries."""
 
     prediction: Float64s
+    """(m, 2), pixels in image 2."""
     affine: Float64s
+    """(m, 2, 2)."""
     sigma_px: Float64s
+    """(m,), weighted median residual of the neighbours, at least 1."""
     support: Float64s
+    """(m,), summed weight of the neighbours that agree."""
 
 
 def fit_affine_field(

@@ -27,21 +27,20 @@ MAX_DISTANCE = 1.08
 
 @dataclass(frozen=True)
 class Candidates:
-    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d).
-
-    near: the nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates; noise: (n1,) and (n2,), the local
-    noise levels; q: (c,) descriptor distances over the noise.
-    """
+    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d)."""
 
     descriptors1: Float32s
     descriptors2: Float32s
     neighbours: int
     near: Neighbours
+    """The nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates."""
     noise1: Float32s
     noise2: Float32s
+    """(n1,) and (n2,), the local noise levels."""
     i: Int32s
     j: Int32s
     q: Float64s
+    """(c,) descriptor distances over the noise."""
 
 
 @dataclass(frozen=True)

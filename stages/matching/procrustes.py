@@ -55,11 +55,14 @@ def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float
 
 @dataclass(frozen=True)
 class Procrustes:
-    """P = left @ right.T, with left (m, r) and right (n, r) of orthonormal columns; affine: A (2, 2), the last; iterations."""
+    """P = left @ right.T, nearest to a matching."""
 
     left: Float64s
+    """(m, r) of orthonormal columns."""
     right: Float64s
+    """(n, r) of orthonormal columns."""
     affine: Float64s
+    """A (2, 2), the last."""
     iterations: int
 
     def matrix(self) -> Float32s:

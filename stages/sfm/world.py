@@ -22,17 +22,16 @@ LOOSE_SHARE = 0.005
 
 @dataclass(frozen=True)
 class World:
-    """A model of one connected part of the site, in the world or in a frame of its own.
-
-    placed: the frame is that of the site's known positions; scale: where it comes from; suspects: known poses that the images
-    contradict, by id.
-    """
+    """A model of one connected part of the site, in the world or in a frame of its own."""
 
     model: Model
     placed: bool
+    """The frame is that of the site's known positions."""
     metric: bool
     scale: str
+    """Where it comes from."""
     suspects: dict[str, str]
+    """Known poses that the images contradict, by id."""
     notes: tuple[str, ...] = ()
 
 

@@ -40,34 +40,40 @@ FIRST_STEPS, LAST_STEPS = 5, 30
 
 @dataclass(frozen=True)
 class TwoCameras:
-    """F of unit norm; K1, K2 (3, 3) that go with it; implausibility: of these intrinsics, in squared standard deviations."""
+    """An F and the intrinsics that it is that of."""
 
     F: Float64s
+    """(3, 3) of unit norm."""
     K1: Float64s
     K2: Float64s
+    """(3, 3), the intrinsics that go with it."""
     implausibility: float
+    """Of these intrinsics, in squared standard deviations."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """R, t: `cam2_R_cam1`, unit `cam2_t_cam1`; lens: log f1, log f2, c1 (2), c2 (2), in units of the first long side around each
-    image's centre."""
+    """What is refined."""
 
     R: Float64s
     t: Float64s
+    """`cam2_R_cam1`, unit `cam2_t_cam1`."""
     lens: Float64s
+    """Log f1, log f2, c1 (2), c2 (2), in units of the first long side around each image's centre."""
 
 
 @dataclass(frozen=True)
 class _Matches:
-    """x1, x2: (n, 2) matches in units of the first long side around each image's centre; scale: (n,) what makes a distance one
-    unit of the loss; mean, sigma: (6,) what is expected of the lens."""
+    """What it is refined by."""
 
     x1: Float64s
     x2: Float64s
+    """(n, 2) matches in units of the first long side around each image's centre."""
     scale: Float64s
+    """(n,) what makes a distance one unit of the loss."""
     mean: Float64s
     sigma: Float64s
+    """(6,) what is expected of the lens."""
 
 
 def refine_with_plausible_intrinsics(

@@ -28,12 +28,15 @@ INLIER_FACTOR = 1.5
 
 @dataclass(frozen=True)
 class TwoView:
-    """F (3, 3) of unit norm; inliers: (n,) bool; R, t: `cam2_R_cam1` and unit `cam2_t_cam1`, None for a bare F."""
+    """A two-view geometry and what supports it."""
 
     F: Float64s
+    """(3, 3) of unit norm."""
     inliers: Bools
+    """(n,) bool."""
     R: Float64s | None = None
     t: Float64s | None = None
+    """`cam2_R_cam1` and unit `cam2_t_cam1`, None for a bare F."""
 
 
 def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> TwoView | None:

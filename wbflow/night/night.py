@@ -14,12 +14,14 @@ from .plan import Plan, make_plan
 
 @dataclass
 class Night:
-    """date: the captures' date; digests: to be saved by a run."""
+    """A site on one night: its plan, and what is to be kept of the search for captures."""
 
     site: Site
     date: datetime.date
+    """The captures' date."""
     captures: dict[str, list[CaptureFile]]
     digests: Digests
+    """To be saved by a run."""
     plan: Plan
 
 
