@@ -80,7 +80,14 @@ def feature_matrix(features: Features, rows: Int32s) -> Float64s:
 def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance: float = 1e-6) -> Procrustes:
     """Alternate P and T in the thin form, from A = I, until A moves by less than `tolerance` of itself.
 
-    X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
+    Parameters
+    ----------
+    X, Y
+        (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
+    max_iterations
+        At most.
+    tolerance
+        Change of A, as a share of A, at which it stands.
     """
     Qx, Rx = _orthonormal(X)
     Qy, Ry = _orthonormal(Y)

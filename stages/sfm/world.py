@@ -36,7 +36,19 @@ class World:
 
 
 def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
-    """The model in the frame and scale of what is known, which then stays."""
+    """The model in the frame and scale of what is known, which then stays.
+
+    Parameters
+    ----------
+    graph
+        Views and their names.
+    model
+        Cameras and points in a frame of their own.
+    placements
+        What is known of the poses, by id.
+    survey
+        Distances and control points that are known.
+    """
     cameras = model.cameras
     placed = {view: placements[name] for view in cameras if (name := graph.names[view]) in placements}
     landmarks = [

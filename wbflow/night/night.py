@@ -26,7 +26,19 @@ class Night:
 
 
 def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:
-    """Find a night's captures and plan its work; nothing is written."""
+    """Find a night's captures and plan its work; nothing is written.
+
+    Parameters
+    ----------
+    site : Site
+        Whose captures.
+    date : date, optional
+        The night; the newest that has captures, if not given.
+    until : str, optional
+        Stop after this stage.
+    force : tuple of str
+        Stages or tasks to be done again.
+    """
     work = WorkFolder(site.work)
     digests = Digests(work.captures_memo)
     date = night(site, date)

@@ -34,7 +34,19 @@ class Worked:
 
 
 def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Worked:
-    """Do all that is to be done.  The caller holds the lock."""
+    """Do all that is to be done.  The caller holds the lock.
+
+    Parameters
+    ----------
+    night : Night
+        Its plan, not yet refreshed.
+    options : Options
+        Where tasks run, and how many at once.
+    journal : Journal
+        Is told of everything that happens.
+    costs : Costs
+        To which the costs of what runs are added.
+    """
     executor = Executor(options.jobs, options.backend, options.scheduler, journal.warn)
     try:
         return Worked(_until_settled(night.plan, executor, journal, costs))
