@@ -28,7 +28,12 @@ _DEPENDENT = 1e-6
 def match_literal(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
     """Match the keypoints of the plain views by the published test.  `probability` is 1: the test gives no order.
 
-    dominance: an entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair; those of simulated views are left out.
+    dominance
+        An entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2 = (found.astype(np.int32) for found in np.nonzero(literal_dominance(P, dominance)))
@@ -38,7 +43,12 @@ def match_literal(left: Features, right: Features, *, dominance: float = 0.8) ->
 def match_dominant(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
     """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, an order.
 
-    ratio: second largest over largest entry of a row and of a column of P, at most; no unit.
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair; those of simulated views are left out.
+    ratio
+        Second largest over largest entry of a row and of a column of P, at most; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2, rivalry = nearest_dominance(P, ratio)
