@@ -49,6 +49,18 @@ def test_nine_lines_and_four_photographs_make_a_cloud(folder: Path) -> None:
     assert {camera.outcome for camera in run.cameras.values()} == {"ok"}
 
 
+@pytest.mark.parametrize("layout", ["{}.jpg", "{}/1.jpg"])
+def test_a_site_file_that_init_writes_makes_one_too(folder: Path, tmp_path: Path, layout: str) -> None:
+    for photograph in folder.glob("*.jpg"):
+        place = tmp_path / layout.format(photograph.stem)
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes(photograph.read_bytes())
+    wbflow_says("init", tmp_path)
+    wbflow_says("run", tmp_path, "--jobs", "1", "--work", folder / "by-init")  # the second layout from the cache of the first
+    run = wbflow.open_run(wbflow.load_site(tmp_path, folder / "by-init"))
+    assert len(run.cloud.points) > 20_000
+
+
 def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     (typed,) = blocks("README.md", "python")
     (folder / "typed.py").write_text(typed.replace("jobs=2", "jobs=1"))
