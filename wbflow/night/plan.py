@@ -7,6 +7,7 @@ a crash finds in the cache exactly what was finished.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -78,6 +79,7 @@ class Plan:
     def __post_init__(self) -> None:
         wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
         settings = self.site.stages
+        self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
         self._stages = [s for s in STAGES if s.name in wanted and not (s.name in settings and not settings[s.name].enabled)]
 
     def refresh(self) -> None:
@@ -207,7 +209,7 @@ class Plan:
         """How a task's result is shown: with those of its inputs that the function asks for."""
         if not stage.picture:
             return None
-        info = self.site.reader.read(stage.picture.function)
+        info = self._read(stage.picture.function)
         result, *asked = (argument.name for argument in info.signature.arguments)
         drawn: dict[str, Input] = {}
         for name in asked:
