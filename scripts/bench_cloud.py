@@ -278,7 +278,8 @@ def stereo(left: Camera, right: Camera, image1: Uint8s, image2: Uint8s) -> tuple
     low, high = np.min([box.min(axis=0) for box in boxes], axis=0), np.max([box.max(axis=0) for box in boxes], axis=0)
     width, height = (int(max(np.ptp(box[:, 0]) for box in boxes)) + 1, int(high[1] - low[1]) + 1)
     for P, box in ((P1, boxes[0]), (P2, boxes[1])):
-        P[:2, 2] -= box[:, 0].min(), low[1]
+        P[0, 2] -= box[:, 0].min()
+        P[1, 2] -= low[1]
     pictures = [
         cv2.remap(image, *cv2.initUndistortRectifyMap(c.K, none, turn, P, (width, height), cv2.CV_32FC1), cv2.INTER_LINEAR)
         for c, turn, P, image in views

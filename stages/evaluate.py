@@ -26,20 +26,20 @@ Points = npt.NDArray[np.floating]
 
 @dataclass(frozen=True)
 class CloudScore:
-    """tau: (k,) float64, lengths; accuracy, completeness, F: (k,) float64, 0 to 1, at each tau.
-
-    accuracy_median, completeness_median: median distances from the cloud to the reference and back, nan for an empty cloud;
-    points, reference_points: how many were compared, after thinning.
-    """
+    """How near a cloud is to a reference."""
 
     tau: Float64s
+    """(k,) float64, lengths."""
     accuracy: Float64s
     completeness: Float64s
     F: Float64s
+    """(k,) float64, 0 to 1, at each tau."""
     accuracy_median: float
     completeness_median: float
+    """Median distances from the cloud to the reference and back, nan for an empty cloud."""
     points: int
     reference_points: int
+    """How many were compared, after thinning."""
 
 
 def compare_clouds(
@@ -101,13 +101,16 @@ def _nearest(points: Float64s, others: Float64s) -> Float64s:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """cameras: ids compared; rotation_deg: (n,) angle between orientations; position: (n,) distance between centres, in the
-    truth's unit; alignment: what was applied to the estimate first, None for nothing."""
+    """How near solved cameras are to the true ones."""
 
     cameras: tuple[str, ...]
+    """Ids compared."""
     rotation_deg: Float64s
+    """(n,) angle between orientations."""
     position: Float64s
+    """(n,) distance between centres, in the truth's unit."""
     alignment: Similarity | None
+    """What was applied to the estimate first, None for nothing."""
 
 
 def pose_errors(estimated: Mapping[str, Camera], truth: Mapping[str, Camera], *, aligned: bool = False) -> PoseErrors:
@@ -157,12 +160,13 @@ def true_correspondences(
 
 @dataclass(frozen=True)
 class EpipolarErrors:
-    """Symmetric epipolar distances in pixels of true correspondences: mean, median, 95 %; points: how many there were."""
+    """Symmetric epipolar distances, in pixels, of true correspondences."""
 
     mean_px: float
     median_px: float
     p95_px: float
     points: int
+    """How many there were."""
 
 
 def epipolar_errors(F: Float64s, x1: Float64s, x2: Float64s) -> EpipolarErrors:

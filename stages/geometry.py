@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from .core.cameras import ray_angles
 from .matching.candidates import searched_view_pairs
 from .matching.structural import match_guided
 from .reasons import Reason, Rejected
@@ -338,5 +339,4 @@ def _ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Floa
         return float("nan")
     ray1 = homogeneous(x1) @ np.linalg.inv(view1.K).T @ R.T
     ray2 = homogeneous(x2) @ np.linalg.inv(view2.K).T
-    cosine = np.einsum("ni,ni->n", ray1, ray2) / (np.linalg.norm(ray1, axis=1) * np.linalg.norm(ray2, axis=1))
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+    return float(np.degrees(np.median(ray_angles(ray1, ray2))))

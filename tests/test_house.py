@@ -1,8 +1,9 @@
-"""The house: what is installed is what is here, imports run one way, and nothing is longer than a reader can hold."""
+"""The house: imports run one way, each thing has one owner, and nothing is longer than a reader can hold."""
 
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -11,18 +12,45 @@ from pathlib import Path
 import networkx
 import pytest
 
+from wbflow.graph.pipeline import STAGES
+
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted([*ROOT.glob("wbflow/**/*.py"), *ROOT.glob("stages/**/*.py")])
+ENGINE = ROOT / "wbflow"
+ENGINE_FILES = [file for file in SOURCES if file.is_relative_to(ENGINE)]
 EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/*.py")])
 
 FLOORS = [
     {"types", "reasons", "core"},
-    {"twoview", "matching"},
+    {"twoview", "matching", "io"},
     {"rectification", "stereo", "sfm", "mvs", "fusion"},
-    {"stages", "io"},
+    {"stages"},
     {"synthetic", "exports", "evaluate"},
 ]
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
+
+LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api", "screen", "cli")
+"""Who may import whom: each only what stands before it."""
+PATHS = r"""(?x)^(
+    cache | runs | latest | latest-good | quarantine | lock | \.writing | \.wbflow
+    | run\.json | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
+    | cloud.*\.ply | .*\.tmp | \.?jpg | \.drawn | \.published)$"""
+LAYOUT = ENGINE / "store" / "layout.py"
+OTHERS = {
+    ENGINE / "results" / "demo.py": {"cameras.json"},  # of the demo's own folder
+    ENGINE / "results" / "init.py": {".jpg"},  # photographs
+    ENGINE / "store" / "atomic.py": {".tmp"},
+}
+"""What looks like a path of the work folder elsewhere, and is none."""
+
+CONTRACTS = {
+    "config/load.py": {"pairs"},  # the section of the site file
+    "config/explain.py": {"pairs"},
+    "results/pair.py": {"pairs"},
+    "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
+    "store/record.py": {"pairs", "poses"},  # keys of run.json
+}
+"""Words of the site file, the command line and the files that a run leaves, which happen to be names of stages too."""
 
 
 def name_of(file: Path) -> str:
@@ -48,10 +76,10 @@ def for_types_alone(tree: ast.Module) -> set[ast.AST]:
     return found
 
 
-def imports(file: Path) -> Iterator[str]:
-    """Dotted names that a file imports when it runs; those of other packages too."""
+def imports(file: Path, types_too: bool = False) -> Iterator[str]:
+    """Dotted names that a file imports when it runs, or for the reader of its types too; those of other packages as well."""
     package = name_of(file).split(".") if file.name == "__init__.py" else name_of(file).split(".")[:-1]
-    passed = for_types_alone(parsed(file))
+    passed = set() if types_too else for_types_alone(parsed(file))
     for node in ast.walk(parsed(file)):
         if node in passed:
             continue
@@ -81,7 +109,9 @@ def test_every_package_is_listed_for_installation() -> None:
 
 @pytest.mark.parametrize("file", SOURCES, ids=name_of)
 def test_the_engine_sees_no_pixel_and_the_vision_no_engine(file: Path) -> None:
-    banned = {"cv2", "open3d"} if file.is_relative_to(ROOT / "wbflow") else {"wbflow", "wbflow_stages"}
+    banned = (
+        {"cv2", "open3d", "numba", "poselib", "pycolmap"} if file.is_relative_to(ROOT / "wbflow") else {"wbflow", "wbflow_stages"}
+    )
     assert not {name.split(".")[0] for name in imports(file)} & banned
 
 
@@ -101,12 +131,89 @@ def test_imports_of_the_vision_run_one_way() -> None:
     assert not upward
 
 
+def rooms(file: Path) -> set[str]:
+    """Rooms of the engine that a file imports from."""
+    parts = [name.split(".") for name in imports(file, types_too=True)]
+    return {name[1] for name in parts if name[0] == "wbflow" and len(name) > 1}
+
+
+@pytest.mark.parametrize("file", [f for f in ENGINE_FILES if f.parent != ENGINE or f.stem in LAYERS], ids=name_of)
+def test_imports_of_the_engine_run_one_way(file: Path) -> None:
+    room = file.relative_to(ENGINE).parts[0].removesuffix(".py")
+    assert [name for name in rooms(file) & set(LAYERS) if LAYERS.index(name) > LAYERS.index(room)] == []
+
+
 def test_no_imports_run_in_circles() -> None:
     graph = networkx.DiGraph()
     modules = {name for name, file in NAMES.items() if file.name != "__init__.py"}  # packages open their doors when asked
     for name in modules:
         graph.add_edges_from((name, other) for other in imports(NAMES[name]) if other in modules and other != name)
     assert not [sorted(circle) for circle in networkx.strongly_connected_components(graph) if len(circle) > 1]
+
+
+def literals(tree: ast.Module) -> Iterator[str]:
+    """Strings of a module, without docstrings."""
+    told = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            told.add(node.value)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in told:
+            yield node.value
+
+
+def spelled(source: str) -> set[str]:
+    """Paths of the work folder in a module's strings, alone or as parts of a path."""
+    parts = (part for text in literals(ast.parse(source)) if " " not in text for part in text.split("/"))
+    return {part for part in parts if re.match(PATHS, part)}
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("x = work / 'runs' / name", {"runs"}),
+        ("open(f'{folder}/log.jsonl')", {"log.jsonl"}),
+        ("p.glob('runs/*/run.json')", {"runs", "run.json"}),
+        ("'''of runs'''\nx = 'the cache of runs'", set()),
+    ],
+)
+def test_a_path_that_is_spelled_is_found(source: str, found: set[str]) -> None:
+    assert spelled(source) == found
+
+
+def test_one_file_spells_the_paths_of_the_work_folder() -> None:
+    assert len(spelled(LAYOUT.read_text())) > 10
+    elsewhere = {
+        file.relative_to(ENGINE): found
+        for file in ENGINE_FILES
+        if file != LAYOUT and (found := spelled(file.read_text()) - OTHERS.get(file, set()))
+    }
+    assert elsewhere == {}
+
+
+def test_everything_is_caught_in_few_places_only() -> None:
+    """Around a task, its picture, the report, a stranger's module, and at the end of the command line."""
+    broad = [
+        str(file.relative_to(ENGINE))
+        for file in ENGINE_FILES
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ExceptHandler) and (node.type is None or ast.unparse(node.type) in {"Exception", "BaseException"})
+    ]
+    broad = [name for name in broad if name != "store/atomic.py"]  # which clears away its temporary file, and raises again
+    assert sorted(broad) == ["cli.py", "graph/signature.py", "night/worker.py", "night/worker.py", "results/publish.py"]
+
+
+@pytest.mark.parametrize("file", [f for f in ENGINE_FILES if f.name != "pipeline.py"], ids=name_of)
+def test_no_stage_is_named_outside_the_pipeline(file: Path) -> None:
+    names = {stage.name for stage in STAGES} - CONTRACTS.get(str(file.relative_to(ENGINE)), set())
+    named = {text for text in literals(parsed(file)) if text.split(" ")[0] in names and len(text.split()) <= 2}
+    assert named == set()
+
+
+@pytest.mark.parametrize("file", CONTRACTS)
+def test_every_exception_is_still_one(file: str) -> None:
+    said = {text.split(" ")[0] for text in literals(ast.parse((ENGINE / file).read_text()))}
+    assert CONTRACTS[file] <= said
 
 
 def test_files_have_at_most_400_lines() -> None:

@@ -12,7 +12,7 @@ import yaml
 from click.testing import CliRunner
 
 import wbflow
-from tests.helpers.synthetic_site import small_yard
+from tests.helpers.synthetic_site import small_yard, write_straight
 from wbflow.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -49,6 +49,18 @@ def test_nine_lines_and_four_photographs_make_a_cloud(folder: Path) -> None:
     assert {camera.outcome for camera in run.cameras.values()} == {"ok"}
 
 
+@pytest.mark.parametrize("layout", ["{}.jpg", "{}/1.jpg"])
+def test_a_site_file_that_init_writes_makes_one_too(folder: Path, tmp_path: Path, layout: str) -> None:
+    for photograph in folder.glob("*.jpg"):
+        place = tmp_path / layout.format(photograph.stem)
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes(photograph.read_bytes())
+    wbflow_says("init", tmp_path)
+    wbflow_says("run", tmp_path, "--jobs", "1", "--work", folder / "by-init")  # the second layout from the cache of the first
+    run = wbflow.open_run(wbflow.load_site(tmp_path, folder / "by-init"))
+    assert len(run.cloud.points) > 20_000
+
+
 def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     (typed,) = blocks("README.md", "python")
     (folder / "typed.py").write_text(typed.replace("jobs=2", "jobs=1"))
@@ -75,12 +87,12 @@ def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
 
 
 def test_two_photographs_to_disparity(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     typed, _ = blocks("stages/README.md", "python")
     assert len(typed.splitlines()) <= 10
-    (tmp_path / "one.jpg").write_bytes((folder / "gate.jpg").read_bytes())
-    (tmp_path / "two.jpg").write_bytes((folder / "roof.jpg").read_bytes())
+    for name, camera in zip(("one", "two"), small_yard().cameras, strict=False):
+        write_straight(tmp_path / f"{name}.jpg", camera)
     (tmp_path / "typed.py").write_text(typed)
     monkeypatch.chdir(tmp_path)
     names = runpy.run_path("typed.py")

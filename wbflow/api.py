@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import os
 import sqlite3
@@ -233,6 +234,8 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         place.start_writing()
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
+        for note in site.notes:
+            journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
         _tell_ledger(finished, journal)

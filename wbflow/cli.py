@@ -98,7 +98,7 @@ def run(
     quiet: bool,
 ) -> None:
     """The night's work: from captures to cloud and report.  What has not changed is taken from the cache."""
-    loaded = _load(site, work)
+    loaded = _load(site, work, notes=dry_run)
     if dry_run:
         _explain(loaded, date, until, force)
         return
@@ -217,10 +217,7 @@ def demo(folder: Path, scene: str, small: bool, light: str, cameras: int | None,
     """Render the demo site (captures, site.yaml, truth) into DIR."""
     from .results.demo import write_demo
 
-    try:
-        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
-    except (FileExistsError, ValueError) as error:
-        raise UsageError(str(error)) from error
+    write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
     say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 
@@ -322,13 +319,14 @@ def _day(date: datetime.datetime | None) -> datetime.date | None:
     return date.date() if date else None
 
 
-def _load(path: Path, work: Path | None) -> Site:
+def _load(path: Path, work: Path | None, notes: bool = True) -> Site:
+    """The site; notes: say what of its file is out of date (a run tells it itself, and logs it)."""
     from .config.load import load_site
     from .config.positions import SiteError
 
     try:
         site = load_site(path, work.resolve() if work else None)
-        for note in site.notes:
+        for note in site.notes if notes else ():
             say(f"note: {note}", err=True)
         return site
     except SiteError as error:

@@ -17,3 +17,8 @@ class Task:
 
     def __str__(self) -> str:
         return f"{self.stage} {'--'.join(self.subject)}".strip()
+
+
+def component_name(number: int) -> str:
+    """What a component of cameras other than the main one is called, as a subject: component-2 is the second."""
+    return f"component-{number + 1}"

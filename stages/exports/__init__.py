@@ -1,1 +1,1 @@
-"""A site's results in the forms that other programs read: LAZ, meshes, COLMAP models, height and depth maps."""
+"""Results in the forms that people and other programs look at: pictures, files of a pair, LAZ, meshes, COLMAP, maps."""

@@ -17,17 +17,17 @@ QUANTILE = 0.9
 
 @dataclass(frozen=True)
 class HeightMap:
-    """heights: (rows, columns) float32, nan where unknown; the first row has the largest y.
-
-    left, top: x and y of the outer corner of the first cell; cell: edge of a cell; left_out: points far outside of the rest,
-    which the map does not cover.
-    """
+    """Heights seen from above, on a grid; the first row has the largest y."""
 
     heights: Float32s
+    """(rows, columns) float32, nan where unknown."""
     left: float
     top: float
+    """x and y of the outer corner of the first cell."""
     cell: float
+    """Edge of a cell."""
     left_out: int
+    """Points far outside of the rest, which the map does not cover."""
 
 
 def height_map(points: Float64s, cell: float | None = None) -> HeightMap:

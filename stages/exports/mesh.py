@@ -23,11 +23,14 @@ SPARSEST = 2.0
 
 @dataclass(frozen=True)
 class Mesh:
-    """vertices: (n, 3) float64; colors: (n, 3) uint8 RGB; triangles: (m, 3) int32, counterclockwise seen from outside."""
+    """A surface of coloured triangles."""
 
     vertices: Float64s
+    """(n, 3) float64."""
     colors: Uint8s
+    """(n, 3) uint8 RGB."""
     triangles: Int32s
+    """(m, 3) int32, counterclockwise seen from outside."""
 
 
 def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:

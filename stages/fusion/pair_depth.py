@@ -25,12 +25,14 @@ _SAME_STEP = 0.3
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """noise_px: error of a match in pixels of the other image; floor: relative error of depth that more pixels don't reduce;
-    limit: largest relative sigma at which a hypothesis is still used."""
+    """What errors of depth are to be expected."""
 
     noise_px: float = 0.35
+    """Error of a match in pixels of the other image."""
     floor: float = 0.0004
+    """Relative error of depth that more pixels don't reduce."""
     limit: float = 0.006
+    """Largest relative sigma at which a hypothesis is still used."""
 
 
 def pair_depth(

@@ -16,12 +16,13 @@ STEP = 4
 
 @dataclass(frozen=True)
 class Subsampled:
-    """colors: (h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach;
-    depth, sigma: (h / 4, w / 4) float32, of the pixel beside each block's centre."""
+    """A view at a quarter of its size."""
 
     colors: Uint8s
+    """(h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach."""
     depth: Float32s
     sigma: Float32s
+    """(h / 4, w / 4) float32, of the pixel beside each block's centre."""
 
     def points(self, step: int) -> tuple[Float64s, Float64s]:
         """Pixels (n, 3), homogeneous, and depths (n, 1) of every `step`-th place that has a depth."""

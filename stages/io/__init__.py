@@ -1,1 +1,1 @@
-"""Pictures in and out: EXIF, rasters, previews."""
+"""Files of one thing each: EXIF and JPEG, rasters; cameras and clouds as plain data."""

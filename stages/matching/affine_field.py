@@ -23,21 +23,37 @@ _WIDTH_RANK = 8
 
 @dataclass(frozen=True)
 class AffineField:
-    """For each of m queries: prediction (m, 2), pixels in image 2; affine (m, 2, 2); sigma_px (m,), weighted median residual of
-    the neighbours, at least 1; support (m,), summed weight of the neighbours that agree."""
+    """A local affine model of the matches at each of m queries."""
 
     prediction: Float64s
+    """(m, 2), pixels in image 2."""
     affine: Float64s
+    """(m, 2, 2)."""
     sigma_px: Float64s
+    """(m,), weighted median residual of the neighbours, at least 1."""
     support: Float64s
+    """(m,), summed weight of the neighbours that agree."""
 
 
 def fit_affine_field(
     x1: Float64s, x2: Float64s, affine: Float64s, weight: Float64s, queries: Float64s, neighbours: int = 32, ridge: float = 2.0
 ) -> AffineField:
-    """Fit the field to matches x1, x2 (n, 2) with frame affines (n, 2, 2) and weights (n,) in 0..1, at queries (m, 2); n >= 2.
+    """Fit the field to matches, at queries.
 
-    neighbours: matches that a query asks; ridge: pull toward the mean of the frame affines, no unit.
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) pixels of the matches in either image; n >= 2.
+    affine
+        (n, 2, 2) from frame 1 to frame 2 of each match.
+    weight
+        (n,) of each match, 0 to 1.
+    queries
+        (m, 2) pixels of image 1.
+    neighbours
+        Matches that a query asks.
+    ridge
+        Pull toward the mean of the frame affines; no unit.
     """
     distance, index = nearest_points(x1, queries, min(neighbours, len(x1) - 1) + 1)
     m = len(queries)

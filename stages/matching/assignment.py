@@ -15,7 +15,16 @@ from ..types import Bools, Float64s, Int32s
 def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iterations: int = 12) -> Float64s:
     """Probability (c,) of each candidate i[c]--j[c]; those of a row or a column sum to at most 1.
 
-    log_odds: (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
+    Parameters
+    ----------
+    i, j
+        (c,) int32 row and column of each candidate.
+    log_odds
+        (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
+    n1, n2
+        Numbers of rows and columns.
+    iterations
+        Of scaling rows and columns in turn.
     """
     probability = np.empty(len(i))
     if len(i):
@@ -24,7 +33,17 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
 
 
 def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s, radius_px: float = 1.5) -> Bools:
-    """(n,) True for matches that no more probable match shadows: one that lies within `radius_px` in image 1 or in image 2."""
+    """(n,) True for matches that no more probable match shadows: one that lies within `radius_px` in image 1 or in image 2.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) pixels of the matches in either image.
+    probability
+        (n,) of each match.
+    radius_px
+        How near is too near.
+    """
     keep = np.zeros(len(x1), dtype=bool)
     if len(x1):
         order = np.argsort(-probability, kind="stable").astype(np.int32)

@@ -27,21 +27,20 @@ MAX_DISTANCE = 1.08
 
 @dataclass(frozen=True)
 class Candidates:
-    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d).
-
-    near: the nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates; noise: (n1,) and (n2,), the local
-    noise levels; q: (c,) descriptor distances over the noise.
-    """
+    """Pairs i--j, (c,) int32 in order of i and j, that may correspond by their descriptors (n1, d) and (n2, d)."""
 
     descriptors1: Float32s
     descriptors2: Float32s
     neighbours: int
     near: Neighbours
+    """The nearest both ways, `NOISE_RANK` more than the `neighbours` that are candidates."""
     noise1: Float32s
     noise2: Float32s
+    """(n1,) and (n2,), the local noise levels."""
     i: Int32s
     j: Int32s
     q: Float64s
+    """(c,) descriptor distances over the noise."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,19 @@ def rival_distances(
     left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, apart_px: float = 6.0
 ) -> Float64s:
     """(n,) descriptor distance of each match's nearest rival: of those that its two keypoints have in the other image, at least
-    `apart_px` from the match.  Among the nearest few only: where all lie at the match itself, the last of them."""
+    `apart_px` from the match.  Among the nearest few only: where all lie at the match itself, the last of them.
+
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair, (n1,) and (n2,).
+    pairs
+        Each view of the left frame against each of the right.
+    i1, i2
+        (n,) int32 rows of the matches in `left` and `right`.
+    apart_px
+        What lies nearer to the match is no rival.
+    """
     rivals = np.full(len(i1), 2.0)
     for pair in pairs:
         mine = np.flatnonzero(np.isin(i1, pair.rows1) & np.isin(i2, pair.rows2))

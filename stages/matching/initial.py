@@ -21,11 +21,13 @@ CONFIRM_PX, CONFIRM_PER_PX, CONFIRM_RAD, CONFIRM_LOG_SCALE = 8.0, 0.3, 0.6, 0.8
 
 @dataclass(frozen=True)
 class Correspondences:
-    """i1, i2: (n,) int32 rows of the two `Features`; probability: (n,) float64, p of the accepted match."""
+    """Matches to start from."""
 
     i1: Int32s
     i2: Int32s
+    """(n,) int32 rows of the two `Features`."""
     probability: Float64s
+    """(n,) float64, p of the accepted match."""
 
 
 def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:

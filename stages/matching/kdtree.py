@@ -16,7 +16,14 @@ _CHECKS = 200
 def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: int = 0) -> Matches:
     """Match the keypoints of the plain views; `probability` is 1 - first/second distance, an order and no frequency.
 
-    ratio: first over second descriptor distance, at most; no unit.  seed: of the trees' random splits.
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair; those of simulated views are left out.
+    ratio
+        First over second descriptor distance, at most; no unit.
+    seed
+        Of the trees' random splits.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
     i1, i2, rivalry = kdtree_matches(left.descriptors[rows1], right.descriptors[rows2], ratio, seed)
@@ -24,7 +31,17 @@ def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: i
 
 
 def kdtree_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float, seed: int) -> tuple[Int32s, Int32s, Float32s]:
-    """Rows i1, i2 whose first/second distance in set 2 is below `ratio`, and that ratio (n,); several i1 may share an i2."""
+    """Rows i1, i2 whose first/second distance in set 2 is below `ratio`, and that ratio (n,); several i1 may share an i2.
+
+    Parameters
+    ----------
+    descriptors1, descriptors2
+        (n1, d) and (n2, d) float32.
+    ratio
+        First over second distance, at most.
+    seed
+        Of the trees' random splits.
+    """
     if len(descriptors1) == 0 or len(descriptors2) < 2:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)
     cv2.setRNGSeed(seed)  # the trees' random splits

@@ -12,7 +12,12 @@ from .neighbours import nearest_neighbours
 def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
     """Match the keypoints of the plain views; `probability` is 1 - first/second distance, an order and no frequency.
 
-    ratio: first over second descriptor distance, at most, both ways; no unit.
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair; those of simulated views are left out.
+    ratio
+        First over second descriptor distance, at most, both ways; no unit.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
     i1, i2, rivalry = mutual_matches(left.descriptors[rows1], right.descriptors[rows2], ratio)

@@ -39,7 +39,19 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
 
 def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, apart_px: float = 6.0) -> Float32s:
     """(n,) distance of each descriptor to the most similar of the first `others` that lies at least `apart_px` from it in the
-    image."""
+    image.
+
+    Parameters
+    ----------
+    descriptors
+        (n, d) float32.
+    xy
+        (n, 2) pixels.
+    others
+        How many of them, from the first, are asked.
+    apart_px
+        What lies nearer is the same thing.
+    """
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)
     room = np.empty(_BLOCK * others, np.float32)

@@ -28,7 +28,12 @@ _DEPENDENT = 1e-6
 def match_literal(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
     """Match the keypoints of the plain views by the published test.  `probability` is 1: the test gives no order.
 
-    dominance: an entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair; those of simulated views are left out.
+    dominance
+        An entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2 = (found.astype(np.int32) for found in np.nonzero(literal_dominance(P, dominance)))
@@ -38,7 +43,12 @@ def match_literal(left: Features, right: Features, *, dominance: float = 0.8) ->
 def match_dominant(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
     """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, an order.
 
-    ratio: second largest over largest entry of a row and of a column of P, at most; no unit.
+    Parameters
+    ----------
+    left, right
+        Keypoints of the pair; those of simulated views are left out.
+    ratio
+        Second largest over largest entry of a row and of a column of P, at most; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2, rivalry = nearest_dominance(P, ratio)
@@ -55,11 +65,14 @@ def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float
 
 @dataclass(frozen=True)
 class Procrustes:
-    """P = left @ right.T, with left (m, r) and right (n, r) of orthonormal columns; affine: A (2, 2), the last; iterations."""
+    """P = left @ right.T, nearest to a matching."""
 
     left: Float64s
+    """(m, r) of orthonormal columns."""
     right: Float64s
+    """(n, r) of orthonormal columns."""
     affine: Float64s
+    """A (2, 2), the last."""
     iterations: int
 
     def matrix(self) -> Float32s:
@@ -77,7 +90,14 @@ def feature_matrix(features: Features, rows: Int32s) -> Float64s:
 def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance: float = 1e-6) -> Procrustes:
     """Alternate P and T in the thin form, from A = I, until A moves by less than `tolerance` of itself.
 
-    X, Y: (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
+    Parameters
+    ----------
+    X, Y
+        (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
+    max_iterations
+        At most.
+    tolerance
+        Change of A, as a share of A, at which it stands.
     """
     Qx, Rx = _orthonormal(X)
     Qy, Ry = _orthonormal(Y)

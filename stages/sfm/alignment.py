@@ -26,28 +26,29 @@ MOST_TRIALS = 3000
 
 @dataclass(frozen=True)
 class Landmark:
-    """A place that is known both in the model and in the world: a camera, or a control point.
-
-    model_X, world_X: (3,); model_R, world_R: (3, 3) world to camera axes, for a camera whose rotation is known too;
-    sigma: standard deviation of world_X, 0 where it is exact.
-    """
+    """A place that is known both in the model and in the world: a camera, or a control point."""
 
     name: str
     model_X: Float64s
     world_X: Float64s
+    """(3,)."""
     model_R: Float64s | None = None
     world_R: Float64s | None = None
+    """(3, 3) world to camera axes, for a camera whose rotation is known too."""
     sigma: float = 0.0
+    """Standard deviation of world_X, 0 where it is exact."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """similarity: model to world; trusted: names of the landmarks it rests on; doubted: how far off the others seem, by name:
-    (length in the world, degrees or nan)."""
+    """How a model is brought into the world."""
 
     similarity: Similarity
+    """Model to world."""
     trusted: tuple[str, ...]
+    """Names of the landmarks it rests on."""
     doubted: Mapping[str, tuple[float, float]]
+    """How far off the others seem, by name: (length in the world, degrees or nan)."""
 
 
 def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: float | None = None) -> Alignment | None:

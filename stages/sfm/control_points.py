@@ -18,7 +18,14 @@ def control_landmarks(
 ) -> list[Landmark]:
     """The control points that at least two of the cameras see.
 
-    cameras: solved ones by number; names, views: of all cameras by number.
+    Parameters
+    ----------
+    cameras
+        Solved cameras by number.
+    names, views
+        Of all cameras, by number.
+    survey
+        Positions of the points, and the pixels at which cameras see them.
     """
     number = {name: view for view, name in enumerate(names)}
     rows = []

@@ -31,12 +31,14 @@ ONE_LENS = 0.1
 
 @dataclass(frozen=True)
 class Lenses:
-    """views: all views by number; K: intrinsics of those that have some, known or guessed; solved: views whose focal length is to
-    be solved, with the number of the lens they share."""
+    """What is known of the lenses."""
 
     views: tuple[View, ...]
+    """All views by number."""
     K: Mapping[int, Float64s]
+    """Intrinsics of those that have some, known or guessed."""
     solved: Mapping[int, int]
+    """Views whose focal length is to be solved, with the number of the lens they share."""
 
     def camera(self, view: int) -> Camera:
         """A camera with these intrinsics, at the origin."""

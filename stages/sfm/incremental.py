@@ -55,15 +55,18 @@ OWN_LENS_GAIN = 0.85
 
 @dataclass(frozen=True)
 class Model:
-    """cameras: by number of the view; tracks: the observations, as they are in the frames; X: (count, 3) points of the tracks,
-    nan where there is none; use: (n,) which observations they rest on; lenses: views whose focal length and distortion are solved
-    too, each with the number of the lens that it may share with others."""
+    """Cameras and points in a frame of their own, with the observations they rest on."""
 
     cameras: dict[int, Camera]
+    """By number of the view."""
     tracks: Tracks
+    """The observations, as they are in the frames."""
     X: Float64s
+    """(count, 3) points of the tracks, nan where there is none."""
     use: Bools
+    """(n,) which observations they rest on."""
     lenses: Mapping[int, int]
+    """Views whose focal length and distortion are solved too, each with the number of the lens that it may share with others."""
 
     @property
     def straight(self) -> Tracks:

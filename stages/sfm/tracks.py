@@ -25,15 +25,16 @@ FIELDS = (16, 12)
 
 @dataclass(frozen=True)
 class Tracks:
-    """Observations, sorted by track and then by view.
-
-    track: (n,) int32, 0 to count - 1; view: (n,) int32; xy: (n, 2) float64 pixels; count: number of tracks.
-    """
+    """Observations, sorted by track and then by view."""
 
     track: Int32s
+    """(n,) int32, 0 to count - 1."""
     view: Int32s
+    """(n,) int32."""
     xy: Float64s
+    """(n, 2) float64 pixels."""
     count: int
+    """Number of tracks."""
 
 
 def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:

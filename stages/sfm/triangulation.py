@@ -48,7 +48,19 @@ def residuals(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s) -> Flo
 
 
 def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bools) -> Float64s:
-    """(count,) radians: how widely the observations in `use` look at their point (twice the largest angle to their mean ray)."""
+    """(count,) radians: how widely the observations in `use` look at their point (twice the largest angle to their mean ray).
+
+    Parameters
+    ----------
+    cameras
+        By number of the view.
+    tracks
+        n observations of `count` points.
+    X
+        (count, 3) points.
+    use
+        (n,) bool: which observations count.
+    """
     rows = np.flatnonzero(use & posed(cameras, tracks))
     track = tracks.track[rows]
     d = X[track] - _stacked(cameras, tracks)[1][tracks.view[rows]]

@@ -22,22 +22,33 @@ LOOSE_SHARE = 0.005
 
 @dataclass(frozen=True)
 class World:
-    """A model of one connected part of the site, in the world or in a frame of its own.
-
-    placed: the frame is that of the site's known positions; scale: where it comes from; suspects: known poses that the images
-    contradict, by id.
-    """
+    """A model of one connected part of the site, in the world or in a frame of its own."""
 
     model: Model
     placed: bool
+    """The frame is that of the site's known positions."""
     metric: bool
     scale: str
+    """Where it comes from."""
     suspects: dict[str, str]
+    """Known poses that the images contradict, by id."""
     notes: tuple[str, ...] = ()
 
 
 def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
-    """The model in the frame and scale of what is known, which then stays."""
+    """The model in the frame and scale of what is known, which then stays.
+
+    Parameters
+    ----------
+    graph
+        Views and their names.
+    model
+        Cameras and points in a frame of their own.
+    placements
+        What is known of the poses, by id.
+    survey
+        Distances and control points that are known.
+    """
     cameras = model.cameras
     placed = {view: placements[name] for view in cameras if (name := graph.names[view]) in placements}
     landmarks = [

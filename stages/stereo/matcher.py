@@ -16,35 +16,33 @@ Pixels = TypeVar("Pixels", np.float32, np.bool_)
 
 @dataclass(frozen=True)
 class RectifiedPair:
-    """Two rectified images; a point at x in the left one lies at x - d in the right one, on the same row.
-
-    left, right: (h, w) float32 grey, 0 to 255, never rounded, of one size; valid_left, valid_right: (h, w) bool, True where a
-    pixel may be matched; disparity_min, disparity_max: whole pixels, the range to search, both ends included; prior_left,
-    prior_right: (h, w) float32, the disparity of a surface that is likely to be there (the ground), nan where there is none.
-    """
+    """Two rectified images; a point at x in the left one lies at x - d in the right one, on the same row."""
 
     left: Float32s
     right: Float32s
+    """(h, w) float32 grey, 0 to 255, never rounded, of one size."""
     valid_left: Bools
     valid_right: Bools
+    """(h, w) bool, True where a pixel may be matched."""
     disparity_min: int
     disparity_max: int
+    """Whole pixels, the range to search, both ends included."""
     prior_left: Float32s | None = None
     prior_right: Float32s | None = None
+    """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None where nobody knows."""
 
 
 @dataclass(frozen=True)
 class DenseMatches:
-    """Disparity of both views before any check between them: (h, w) float32 pixels, nan where the matcher has no answer.
-
-    left: x2 = x1 - d; right: x1 = x2 + d; confidence_left, confidence_right: (h, w) float32, 0 to 1; where it
-    is 0, the value may confirm the other view's but is not kept itself.
-    """
+    """Disparity of both views before any check between them: (h, w) float32 pixels, nan where the matcher has no answer."""
 
     left: Float32s
+    """x2 = x1 - d."""
     right: Float32s
+    """x1 = x2 + d."""
     confidence_left: Float32s
     confidence_right: Float32s
+    """(h, w) float32, 0 to 1; where it is 0, the value may confirm the other view's but is not kept itself."""
 
 
 class DenseMatcher(Protocol):

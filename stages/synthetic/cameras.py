@@ -32,19 +32,19 @@ class Viewpoint:
 
 @dataclass(frozen=True)
 class Mount:
-    """A camera's place.
-
-    bearing_deg: east of south, seen from CENTRE; distance, height: metres;
-    target: what it looks at; hfov_deg, distortion: its lens.
-    """
+    """A camera's place."""
 
     name: str
     bearing_deg: float
+    """East of south, seen from CENTRE."""
     distance: float
     height: float
+    """Metres."""
     target: tuple[float, float, float]
+    """What it looks at."""
     hfov_deg: float
     distortion: tuple[float, float, float, float, float]
+    """Its lens."""
 
 
 # Distortions of the size of real surveillance lenses: barrel, a little decentring.

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from ..types import Float64s
 from . import textures as paint
 from .cameras import Viewpoint
 from .lighting import light_of
@@ -63,7 +64,7 @@ def viewpoints() -> list[Viewpoint]:
     return found
 
 
-def height_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def height_of(x: Float64s | np.float64, y: Float64s | np.float64) -> Float64s:
     """The land's height, metres: a valley floor at 0 with hills behind it and at the sides."""
     rise = np.clip((y - 430.0) / 800.0, 0, 1)
     hills = 34 * np.sin(0.011 * x + 1.0) + 22 * np.sin(0.023 * x + 0.017 * y) + 12 * np.sin(0.041 * y - 0.03 * x)

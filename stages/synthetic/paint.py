@@ -19,10 +19,12 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Texture:
-    """pixels: (h, w, 3) uint8, square root of the linear reflectance; texel_m: metres per texel."""
+    """A picture of a surface."""
 
     pixels: Uint8s
+    """(h, w, 3) uint8, square root of the linear reflectance."""
     texel_m: float
+    """Metres per texel."""
 
 
 def encode(reflectance: Float32s, texel_m: float) -> Texture:

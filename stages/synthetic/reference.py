@@ -51,13 +51,16 @@ def reference_cloud(
 
 @dataclass(frozen=True)
 class _Cells:
-    """Sums over cells of a grid.  key: (n,) int64; count: (n,) float64; total: (n, 9) float64, position, normal and colour;
-    views: (n,) uint16, the most of any point."""
+    """Sums over cells of a grid."""
 
     key: npt.NDArray[np.int64]
+    """(n,) int64, one number for each cell."""
     count: Float64s
+    """(n,) float64, points in it."""
     total: Float64s
+    """(n, 9) float64, position, normal and colour."""
     views: Uint16s
+    """(n,) uint16, the most of any point."""
 
 
 def _cell_keys(points: Float64s, voxel_m: float) -> npt.NDArray[np.int64]:

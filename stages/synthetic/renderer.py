@@ -31,25 +31,33 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Light:
-    """sun_direction: unit vector towards the sun; sun, sky, ground: linear colours; haze: the sky at the horizon; lamps;
-    clouds: how clearly the sky is banded."""
+    """What lights a scene."""
 
     sun_direction: tuple[float, float, float]
+    """Unit vector towards the sun."""
     sun: tuple[float, float, float]
+    """Its linear colour."""
     sky: tuple[float, float, float]
+    """That of the sky overhead."""
     ground: tuple[float, float, float]
+    """That of the light that comes back from the ground."""
     haze: tuple[float, float, float]
+    """The sky at the horizon."""
     lamps: tuple[Lamp, ...] = ()
     clouds: float = 0.25
+    """How clearly the sky is banded."""
 
 
 @dataclass(frozen=True)
 class SkyGrid:
-    """How much of the sky points in space see.  open: (nz, ny, nx, 6) float32 along +x -x +y -y +z -z; corner, cell_m: metres."""
+    """How much of the sky points in space see."""
 
     open: Float32s
+    """(nz, ny, nx, 6) float32, along +x -x +y -y +z -z."""
     corner: Float32s
+    """(3,) float32: the first point, metres."""
     cell_m: float
+    """From each point to the next."""
 
 
 OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1e4)
@@ -58,16 +66,16 @@ OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1
 
 @dataclass(frozen=True)
 class Atlas:
-    """All textures and their halvings in one array of bytes.
-
-    texels: (n, 3) uint8; starts, heights, widths: (textures, levels) int32; texel_m: (textures,) float32.
-    """
+    """All textures and their halvings in one array of bytes."""
 
     texels: Uint8s
+    """(n, 3) uint8."""
     starts: Int32s
     heights: Int32s
     widths: Int32s
+    """(textures, levels) int32."""
     texel_m: Float32s
+    """(textures,) float32."""
 
 
 LEVELS = 9

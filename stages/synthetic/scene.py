@@ -22,21 +22,22 @@ STATIC, MOVING, WATER, GLOWING = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Scene:
-    """Triangles and what is painted on them.
-
-    vertices: (3 t, 3) float32, three for each of t triangles; normals: (t, 3) float32, outward;
-    origins, along_u, along_v: (t, 3) float32, offsets: (t, 2) float32: the texture position in metres of a point X is
-    ((X - origin) . u + offset_u, (X - origin) . v + offset_v); texture_of: (t,) int32, into `textures`; kinds: (t,) uint8.
-    """
+    """Triangles and what is painted on them."""
 
     vertices: Float32s
+    """(3 t, 3) float32, three for each of t triangles."""
     normals: Float32s
+    """(t, 3) float32, outward."""
     origins: Float32s
     along_u: Float32s
     along_v: Float32s
+    """(t, 3) float32: a point X lies ((X - origin) . u + offset_u, (X - origin) . v + offset_v) metres into its texture."""
     offsets: Float32s
+    """(t, 2) float32."""
     texture_of: Int32s
+    """(t,) int32, into `textures`."""
     kinds: Uint8s
+    """(t,) uint8."""
     textures: tuple[Texture, ...]
 
 

@@ -12,14 +12,18 @@ from ..types import Bools, Float32s, Uint8s
 
 @dataclass(frozen=True)
 class Sensor:
-    """gain: exposure factor; balance: factors of red, green, blue; full_well: electrons at white (fewer: noisier);
-    read: electrons of read noise; vignette: loss of light in the corners."""
+    """How light becomes pixels."""
 
     gain: float
+    """Exposure factor."""
     balance: tuple[float, float, float]
+    """Factors of red, green, blue."""
     full_well: float
+    """Electrons at white (fewer: noisier)."""
     read: float
+    """Electrons of read noise."""
     vignette: float
+    """Loss of light in the corners."""
 
 
 def sensor_of(rng: np.random.Generator, light: str) -> Sensor:

@@ -38,32 +38,32 @@ SAMPLES = 2
 
 @dataclass(frozen=True)
 class DemoCamera:
-    """One fixed camera and what it saw.
-
-    captures: (h, w, 3) uint8 RGB each, as captured (distorted); times: when; mask: (h, w) bool, False under the clock;
-    depth: (h, w) float32, metres along the axis, of the empty scene in the undistorted view with the lens's own K, 0 where there
-    is only sky or water; camera: that undistorted view; lens, placement: the same as a site file would state them.
-    """
+    """One fixed camera and what it saw."""
 
     name: str
     captures: tuple[Uint8s, ...]
+    """(h, w, 3) uint8 RGB each, as captured (distorted)."""
     times: tuple[datetime, ...]
+    """When each was taken."""
     mask: Bools
+    """(h, w) bool, False under the clock."""
     depth: Float32s
+    """(h, w) float32, metres along the axis, of the empty scene in the undistorted view with the lens's own K, 0 where there is
+    only sky or water."""
     camera: Camera
+    """That undistorted view."""
     lens: Lens
     placement: Placement
+    """The same as a site file would state them."""
 
 
 @dataclass(frozen=True)
 class DemoSite:
-    """A photographed scene.
-
-    reference: surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres.
-    """
+    """A photographed scene."""
 
     cameras: tuple[DemoCamera, ...]
     reference: Cloud
+    """Surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres."""
     voxel_m: float
 
     def __getitem__(self, name: str) -> DemoCamera:

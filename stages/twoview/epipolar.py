@@ -21,7 +21,15 @@ def apply_homography(H: Float64s, x: Float64s) -> Float64s:
 
 
 def essential_to_fundamental(R: Float64s, t: Float64s, K1: Float64s, K2: Float64s) -> Float64s:
-    """F of unit norm from `cam2_R_cam1`, `cam2_t_cam1` and the intrinsics (Hartley & Zisserman, eq. 9.2)."""
+    """F of unit norm from `cam2_R_cam1`, `cam2_t_cam1` and the intrinsics (Hartley & Zisserman, eq. 9.2).
+
+    Parameters
+    ----------
+    R, t
+        (3, 3) `cam2_R_cam1` and (3,) `cam2_t_cam1`, of any length.
+    K1, K2
+        (3, 3) intrinsics in pixels.
+    """
     F = np.linalg.inv(K2).T @ skew(t) @ R @ np.linalg.inv(K1)
     return np.asarray(F / np.linalg.norm(F), dtype=np.float64)
 
@@ -59,6 +67,13 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
     """Depth (n,) in camera 1 along the ray of x1 whose projection in camera 2 is nearest x2, and |dz/dpixel| in image 2.
 
     Closed-form least squares on the two linear equations of x2; nan where the point lies behind a camera.
+
+    Parameters
+    ----------
+    camera1, camera2
+        In one world.
+    x1, x2
+        (n, 2) pixels of the matches, without distortion.
     """
     A = (camera2.K @ camera2.R @ rays(camera1, x1)).T
     b = camera2.K @ camera2.R @ (camera1.C - camera2.C)

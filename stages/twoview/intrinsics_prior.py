@@ -40,43 +40,59 @@ FIRST_STEPS, LAST_STEPS = 5, 30
 
 @dataclass(frozen=True)
 class TwoCameras:
-    """F of unit norm; K1, K2 (3, 3) that go with it; implausibility: of these intrinsics, in squared standard deviations."""
+    """An F and the intrinsics that it is that of."""
 
     F: Float64s
+    """(3, 3) of unit norm."""
     K1: Float64s
     K2: Float64s
+    """(3, 3), the intrinsics that go with it."""
     implausibility: float
+    """Of these intrinsics, in squared standard deviations."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """R, t: `cam2_R_cam1`, unit `cam2_t_cam1`; lens: log f1, log f2, c1 (2), c2 (2), in units of the first long side around each
-    image's centre."""
+    """What is refined."""
 
     R: Float64s
     t: Float64s
+    """`cam2_R_cam1`, unit `cam2_t_cam1`."""
     lens: Float64s
+    """Log f1, log f2, c1 (2), c2 (2), in units of the first long side around each image's centre."""
 
 
 @dataclass(frozen=True)
 class _Matches:
-    """x1, x2: (n, 2) matches in units of the first long side around each image's centre; scale: (n,) what makes a distance one
-    unit of the loss; mean, sigma: (6,) what is expected of the lens."""
+    """What it is refined by."""
 
     x1: Float64s
     x2: Float64s
+    """(n, 2) matches in units of the first long side around each image's centre."""
     scale: Float64s
+    """(n,) what makes a distance one unit of the loss."""
     mean: Float64s
     sigma: Float64s
+    """(6,) what is expected of the lens."""
 
 
 def refine_with_plausible_intrinsics(
     candidates: Sequence[Float64s], x1: Float64s, x2: Float64s, noise: Float64s, view1: View, view2: View
 ) -> TwoCameras | None:
-    """The two cameras near one of the candidates for F that explain matches x1, x2 (n, 2) of known noise (n,), pixels, best;
-    None where none has a pose.
+    """The two cameras near one of the candidates for F that explain matches best; None where none has a pose.
 
     Most probable pose and lenses, by Levenberg-Marquardt over 11 parameters from several focal lengths.
+
+    Parameters
+    ----------
+    candidates
+        (3, 3) each, from which to start.
+    x1, x2
+        (n, 2) pixels of the matches.
+    noise
+        (n,) standard deviation of each, pixels.
+    view1, view2
+        Sizes of the frames, and what is known of the lenses.
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
@@ -101,7 +117,17 @@ def refine_with_plausible_intrinsics(
 
 def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s]:
     """Directions (9, 12) in which F = K2^-T E K1^-1 may change: turns of either camera (6), and lenses; and the information
-    (12, 12), in units of that of the matches, that is known of them beforehand."""
+    (12, 12), in units of that of the matches, that is known of them beforehand.
+
+    Parameters
+    ----------
+    F
+        (3, 3).
+    K1, K2
+        (3, 3) intrinsics in pixels.
+    view1, view2
+        Sizes of the frames, and what is known of the lenses.
+    """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
     mean, sigma = _expected_of_both(view1, view2, unit)

@@ -27,7 +27,17 @@ _TURNS = np.stack([skew(axis) for axis in np.eye(3)])
 
 
 def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64s:
-    """(n,) standard deviation of the distance of each match to F, pixels: in proportion to `size` (n,), as large as measured."""
+    """(n,) standard deviation of the distance of each match to F, pixels: in proportion to `size` (n,), as large as measured.
+
+    Parameters
+    ----------
+    F
+        (3, 3).
+    x1, x2
+        (n, 2) pixels of the matches.
+    size
+        (n,) of the coarser of the two keypoints, in any unit.
+    """
     measured = 1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)) / size))
     return np.asarray(size * max(measured, LEAST_NOISE_PX / float(np.median(size))), dtype=np.float64)
 
@@ -35,11 +45,21 @@ def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64
 def refine_two_view(
     F: Float64s, x1: Float64s, x2: Float64s, size: Float64s, intrinsics: Intrinsics | None = None
 ) -> tuple[Float64s, Float64s]:
-    """F of unit norm near `F` that fits matches x1, x2 (n, 2) best, and the standard deviation (n,) in pixels of their distances.
+    """F of unit norm near `F` that fits matches best, and the standard deviation (n,) in pixels of their distances.
 
-    size: (n,) size of the coarser of the two keypoints, in any unit.  intrinsics: K1, K2; then F = K2^-T E K1^-1 throughout.
     Least Cauchy-weighted Sampson distances over the seven (five) degrees of freedom, by Levenberg-Marquardt; the noise is
     measured twice.
+
+    Parameters
+    ----------
+    F
+        (3, 3), from which to start.
+    x1, x2
+        (n, 2) pixels of the matches.
+    size
+        (n,) of the coarser of the two keypoints, in any unit.
+    intrinsics
+        K1, K2; then F = K2^-T E K1^-1 throughout.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
@@ -102,7 +122,19 @@ def tangent(F: Float64s, lenses: Intrinsics | None) -> Float64s:
 def normal_equations(
     F: Float64s, x1: Float64s, x2: Float64s, scale: Float64s, directions: Float64s
 ) -> tuple[float, Float64s, Float64s]:
-    """Sum of log(1 + r^2) of the scaled Sampson distances r, and the weighted normal equations of their changes along (9, k)."""
+    """Sum of log(1 + r^2) of the scaled Sampson distances r, and the weighted normal equations of their changes along (9, k).
+
+    Parameters
+    ----------
+    F
+        (3, 3).
+    x1, x2
+        (n, 2) of the matches.
+    scale
+        (n,) what makes a distance one unit of the loss.
+    directions
+        (9, k) in which F may change.
+    """
     k = directions.shape[1]
     cost, normal, right = 0.0, np.zeros((k, k)), np.zeros(k)
     row, change = np.empty(9), np.empty(k)

@@ -28,16 +28,29 @@ INLIER_FACTOR = 1.5
 
 @dataclass(frozen=True)
 class TwoView:
-    """F (3, 3) of unit norm; inliers: (n,) bool; R, t: `cam2_R_cam1` and unit `cam2_t_cam1`, None for a bare F."""
+    """A two-view geometry and what supports it."""
 
     F: Float64s
+    """(3, 3) of unit norm."""
     inliers: Bools
+    """(n,) bool."""
     R: Float64s | None = None
     t: Float64s | None = None
+    """`cam2_R_cam1` and unit `cam2_t_cam1`, None for a bare F."""
 
 
 def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> TwoView | None:
-    """F of (n, 2) correspondences; None when nothing with 8 inliers is found."""
+    """F of (n, 2) correspondences; None when nothing with 8 inliers is found.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) pixels of the correspondences.
+    threshold_px
+        Sampson distance of an inlier, at most.
+    seed
+        Of the samples.
+    """
     if len(x1) < 8:
         return None
     F = _magsac_fundamental(x1, x2, threshold_px, seed)
@@ -53,7 +66,17 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
 
 
 def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
-    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances."""
+    """The F of rank 2 near `F` with the least Cauchy-weighted Sampson distances.
+
+    Parameters
+    ----------
+    F
+        (3, 3), from which to start.
+    x1, x2
+        (n, 2) pixels of the correspondences.
+    threshold_px
+        Scale of the loss.
+    """
     loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
     return _unit(poselib.refine_fundamental(x1, x2, F, loss)[0])
 
@@ -136,7 +159,17 @@ def estimate_with_one_lens(
 
 
 def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s] | None:
-    """`cam2_R_cam1`, `cam2_t_cam1` nearest to F: of the four decompositions of K2^T F K1 the one with the points in front."""
+    """`cam2_R_cam1`, `cam2_t_cam1` nearest to F: of the four decompositions of K2^T F K1 the one with the points in front.
+
+    Parameters
+    ----------
+    F
+        (3, 3).
+    x1, x2
+        (n, 2) pixels of the correspondences.
+    view1, view2
+        Views with intrinsics.
+    """
     if view1.K is None or view2.K is None:
         return None
     n1 = (homogeneous(x1) @ np.linalg.inv(view1.K).T)[:, :2]
@@ -174,7 +207,17 @@ def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Fl
 
 
 def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: int) -> Bools:
-    """(n,) which correspondences the best homography explains, to `INLIER_FACTOR` thresholds both ways."""
+    """(n,) which correspondences the best homography explains, to `INLIER_FACTOR` thresholds both ways.
+
+    Parameters
+    ----------
+    x1, x2
+        (n, 2) pixels of the correspondences.
+    threshold_px
+        Of a hypothesis, pixels.
+    seed
+        Of the samples.
+    """
     none = np.zeros(len(x1), dtype=bool)
     if len(x1) < 8:
         return none
@@ -225,7 +268,17 @@ def pinhole(view: View) -> dict[str, Any]:
 
 
 def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Bools:
-    """(n,) which correspondences lie within `INLIER_FACTOR` thresholds of F, in Sampson distance."""
+    """(n,) which correspondences lie within `INLIER_FACTOR` thresholds of F, in Sampson distance.
+
+    Parameters
+    ----------
+    F
+        (3, 3).
+    x1, x2
+        (n, 2) pixels of the correspondences.
+    threshold_px
+        Pixels.
+    """
     return np.asarray(np.abs(sampson_distance(F, x1, x2)) < INLIER_FACTOR * threshold_px)
 
 

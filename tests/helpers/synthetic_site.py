@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
+import cv2
 import pytest
 
-from wbflow_stages.synthetic.shooting import Daytime, DemoSite
+from wbflow_stages.synthetic.shooting import Daytime, DemoCamera, DemoSite
 from wbflow_stages.synthetic.yard import yard
 
 
@@ -18,6 +20,13 @@ def small_yard(light: Daytime = "day", captures: int = 3, seed: int = 0) -> Demo
 def single_pair(width: int = 640) -> DemoSite:
     """Two neighbours, 20 degrees apart, one capture each, at 16:9."""
     return _rendered(2, width, 1, 0, "day")
+
+
+def write_straight(file: Path, camera: DemoCamera) -> None:
+    """A camera's first capture by a lens that bends nothing: no F fits two views through lenses as bent as the yard's."""
+    assert camera.lens.K is not None
+    straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
+    cv2.imwrite(str(file), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))
 
 
 @cache

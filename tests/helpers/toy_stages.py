@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from wbflow_stages.reasons import Reason
 from wbflow_stages.types import (
     Camera,
     Capture,
@@ -71,7 +72,7 @@ def match(left: Features, right: Features, *, shift: float = 1.0, reject: str = 
     """A match between the two keypoints; rejected when `reject` is the whole part of the left one's y."""
     _trouble("matches")
     if reject and str(int(left.xy[0, 1])) == reject:
-        return Rejected("0 matches, 1 needed", {"matches": 0.0})
+        return Rejected(Reason.TOO_FEW_MATCHES, {"matches": 0.0, "needed": 1.0})
     rows = np.zeros(1, np.int32)
     return Matches(left.xy + shift, right.xy, rows, rows, np.ones(1, np.float32), np.eye(2)[None], left.view, right.view)
 
@@ -92,13 +93,15 @@ def solve_poses(
     survey: Survey,
     *,
     worlds: int = 1,
+    leave_out: str = "",
 ) -> Poses | Rejected:
-    """Cameras in a row, in so many worlds."""
+    """Cameras in a row, in so many worlds; one may be left unsolved."""
     _trouble("poses")
-    names = list(views)
+    unsolved = {name: "is left out" for name in views if name == leave_out}
+    names = [name for name in views if name not in unsolved]
     groups = tuple(tuple(names[k::worlds]) for k in range(worlds))
     cameras = {n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds) for i, n in enumerate(names)}
-    return Poses(cameras, {}, {}, metric=True, source="calibration", components=groups, crs=survey.crs)
+    return Poses(cameras, unsolved, {}, metric=True, source="calibration", components=groups, crs=survey.crs)
 
 
 def rectify(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import weakref
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -140,7 +141,7 @@ class Loading(Mapping[str, DepthMap]):
 
 
 def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wbflow_stages.fuse._IN_MEMORY_PX", 0)  # as if the views had twelve million pixels
+    monkeypatch.setattr(sys.modules[fuse.__module__], "_IN_MEMORY_PX", 0)  # as if the views had twelve million pixels
     yard = make_yard(tuple(range(-57, 58, 6)), width=120, max_angle=18)
     lazy = Loading(yard.depths())
     assert isinstance(fuse(yard.frames, yard.cameras, lazy, check_views=4), Cloud)

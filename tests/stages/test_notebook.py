@@ -6,12 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 import wbflow_stages as wb
-from tests.helpers.synthetic_site import single_pair
+from tests.helpers.synthetic_site import single_pair, write_straight
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +18,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two photographs of the demo yard, by lenses that bend nothing."""
     folder = tmp_path_factory.mktemp("photographs")
     for name, camera in zip(("left", "right"), single_pair().cameras, strict=True):
-        assert camera.lens.K is not None
-        straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
-        cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))
+        write_straight(folder / f"{name}.png", camera)
     return folder
 
 

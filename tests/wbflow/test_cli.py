@@ -71,6 +71,17 @@ def test_wrong_usage_ends_with_2_and_no_traceback(toy: ToySite, arguments: tuple
     assert "Traceback" not in result.stderr
 
 
+def test_an_old_name_in_the_site_file_is_told_on_screen_and_in_the_log(toy: ToySite) -> None:
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"keypoints": 500}
+    toy.file.write_text(json.dumps(site, indent=1))
+    said = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
+    assert said.count("'keypoints' is written 'max_keypoints' now") == 1
+    (log,) = (toy.work / "runs").glob("*/log.jsonl")
+    warnings = [event for line in log.read_text().splitlines() if (event := json.loads(line))["event"] == "warning"]
+    assert [f"{toy.file}:" in event["what"] and "write max_keypoints" in event["remedy"] for event in warnings] == [True]
+
+
 def test_json_prints_the_record_and_nothing_else(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     result = toy.wbflow("run", "--json", "--jobs", "1")

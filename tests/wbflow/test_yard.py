@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import shutil
@@ -14,9 +15,11 @@ import cv2
 import numpy as np
 import pytest
 
+import wbflow
 from wbflow.results.demo import write_demo
 from wbflow.store.ply import read_ply
 from wbflow_stages.evaluate import compare_clouds
+from wbflow_stages.exports.previews import matches_preview
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +53,17 @@ def test_the_cloud_is_near_the_truth_and_the_next_run_does_nothing(yard: Path) -
     assert score.completeness[1] > 0.35
     assert score.accuracy_median < 0.1
     assert run(yard)["tasks"]["ran"] == 0
+
+
+def test_the_report_shows_the_inliers_of_every_pair_on_its_frames(yard: Path) -> None:
+    run(yard)
+    found = wbflow.open_run(yard)
+    page = found.finished.folder.paths.report.read_text()
+    assert len(found.pairs) == 6
+    for pair in found.pairs.values():
+        frames = (found.artifact(f"frames {camera}") for camera in (pair.left, pair.right))
+        picture = matches_preview(found.artifact(f"geometry {pair.name}"), *frames)
+        assert base64.b64encode(picture.tobytes()).decode() in page
 
 
 def test_neither_the_number_of_workers_nor_what_is_compiled_already_changes_a_byte(yard: Path, tmp_path: Path) -> None:

@@ -24,15 +24,20 @@ class CalibrationError(WbflowError, ValueError):
 
 @dataclass(frozen=True)
 class Calibrated:
-    """K, R: 3x3; C: 3; distortion: k1 k2 p1 p2 k3; None where the file does not say.  metric: C is in metres."""
+    """What a file says of a camera; None where it does not say."""
 
     K: Matrix
+    """(3, 3)."""
     width: int
     height: int
     distortion: list[float] | None = None
+    """k1 k2 p1 p2 k3."""
     R: Matrix | None = None
+    """(3, 3), from world to camera axes."""
     C: list[float] | None = None
+    """(3,), the centre in the world."""
     metric: bool = True
+    """C is in metres."""
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:

@@ -50,13 +50,17 @@ class SiteError(WbflowError, ValueError):
 
 @dataclass(frozen=True)
 class Document:
-    """data: the YAML as Python; marks: (line, column) of each value; key_marks: of each key; texts: scalars as written."""
+    """A YAML file, and where everything stands in it."""
 
     path: Path
     data: Any
+    """The YAML as Python."""
     marks: dict[Place, tuple[int, int]] = field(default_factory=dict)
+    """(line, column) of each value."""
     key_marks: dict[Place, tuple[int, int]] = field(default_factory=dict)
+    """Of each key."""
     texts: dict[Place, str] = field(default_factory=dict)
+    """Scalars as written."""
 
     def problem(self, place: Place, what: str, remedy: str = "", key: bool = False) -> SiteProblem:
         """A problem at a place; where that place is not in the file, at the nearest one around it."""

@@ -75,6 +75,8 @@ class _Section:
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; present name by old name."""
+        if not self.stage.renamed.keys() & values:
+            return {}
         known = set(self.reader.signature(use or self.stage.function).parameters)
         known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
         found = {}

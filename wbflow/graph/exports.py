@@ -38,7 +38,7 @@ EXPORTS: tuple[Export, ...] = (
     Export("colmap", "wbflow_stages.exports.forms:colmap", {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)}),
 )
 
-PAIR_FILES = "wbflow_stages.io.pairfiles:pair_files"
+PAIR_FILES = "wbflow_stages.exports.pairfiles:pair_files"
 """Makes the files of `wbflow pair` of two frames and what `PAIR_RESULTS` names, and figures for its summary."""
 
 PAIR_RESULTS: Mapping[str, Role] = {
@@ -48,6 +48,9 @@ PAIR_RESULTS: Mapping[str, Role] = {
     "disparity": Role.DISPARITY,
 }
 """By argument name; what a pair did not come to is None."""
+
+DEMO_FILES = "wbflow_stages.synthetic.files:demo_files"
+"""Renders a demo: what is told of it, and its files; a ValueError says what cannot be rendered."""
 
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""

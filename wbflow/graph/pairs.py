@@ -18,27 +18,29 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class Edge:
-    """A pair and the decision about it.  angle_deg: nan where unknown; shared: 0 to 1; reason: in words."""
+    """A pair and the decision about it."""
 
     left: str
     right: str
     kept: bool
     reason: str
+    """In words."""
     angle_deg: float
+    """Between the views; nan where unknown."""
     shared: float
+    """How much both see, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class PairGraph:
-    """All pairs that were looked at.
-
-    pairs: those to match, in the order of the site file; edges: the decision about each;
-    components: cameras that the kept pairs connect, largest group first.
-    """
+    """All pairs that were looked at."""
 
     pairs: tuple[Pair, ...]
+    """Those to match, in the order of the site file."""
     edges: tuple[Edge, ...]
+    """The decision about each."""
     components: tuple[tuple[str, ...], ...]
+    """Cameras that the kept pairs connect, largest group first."""
 
 
 def select_pairs(

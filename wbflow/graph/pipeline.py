@@ -83,7 +83,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.FRAME,
         missing="failed",
         site_parameters=("resolution",),
-        picture=Picture("wbflow_stages.io.previews:frame_preview"),
+        picture=Picture("wbflow_stages.exports.previews:frame_preview"),
         reports=Reports(notes="notes"),
     ),
     Stage(
@@ -134,7 +134,7 @@ STAGES: tuple[Stage, ...] = (
         needs={"matches": FromStage("matches"), **_SIDES},
         offers=_FRAMES_TOO,
         role=Role.GEOMETRY,
-        picture=Picture("wbflow_stages.io.previews:matches_preview", _FRAMES),
+        picture=Picture("wbflow_stages.exports.previews:matches_preview", _FRAMES),
         reports=Reports(
             {
                 "inliers": "x1_count",
@@ -215,7 +215,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.DISPARITY,
         method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
         renamed={"speck_share": Renamed("speckle_share")},
-        picture=Picture("wbflow_stages.io.previews:disparity_preview"),
+        picture=Picture("wbflow_stages.exports.previews:disparity_preview"),
         reports=Reports({"density": "density"}),
     ),
     Stage(
@@ -244,7 +244,7 @@ STAGES: tuple[Stage, ...] = (
             "scene": FromStage("scene", optional=True),
         },
         role=Role.REFINED_DEPTH,
-        picture=Picture("wbflow_stages.io.previews:depth_preview"),
+        picture=Picture("wbflow_stages.exports.previews:depth_preview"),
         optional=True,
     ),
     Stage(
@@ -265,7 +265,7 @@ STAGES: tuple[Stage, ...] = (
             restore="wbflow_stages.io.clouds:cloud_of",
             figures="wbflow_stages.io.clouds:cloud_figures",
         ),
-        picture=Picture("wbflow_stages.io.previews:cloud_preview"),
+        picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
     ),
 )
 

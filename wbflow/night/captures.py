@@ -30,11 +30,13 @@ _SETTLED_NS = 2_000_000_000  # a file younger than this may change again within 
 
 @dataclass(frozen=True)
 class CaptureFile:
-    """name: relative to the captures' root; digest: of its bytes, "" where it cannot be read."""
+    """A capture of the night, as it lies on disk."""
 
     name: str
+    """Relative to the captures' root."""
     path: Path
     digest: str
+    """Of its bytes, "" where it cannot be read."""
 
 
 @dataclass

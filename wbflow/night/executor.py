@@ -11,6 +11,7 @@ from typing import Any
 
 from ..store.cache import Cache
 from .spec import TaskSpec
+from .state import Cause
 from .worker import Done, run_lane
 
 LANE_SECONDS = 6 * 3600
@@ -87,7 +88,7 @@ class Executor:
                 yield from self._parallel([lane], cache)
             except _lost():
                 remedy = "lower `resolution`, or run with fewer --jobs"
-                yield [Done(lane[0].task, "failed", reason=f"{why}, twice; {remedy}")]
+                yield [Done(lane[0].task, "failed", reason=f"{why}, twice; {remedy}", code=Cause.WORKER_LOST)]
 
 
 def _why(error: BaseException) -> str:

@@ -34,7 +34,19 @@ class Journal:
         self._told.discard(task)
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
-        """Tell of something that went wrong and was survived."""
+        """Tell of something that went wrong and was survived.
+
+        Parameters
+        ----------
+        what : str
+            What, in one line.
+        task : Task, optional
+            The task that it happened to.
+        remedy : str
+            What to do about it, where something can be done.
+        trace : str, optional
+            Traceback of a fault that nobody foresaw.
+        """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 
     def _add(self, event: Event) -> None:
@@ -50,7 +62,7 @@ def _event(task: Task, state: State, done: Done | None) -> TaskEvent:
         now(),
         fresh=done is not None and done.outcome != "cached",
         reason=state.reason,
-        code=receipt.code if receipt else None,
+        code=state.code,
         key=receipt.key if receipt else None,
         cpu=round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
         trace=done.trace if done else None,

@@ -14,17 +14,31 @@ from .plan import Plan, make_plan
 
 @dataclass
 class Night:
-    """date: the captures' date; digests: to be saved by a run."""
+    """A site on one night: its plan, and what is to be kept of the search for captures."""
 
     site: Site
     date: datetime.date
+    """The captures' date."""
     captures: dict[str, list[CaptureFile]]
     digests: Digests
+    """To be saved by a run."""
     plan: Plan
 
 
 def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:
-    """Find a night's captures and plan its work; nothing is written."""
+    """Find a night's captures and plan its work; nothing is written.
+
+    Parameters
+    ----------
+    site : Site
+        Whose captures.
+    date : date, optional
+        The night; the newest that has captures, if not given.
+    until : str, optional
+        Stop after this stage.
+    force : tuple of str
+        Stages or tasks to be done again.
+    """
     work = WorkFolder(site.work)
     digests = Digests(work.captures_memo)
     date = night(site, date)

@@ -7,6 +7,7 @@ a crash finds in the cache exactly what was finished.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,10 +31,10 @@ from ..graph.pipeline import (
 )
 from ..store.cache import Cache, Receipt
 from ..store.pictures import read_drawing
-from ..task import Subject, Task
+from ..task import Subject, Task, component_name
 from .captures import CaptureFile, expected
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
-from .state import State, cached_state
+from .state import Cause, State, cached_state
 
 
 class _Waiting(Exception):
@@ -45,7 +46,11 @@ class _Waiting(Exception):
 
 
 class _Impossible(Exception):
-    """An input will not come; the message says why."""
+    """An input will not come; the message says why, in one word the code."""
+
+    def __init__(self, why: str, code: str) -> None:
+        super().__init__(why)
+        self.code = code
 
 
 @dataclass
@@ -74,6 +79,7 @@ class Plan:
     def __post_init__(self) -> None:
         wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
         settings = self.site.stages
+        self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
         self._stages = [s for s in STAGES if s.name in wanted and not (s.name in settings and not settings[s.name].enabled)]
 
     def refresh(self) -> None:
@@ -165,7 +171,7 @@ class Plan:
             self.waiting[task] = waiting.task
             return
         except _Impossible as impossible:
-            self.states[task] = State(stage.missing, str(impossible))
+            self.states[task] = State(stage.missing, str(impossible), impossible.code)
             return
         preimage = spec.preimage()
         receipt = None if spec.force else self.cache.find(preimage, preimage.key())
@@ -203,7 +209,7 @@ class Plan:
         """How a task's result is shown: with those of its inputs that the function asks for."""
         if not stage.picture:
             return None
-        info = self.site.reader.read(stage.picture.function)
+        info = self._read(stage.picture.function)
         result, *asked = (argument.name for argument in info.signature.arguments)
         drawn: dict[str, Input] = {}
         for name in asked:
@@ -286,11 +292,11 @@ class Plan:
         if not state.usable or state.receipt is None:
             if need.optional:
                 return Absent()
-            raise _Impossible(_because(upstream, state))
+            raise _because(upstream, state)
         if part and str(part) not in state.receipt.parts:
             if need.optional:
                 return Absent()
-            raise _Impossible(f"{upstream} has nothing for {part.entry or part.field}")
+            raise _Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
         return Stored(upstream, part).resolved(self.cache, state.receipt)
 
     def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
@@ -301,7 +307,7 @@ class Plan:
         if origin.scope == "site":
             return self._entries(origin, need, task)
         items: dict[Subject, Value | Stored] = {}
-        faults = []
+        faults: list[_Impossible] = []
         for upstream in self._joined(origin, need, task):
             state = self.states.get(upstream)
             if state is None:
@@ -311,7 +317,7 @@ class Plan:
             else:
                 faults.append(_because(upstream, state))
         if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):
-            raise _Impossible(self._nothing(origin, faults))
+            raise self._nothing(origin, faults)
         return Joined(items)
 
     def _entries(self, origin: Stage, need: FromStage, task: Task) -> Input:
@@ -324,7 +330,7 @@ class Plan:
             if isinstance(stored, Stored):
                 items[camera,] = stored
         if not items:
-            raise _Impossible(_because(Task(origin.name), self.states[Task(origin.name)]))
+            raise _because(Task(origin.name), self.states[Task(origin.name)])
         return Joined(items)
 
     def _around(self, camera: str) -> list[str]:
@@ -332,17 +338,21 @@ class Plan:
         around = {c for pair in self._pairs() or () if camera in pair for c in pair} - {camera}
         return [c.id for c in self.site.cameras if c.id in around]
 
-    def _nothing(self, origin: Stage, faults: list[str]) -> str:
+    def _nothing(self, origin: Stage, faults: list[_Impossible]) -> _Impossible:
         """Why a stage that joins many has none to join."""
         frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
+        first = f": {faults[0]}" if faults else ""
         usable = [c.id for c in self.site.cameras if (state := self.states.get(Task(frame, (c.id,)))) and state.usable]
         if len(usable) < 2:
             have = f"only camera {usable[0]} has" if usable else "no camera has"
-            return f"{have} a usable capture, a cloud needs two that see the same things" + (f": {faults[0]}" if faults else "")
+            why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
+            return _Impossible(why, Cause.TOO_FEW_CAMERAS)
         pairs = self.states.get(graph)
         if origin.scope == "pair" and not faults:
-            return _because(graph, pairs) if pairs and not pairs.usable else "no two cameras share enough to be matched"
-        return f"no {origin.name} to work on" + (f": {faults[0]}" if faults else "")
+            if pairs and not pairs.usable:
+                return _because(graph, pairs)
+            return _Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
+        return _Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
 
     def _joined(self, origin: Stage, need: FromStage, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
@@ -376,10 +386,10 @@ class Plan:
         """A camera's files that can be read."""
         files = self.captures[camera.id]
         if not files:
-            raise _Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}")
+            raise _Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
-            raise _Impossible(f"no capture: {files[0].name} cannot be read")
+            raise _Impossible(f"no capture: {files[0].name} cannot be read", Cause.NO_CAPTURE)
         return readable
 
     def _camera(self, camera: str) -> SiteCamera:
@@ -400,11 +410,7 @@ def make_plan(
     return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))
 
 
-def component_name(number: int) -> str:
-    """What a component of cameras other than the main one is called: component-2 is the second."""
-    return f"component-{number + 1}"
-
-
-def _because(task: Task, state: State) -> str:
+def _because(task: Task, state: State) -> _Impossible:
+    """What a task ended with is why another that needs it cannot be done."""
     ended = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
-    return f"{task} {ended}: {state.reason}" if state.reason else f"{task} {ended}"
+    return _Impossible(f"{task} {ended}: {state.reason}" if state.reason else f"{task} {ended}", state.code or Cause.UPSTREAM)

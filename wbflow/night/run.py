@@ -18,7 +18,7 @@ from .journal import Costs, Journal
 from .night import Night
 from .options import Options
 from .plan import Plan
-from .state import State
+from .state import Cause, State
 
 MOST_REPAIRS = 3
 """How often one task's damaged artifact is made again in one run, before its disk is given up."""
@@ -34,7 +34,19 @@ class Worked:
 
 
 def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Worked:
-    """Do all that is to be done.  The caller holds the lock."""
+    """Do all that is to be done.  The caller holds the lock.
+
+    Parameters
+    ----------
+    night : Night
+        Its plan, not yet refreshed.
+    options : Options
+        Where tasks run, and how many at once.
+    journal : Journal
+        Is told of everything that happens.
+    costs : Costs
+        To which the costs of what runs are added.
+    """
     executor = Executor(options.jobs, options.backend, options.scheduler, journal.warn)
     try:
         return Worked(_until_settled(night.plan, executor, journal, costs))
@@ -67,7 +79,7 @@ def _until_settled(plan: Plan, executor: Executor, journal: Journal, costs: Cost
                     continue
                 costs.add(done)
                 outcome: Any = done.outcome
-                plan.settle(done.task, State(outcome, done.reason, done.receipt))
+                plan.settle(done.task, State(outcome, done.reason, done.code, done.receipt))
                 plan.force -= {str(done.task)}
                 journal.tell(plan, done)
 
@@ -87,7 +99,7 @@ def _repair(plan: Plan, task: Task, reason: str, repairs: Counter[Task], journal
     journal.retract(task)
     repairs[task] += 1
     if repairs[task] > MOST_REPAIRS:
-        plan.settle(task, State("failed", f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?"))
+        plan.settle(task, State("failed", f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?", Cause.DAMAGED))
     else:
         journal.warn(f"{reason}; made again", task=task)
         plan.forget(task)

@@ -22,6 +22,7 @@ from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..task import Task
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
+from .state import Cause
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Done:
     """ran, cached (someone had done it), rejected, failed, or damaged: an input's bytes were wrong."""
     receipt: Receipt | None = None
     reason: str | None = None
+    code: str | None = None
+    """The reason as one word."""
     trace: str | None = None
     damaged: Task | None = None
     """What has to be made again before this."""
@@ -78,18 +81,19 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         preimage = resolved.preimage()
         key = preimage.key()
         if not spec.force and (receipt := lane.cache.find(preimage, key)):
-            return Done(spec.task, "rejected" if receipt.outcome == "rejected" else "cached", receipt, receipt.reason)
+            outcome = "rejected" if receipt.outcome == "rejected" else "cached"
+            return Done(spec.task, outcome, receipt, receipt.reason, receipt.code)
         return _do(resolved, preimage, key, lane)
     except DamagedArtifact as damage:
         return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
     except MemoryError:
-        return Done(spec.task, "failed", reason="ran out of memory: lower `resolution`, or run with fewer --jobs")
+        why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
+        return Done(spec.task, "failed", reason=why, code=Cause.OUT_OF_MEMORY)
     except Exception as error:
         words = str(error) or type(error).__name__
-        plain = isinstance(error, ValueError | OSError)
-        return Done(
-            spec.task, "failed", reason=words if plain else f"{type(error).__name__}: {words}", trace=traceback.format_exc()
-        )
+        foreseen = isinstance(error, ValueError | OSError)
+        why, code = (words, Cause.BAD_INPUT) if foreseen else (f"{type(error).__name__}: {words}", Cause.FAULT)
+        return Done(spec.task, "failed", reason=why, code=code, trace=traceback.format_exc())
 
 
 def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
@@ -119,7 +123,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
     )
     lane.cache.write(receipt, data)
     lane.results[spec.task] = result
-    return Done(spec.task, receipt.outcome, receipt, receipt.reason, warnings=warnings)
+    return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
 
 def _code(rejection: Any) -> str | None:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ..errors import UsageError
+from ..graph.exports import DEMO_FILES
 from ..store.atomic import write_atomic
 from ..store.ply import ply_bytes
-
-if TYPE_CHECKING:
-    from wbflow_stages.synthetic.shooting import DemoCamera, DemoSite
+from .artifacts import function
 
 MANIFEST = "demo.json"
 EDITABLE = ("site.yaml", "cameras.json")
+_ELSEWHERE = "name a new or an empty folder"
+
+
+class NotADemo(UsageError):
+    """A folder holds something that a demo must not overwrite."""
 
 
 def write_demo(
@@ -48,26 +51,26 @@ def write_demo(
 
     Raises
     ------
-    FileExistsError
+    NotADemo
         The folder holds something else than a demo, or a demo whose site file or calibration was edited.
-    ValueError
+    UsageError
         An unknown scene or light, or no captures.
     """
     known = _claim(folder)
-    from wbflow_stages.synthetic.scenes import render
-
-    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light)
+    try:
+        demo = function(DEMO_FILES)(scene, small=small, light=light, cameras=cameras, captures=captures, seed=seed)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
     # an interrupted demo can be written again: the manifest comes first, its digests last
     write_atomic(folder / MANIFEST, _json({"files": known}))
     digests = {}
-    for name, data in _files(site, scene, light):
+    for name, content in demo.files:
+        data = content if isinstance(content, bytes) else bytes(ply_bytes(content.columns, content.comments))
         write_atomic(folder / name, data)
         digests[name] = hashlib.sha256(data).hexdigest()
     for name in known.keys() - digests.keys():
         (folder / name).unlink(missing_ok=True)
-    which = {} if scene == "yard" else {"scene": scene}
-    taken = {"light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
-    write_atomic(folder / MANIFEST, _json({**which, **taken, "files": digests}))
+    write_atomic(folder / MANIFEST, _json({**demo.told, "files": digests}))
 
 
 def _claim(folder: Path) -> dict[str, str]:
@@ -75,121 +78,22 @@ def _claim(folder: Path) -> dict[str, str]:
     if not folder.exists():
         return {}
     if not folder.is_dir():
-        raise FileExistsError(f"{folder} is a file; name a new or an empty folder")
+        raise NotADemo(f"{folder} is a file", remedy=_ELSEWHERE)
     manifest = folder / MANIFEST
     if not manifest.is_file():
         if any(folder.iterdir()):
-            raise FileExistsError(f"{folder} holds other files; name a new or an empty folder")
+            raise NotADemo(f"{folder} holds other files", remedy=_ELSEWHERE)
         return {}
     try:
         known = {str(name): str(digest) for name, digest in json.loads(manifest.read_bytes())["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise FileExistsError(f"{manifest} isn't what a demo leaves there; name a new or an empty folder") from None
+        raise NotADemo(f"{manifest} isn't what a demo leaves there", remedy=_ELSEWHERE) from None
     for name in EDITABLE:
         file = folder / name
         if file.is_file() and name in known and hashlib.sha256(file.read_bytes()).hexdigest() != known[name]:
-            raise FileExistsError(f"{file} was edited since the demo was written; move it away, or name another folder")
+            raise NotADemo(f"{file} was edited since the demo was written", remedy="move it away, or name another folder")
     return known
-
-
-def _files(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes]]:
-    """Name and content of every file of the demo."""
-    from wbflow_stages.synthetic.encode import jpeg, png
-    from wbflow_stages.synthetic.scenes import SCENES
-
-    for camera in site.cameras:
-        for k, image in enumerate(camera.captures):
-            yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
-        yield f"masks/{camera.name}.png", png(camera.mask)
-        yield f"truth/depth/{camera.name}.npz", _npz(depth=camera.depth)
-    calibration = _json({camera.name: _calibration(camera) for camera in site.cameras})
-    yield "cameras.json", calibration
-    yield "truth/cameras.json", calibration
-    yield "truth/reference.ply", _reference(site)
-    summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
-    yield "truth/reference.json", _json(summary)
-    row = SCENES[scene]
-    yield "README.txt", _README.format(about=row.about, scene="yard" if scene == "yard" else "scene").encode()
-    yield "site.yaml", _site_file(site, scene, row.angles_deg).encode()
-
-
-def _calibration(camera: DemoCamera) -> dict[str, Any]:
-    assert camera.lens.K is not None
-    return {
-        "width": camera.lens.width,
-        "height": camera.lens.height,
-        "K": camera.lens.K.tolist(),
-        "distortion": camera.lens.distortion.tolist(),
-        "R": camera.camera.R.tolist(),
-        "C": camera.camera.C.tolist(),
-    }
-
-
-def _reference(site: DemoSite) -> bytes:
-    cloud = site.reference
-    columns = {
-        **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
-        **dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True)),
-        **dict(zip(("red", "green", "blue"), cloud.colors.T, strict=True)),
-        "views": cloud.views,
-    }
-    return bytes(ply_bytes(columns, comments=(f"surfaces that at least two cameras see, one point per {site.voxel_m:g} m",)))
-
-
-def _npz(**arrays: Any) -> bytes:
-    import numpy as np
-
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
 
 
 def _json(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
-
-
-def _site_file(site: DemoSite, scene: str, angles_deg: tuple[float, float]) -> str:
-    cameras = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in site.cameras)
-    night = f"{site.cameras[0].times[0]:%Y-%m-%d}"
-    low, high = angles_deg
-    return _SITE.format(scene=scene, cameras=cameras, night=night, low=low, high=high)
-
-
-_SITE = """\
-# The demo {scene}.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
-site: {scene}
-
-# One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed.
-captures:
-  root: captures
-  pattern: "{{camera}}/{{date:%Y-%m-%d}}_*.jpg"
-
-# Every camera burns a clock into its picture; the masks (black: ignore) keep it out.
-cameras:
-{cameras}
-
-# Intrinsics, lens distortion and poses in metres.  Without R and C in it, poses are solved.
-calibration: cameras.json
-
-# Long side in pixels that stages work at; null: as captured.
-resolution: null
-
-# Which pairs are worth matching: angles in degrees between the views.
-pairs: {{degree: 4, min_angle: {low:g}, max_angle: {high:g}}}
-"""
-
-_README = """\
-The demo site of wbflow: {about}, rendered with exact truth.
-
-site.yaml           the site description: wbflow run site.yaml
-captures/           what the cameras wrote: lens distortion, sensor noise, a burned-in clock, people and vehicles
-masks/              black where the clock is
-cameras.json        intrinsics, distortion (k1 k2 p1 p2 k3) and poses: x ~ K R (X - C), metres, z up
-truth/depth/        key 'depth': float32, metres along the optical axis, of the empty {scene} in the undistorted view with
-                    the same K; 0: sky or water
-truth/cameras.json  the same as cameras.json, for when you change that one
-truth/reference.ply surfaces that at least two cameras see; truth/reference.json says how finely
-demo.json           what was rendered, and the digest of every file
-
-Delete R and C in cameras.json to see the poses solved; compare with truth/cameras.json.
-"""

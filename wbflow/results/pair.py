@@ -22,6 +22,15 @@ LAST_STAGE = stage_with(Role.DISPARITY).name
 def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
     """A site of the two photographs, written to out/site.yaml (from where it can be taken further).
 
+    Parameters
+    ----------
+    left, right : Path
+        The photographs.
+    out : Path
+        The folder for the results.
+    resolution : int, optional
+        Long side in pixels to work at.
+
     Raises
     ------
     UsageError

@@ -12,7 +12,7 @@ from .. import __version__
 from ..errors import ExitCode
 from ..graph.pipeline import STAGES, Reports, Role, Stage, WorldReports, stage_with
 from ..night.plan import Plan
-from ..night.state import State
+from ..night.state import Cause, State
 from ..store.layout import cloud_name
 from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
 from ..task import Task
@@ -60,7 +60,7 @@ def run_record(
         other_clouds=tuple(cloud for cloud in others if cloud),
         poses=_world(plan),
         reason=main.reason if main and not main.usable else None,
-        code=_code(main) if main and not main.usable else None,
+        code=main.code if main and not main.usable else None,
     )
 
 
@@ -94,7 +94,7 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
         if state is None:
             continue
         if not state.usable:
-            return replace(record, outcome=state.outcome, reason=state.reason, code=_code(state))
+            return replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
         notes = tuple(_figures(state).get(reports.notes, ()))
         record = replace(record, notes=record.notes + notes, figures={**record.figures, **_told(state, reports)})
     for solved, world in _worlds(plan):
@@ -102,7 +102,7 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
         note = solved.get(world.camera_notes, {}).get(camera)
         record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
         if camera in solved.get(world.lost_cameras, {}):
-            record = replace(record, outcome="unsolved", reason=solved[world.lost_cameras][camera])
+            record = replace(record, outcome="unsolved", reason=solved[world.lost_cameras][camera], code=Cause.UNSOLVED)
     return record
 
 
@@ -126,7 +126,7 @@ def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
         if state.usable and stage.role is Role.DISPARITY:
             record = replace(record, outcome="ok", reason=None, code=None, stage=None)
         elif not state.usable and (record.ok or state.outcome != "skipped"):
-            record = replace(record, outcome=state.outcome, reason=state.reason, code=_code(state), stage=stage.name)
+            record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
     for solved, world in _worlds(plan):
         told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
         record = replace(record, figures={**record.figures, **told})
@@ -180,7 +180,3 @@ def _world(plan: Plan) -> WorldRecord | None:
 
 def _figures(state: State | None) -> dict[str, Any]:
     return state.receipt.figures if state and state.receipt else {}
-
-
-def _code(state: State) -> str | None:
-    return state.receipt.code if state.receipt else None

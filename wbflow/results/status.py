@@ -13,11 +13,14 @@ from ..task import Task
 
 @dataclass(frozen=True)
 class Line:
-    """task: its name; state: cached, rejected, failed, skipped, would run, or waits; why: in words."""
+    """A task in the status of a site."""
 
     task: str
+    """Its name."""
     state: str
+    """Cached, rejected, failed, skipped, would run, or waits."""
     why: str
+    """In words."""
 
 
 def explain(plan: Plan) -> list[Line]:

@@ -62,7 +62,8 @@ class TaskEvent:
 
 @dataclass(frozen=True)
 class WarningEvent:
-    """Something went wrong and was survived: a picture not drawn, an artifact made again, a ledger not written."""
+    """Something that the operator should know of, and that the run has survived: a picture that was not drawn, an artifact made
+    again, a ledger that was not written, a word of the site file that is out of date."""
 
     what: str
     """What, in one line."""

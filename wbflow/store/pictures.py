@@ -29,7 +29,21 @@ def read_drawing(work: WorkFolder, task: Task, key: str) -> Drawing | None:
 
 
 def write_drawing(work: WorkFolder, task: Task, key: str, drawing: Drawing, picture: bytes | None) -> None:
-    """Keep a picture, or that there is none."""
+    """Keep a picture, or that there is none.
+
+    Parameters
+    ----------
+    work : WorkFolder
+        Where it is kept.
+    task : Task
+        Whose result is shown.
+    key : str
+        Of that result.
+    drawing : Drawing
+        By what it was drawn, and why it could not be.
+    picture : bytes, optional
+        The JPEG file; None where there is none.
+    """
     file = work.picture(task, key)
     if picture is None:
         file.unlink(missing_ok=True)

@@ -20,6 +20,7 @@ def test_every_parameter_of_every_stage_has_a_meaning(stage: Stage) -> None:
     assert row.meaning
     assert [p.name for p in row.parameters if not p.meaning and p.name != stage.component_parameter] == []
     assert all(p.default for p in row.parameters)
+    assert [(m.name, p.name) for m in row.methods for p in m.parameters if not p.meaning] == []
 
 
 def test_units_come_from_the_docstring_or_the_name() -> None:

@@ -17,7 +17,7 @@ from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
 from wbflow.config.load import load_site
 from wbflow.night.captures import Digests, find_captures, night
-from wbflow.results.demo import write_demo
+from wbflow.results.demo import NotADemo, write_demo
 from wbflow.store.ply import read_ply
 from wbflow_stages.synthetic.shooting import Daytime, DemoSite
 
@@ -105,14 +105,14 @@ def test_files_of_an_earlier_demo_that_are_not_written_again_go_away(tmp_path: P
 
 
 def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wbflow.results import demo
+    from wbflow_stages.synthetic import files
 
     def stops(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes]]:
         yield "captures/mast-2/2026-11-19_1.jpg", b"half"
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(demo, "_files", stops)
+        patch.setattr(files, "_files", stops)
         write_demo(tmp_path / "demo", small=True)
     write_demo(tmp_path / "demo", small=True)
     assert load_site(tmp_path / "demo").posed
@@ -120,10 +120,10 @@ def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkey
 
 def test_other_peoples_folders_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(FileExistsError, match="holds other files"):
+    with pytest.raises(NotADemo, match="holds other files"):
         write_demo(tmp_path, small=True)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.txt"]
-    with pytest.raises(FileExistsError, match="is a file"):
+    with pytest.raises(NotADemo, match="is a file"):
         write_demo(tmp_path / "thesis.txt", small=True)
 
 
@@ -133,7 +133,7 @@ def test_what_was_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
     file = tmp_path / "demo" / name
     edited = file.read_text() + "\n"
     file.write_text(edited)
-    with pytest.raises(FileExistsError, match="edited"):
+    with pytest.raises(NotADemo, match="edited"):
         write_demo(tmp_path / "demo", small=True)
     assert file.read_text() == edited
 

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.helpers.images import read_image
-from tests.helpers.synthetic_site import small_yard
+from tests.helpers.synthetic_site import small_yard, write_straight
 from wbflow.cli import main
 
 
@@ -20,10 +20,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("photographs")
     paths = folder / "one.png", folder / "two.png"
     for path, camera in zip(paths, small_yard().cameras[:2], strict=True):
-        # no F fits two views through a lens as bent as the yard's
-        assert camera.lens.K is not None
-        straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
-        cv2.imwrite(str(path), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))
+        write_straight(path, camera)
     return paths
 
 

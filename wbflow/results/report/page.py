@@ -125,7 +125,7 @@ def _faults(record: RunRecord, events: Iterable[Event]) -> str:
     survived = [
         (str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in events if isinstance(e, WarningEvent)
     ]
-    return _told("What failed", failed) + _told("What has changed", changed) + _told("What went wrong and was survived", survived)
+    return _told("What failed", failed) + _told("What has changed", changed) + _told("Warnings", survived)
 
 
 def _told(title: str, rows: Iterable[tuple[str, str]]) -> str:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from ..io.rasters import pfm, png
 from ..rectification.warping import disparity_px, warp
 from ..types import Disparity, Frame, Geometry, Matches, Rectification
 from .previews import disparity_preview, matches_preview, rectified_preview
-from .rasters import pfm, png
 
 PNG_STEPS = 16
 """Steps of the 16-bit disparity image in a pixel."""
@@ -23,7 +23,17 @@ def pair_files(
     rectification: Rectification | None,
     disparity: Disparity | None,
 ) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """All files of a pair by name, as far as it came, and figures for a summary (JSON data)."""
+    """All files of a pair by name, as far as it came, and figures for a summary (JSON data).
+
+    Parameters
+    ----------
+    left, right
+        The frames of the pair.
+    matches
+        What was matched.
+    geometry, rectification, disparity
+        What came of it; None where it did not come so far.
+    """
     files = matching_files(matches, geometry, left, right)
     summary: dict[str, Any] = {}
     if rectification is not None:

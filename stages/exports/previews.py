@@ -57,7 +57,17 @@ def disparity_preview(
     rectification: Rectification | None = None,
     **_: object,
 ) -> Uint8s:
-    """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given."""
+    """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given.
+
+    Parameters
+    ----------
+    disparity
+        Of both rectified views.
+    left, right
+        The frames of the pair.
+    rectification
+        How they are resampled.
+    """
     shown = _disparities(disparity)
     if left is None or right is None or rectification is None:
         return _jpeg(shown)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from tests.helpers.exact_scene import make_yard
+from wbflow_stages.exports.previews import cloud_preview, disparity_preview, frame_preview, matches_preview, rectified_preview
 from wbflow_stages.fuse import fuse
-from wbflow_stages.io.previews import cloud_preview, disparity_preview, frame_preview, matches_preview, rectified_preview
 from wbflow_stages.types import Cloud, Disparity, Frame, Matches, View
 
 

@@ -1,0 +1,163 @@
+"""A rendered scene as the files of a demo: captures, a site file that works as it is, and the truth beside them."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .encode import jpeg, png
+from .scenes import SCENES, render
+from .shooting import DemoCamera, DemoSite
+
+
+@dataclass(frozen=True)
+class Points:
+    """The content of a PLY file."""
+
+    columns: Mapping[str, npt.NDArray[Any]]
+    """(n,) arrays by name."""
+    comments: tuple[str, ...] = ()
+    """Lines for its header."""
+
+
+@dataclass(frozen=True)
+class DemoFiles:
+    """A demo, before it is written."""
+
+    told: Mapping[str, Any]
+    """What was rendered (JSON data)."""
+    files: Iterator[tuple[str, bytes | Points]]
+    """Name and content of every file."""
+
+
+def demo_files(
+    scene: str, *, small: bool = False, light: str = "day", cameras: int | None = None, captures: int | None = None, seed: int = 0
+) -> DemoFiles:
+    """Render a scene; the same arguments give the same bytes.
+
+    Parameters
+    ----------
+    scene : str
+        A name of `SCENES`.
+    small : bool
+        320 x 180 pixels: rendered in seconds.
+    light : str
+        "day", "dusk", "night", or "dark": night without lamps.
+    cameras, captures : int, optional
+        How many cameras, and captures of each; the scene's own where not given.
+    seed : int
+        Of everything that is drawn at random.
+
+    Raises
+    ------
+    ValueError
+        An unknown scene or light, or impossible numbers.
+    """
+    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light)
+    which = {} if scene == "yard" else {"scene": scene}
+    told = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
+    return DemoFiles(told, _files(site, scene, light))
+
+
+def _files(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes | Points]]:
+    """Name and content of every file of the demo."""
+    for camera in site.cameras:
+        for k, image in enumerate(camera.captures):
+            yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
+        yield f"masks/{camera.name}.png", png(camera.mask)
+        yield f"truth/depth/{camera.name}.npz", _npz(depth=camera.depth)
+    calibration = _json({camera.name: _calibration(camera) for camera in site.cameras})
+    yield "cameras.json", calibration
+    yield "truth/cameras.json", calibration
+    yield "truth/reference.ply", _reference(site)
+    summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
+    yield "truth/reference.json", _json(summary)
+    row = SCENES[scene]
+    yield "README.txt", _README.format(about=row.about, scene="yard" if scene == "yard" else "scene").encode()
+    yield "site.yaml", _site_file(site, scene, row.angles_deg).encode()
+
+
+def _calibration(camera: DemoCamera) -> dict[str, Any]:
+    assert camera.lens.K is not None
+    return {
+        "width": camera.lens.width,
+        "height": camera.lens.height,
+        "K": camera.lens.K.tolist(),
+        "distortion": camera.lens.distortion.tolist(),
+        "R": camera.camera.R.tolist(),
+        "C": camera.camera.C.tolist(),
+    }
+
+
+def _reference(site: DemoSite) -> Points:
+    cloud = site.reference
+    columns = {
+        **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True)),
+        **dict(zip(("red", "green", "blue"), cloud.colors.T, strict=True)),
+        "views": cloud.views,
+    }
+    return Points(columns, (f"surfaces that at least two cameras see, one point per {site.voxel_m:g} m",))
+
+
+def _npz(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=1) + "\n").encode()
+
+
+def _site_file(site: DemoSite, scene: str, angles_deg: tuple[float, float]) -> str:
+    cameras = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in site.cameras)
+    night = f"{site.cameras[0].times[0]:%Y-%m-%d}"
+    low, high = angles_deg
+    return _SITE.format(scene=scene, cameras=cameras, night=night, low=low, high=high)
+
+
+_SITE = """\
+# The demo {scene}.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
+site: {scene}
+
+# One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed.
+captures:
+  root: captures
+  pattern: "{{camera}}/{{date:%Y-%m-%d}}_*.jpg"
+
+# Every camera burns a clock into its picture; the masks (black: ignore) keep it out.
+cameras:
+{cameras}
+
+# Intrinsics, lens distortion and poses in metres.  Without R and C in it, poses are solved.
+calibration: cameras.json
+
+# Long side in pixels that stages work at; null: as captured.
+resolution: null
+
+# Which pairs are worth matching: angles in degrees between the views.
+pairs: {{degree: 4, min_angle: {low:g}, max_angle: {high:g}}}
+"""
+
+_README = """\
+The demo site of wbflow: {about}, rendered with exact truth.
+
+site.yaml           the site description: wbflow run site.yaml
+captures/           what the cameras wrote: lens distortion, sensor noise, a burned-in clock, people and vehicles
+masks/              black where the clock is
+cameras.json        intrinsics, distortion (k1 k2 p1 p2 k3) and poses: x ~ K R (X - C), metres, z up
+truth/depth/        key 'depth': float32, metres along the optical axis, of the empty {scene} in the undistorted view with
+                    the same K; 0: sky or water
+truth/cameras.json  the same as cameras.json, for when you change that one
+truth/reference.ply surfaces that at least two cameras see; truth/reference.json says how finely
+demo.json           what was rendered, and the digest of every file
+
+Delete R and C in cameras.json to see the poses solved; compare with truth/cameras.json.
+"""
