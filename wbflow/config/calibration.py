@@ -24,7 +24,8 @@ class CalibrationError(WbflowError, ValueError):
 
 @dataclass(frozen=True)
 class Calibrated:
-    """K, R: 3x3; C: 3; distortion: k1 k2 p1 p2 k3; None where the file does not say.  metric: C is in metres."""
+    """K, R: 3x3; C: 3; distortion: k1 k2 p1 p2 k3; None where the file does not say.  metric: C is in metres; sigma_m, sigma_deg:
+    standard deviations of C and R, 0 where they are exact."""
 
     K: Matrix
     width: int
@@ -33,6 +34,8 @@ class Calibrated:
     R: Matrix | None = None
     C: list[float] | None = None
     metric: bool = True
+    sigma_m: float = 0.0
+    sigma_deg: float = 0.0
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:
@@ -93,7 +96,15 @@ def _entry(path: Path, name: str, entry: Any) -> Calibrated:
     if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
         raise CalibrationError(f"{path}: {name}.K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
     distortion = numbers("distortion", 5) if entry.get("distortion") is not None else None
-    return Calibrated(K, size[0], size[1], distortion, R, C, entry.get("metric") is not False)
+    sigmas = []
+    for key, of, known in (("position_sigma_m", "C", C), ("rotation_sigma_deg", "R", R)):
+        sigma = entry.get(key)
+        if sigma is not None and not (_is_number(sigma) and sigma >= 0):
+            raise CalibrationError(f"{path}: {name}.{key} must be a number, 0 or more")
+        if sigma is not None and known is None:
+            raise CalibrationError(f"{path}: {name}.{key} says how well {of} is known, which is not given")
+        sigmas.append(float(sigma or 0))
+    return Calibrated(K, size[0], size[1], distortion, R, C, entry.get("metric") is not False, *sigmas)
 
 
 def _is_number(value: Any) -> bool:
