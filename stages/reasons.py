@@ -58,6 +58,10 @@ class Reason(StrEnum):
         "contradicts-cameras",
         "contradicts the other pairs: its inliers are {epipolar_px:.1f} px off the epipolar lines of the solved cameras",
     )
+    MATCHES_CONTRADICT_CAMERAS = (
+        "matches-contradict-cameras",
+        "its matches are {epipolar_px:.1f} px off the epipolar lines of the known poses, and don't count",
+    )
     CAMERA_NOT_PLACED = "camera-not-placed", "a camera of it could not be placed"
     CAMERAS_APART = "cameras-apart", "its cameras could not be brought into one frame"
 
