@@ -66,7 +66,7 @@ def _agreed(name: str, cameras: Mapping[str, Camera], witnesses: Witnesses) -> N
     stated = {e.cameras: e for e in witnesses.evidence(cameras, name)}
     against = {key: e for key, e in stated.items() if e.contradicts and _distinctive(key, witnesses.pairs)}
     trios = [trio for trio in witnesses.trios if trio.cameras in against]
-    pairs = {pair: witnesses.pairs[pair] for pair in against if pair in witnesses.pairs}
+    pairs = {pair: geometry for pair, geometry in witnesses.pairs.items() if pair in against}
     if len(pairs) < 2 and not trios:
         return None
     best: NewPose | None = None

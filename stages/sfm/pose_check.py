@@ -17,7 +17,7 @@ import numpy as np
 from ..core.cameras import backproject, project, ray_angles, relative_pose
 from ..core.rotations import angle_between_deg
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
-from ..types import Camera, Float64s, Geometry, Pair, PoseCheck
+from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 from .tracks import same_places
 
 MIN_SHARED = 20
@@ -208,7 +208,7 @@ def _trio(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Trio |
     return Trio(three, (ab.x1[first[closes]], ab.x2[first[closes]], bc.x2[second[closes]]))
 
 
-def _joined(i: object, x: Float64s, j: object, y: Float64s) -> tuple[Float64s, Float64s]:
+def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tuple[Int64s, Int64s]:
     """Rows of two lists of points of one view that are the same keypoint, or at the same place where there are no keypoints."""
     if i is None or j is None:
         return same_places(x, y)

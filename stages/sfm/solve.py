@@ -11,6 +11,7 @@ from ..core.cameras import relative_pose
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
+from ..twoview.pair_score import probability
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
 from .tracks import Edge, without_distortion
@@ -20,6 +21,8 @@ from .world import World, to_world
 WORSE = 1.25
 """A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
 WORSE_PX = 0.1
+SURE = 4.0
+"""Log odds of a pair that agrees with the known poses of its cameras."""
 BENT_PX = 1.0
 """A solved lens that moves the corners of its frame by more than this is worth taking out."""
 
@@ -42,20 +45,51 @@ def solve_from_pairs(
     stated
         Cameras whose intrinsics and poses are both known, by id.
     """
-    graph = ViewGraph.of(views, geometries)
+    exact = {name: camera for name, camera in stated.items() if _exact(placements[name])}
+    graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
     trusted, dropped = graph.consistent(max_rotation_error_deg)
-    models = graph.models(trusted)
+    number = {name: view for view, name in enumerate(graph.names)}
+    models = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
     if not models:
         figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
         return Rejected(graph.why_nothing(trusted), figures)
     worlds = [to_world(graph, refine(model, rounds=3), placements, survey) for model in models]
-    return _collect(graph, worlds, stated, dropped, max_epipolar_px, survey)
+    metric = all(placements[name].metric for name in exact)
+    return _collect(graph, worlds, stated, exact, metric, dropped, max_epipolar_px, survey)
+
+
+def _exact(placement: Placement) -> bool:
+    return placement.sigma_m == 0 and placement.sigma_deg == 0
+
+
+def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
+    """The geometries without pairs of known cameras that contradict these, and with the known pose in those that don't."""
+    found = {}
+    for pair, geometry in geometries.items():
+        if set(pair) <= set(exact):
+            left, right = (exact[name] for name in pair)
+            F = fundamental_from_cameras(left, right)
+            distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
+            if not np.median(distance) <= max_epipolar_px:
+                continue
+            R, t = relative_pose(left, right)
+            geometry = replace(
+                geometry,
+                cam2_R_cam1=R,
+                cam2_t_cam1=t / np.linalg.norm(t),
+                score=max(geometry.score, SURE),
+                good_probability=max(geometry.good_probability, probability(SURE)),
+            )
+        found[pair] = geometry
+    return found
 
 
 def _collect(
     graph: ViewGraph,
     worlds: list[World],
     stated: Mapping[str, Camera],
+    exact: Mapping[str, Camera],
+    exact_metric: bool,
     dropped: dict[Edge, Rejected],
     max_epipolar_px: float,
     survey: Survey,
@@ -64,15 +98,22 @@ def _collect(
     worlds = sorted(worlds, key=lambda world: not world.placed)
     cameras: dict[str, Camera] = {}
     groups: list[list[str]] = []
+    main = worlds[0]
+    if not main.placed and len(exact) >= 2:  # what is solved has no place among the known cameras
+        main = replace(main, metric=exact_metric, scale="calibration" if exact_metric else "calibration, not metric", placed=True)
+        groups.append(list(exact))
+        cameras |= exact
     for world in worlds:
         if not (world.placed and groups):
             groups.append([])
         for view, camera in world.model.cameras.items():
-            cameras[graph.names[view]] = replace(camera, component=len(groups) - 1)
-            groups[-1].append(graph.names[view])
+            if (name := graph.names[view]) not in cameras:
+                cameras[name] = exact.get(name, replace(camera, component=len(groups) - 1))
+                groups[-1].append(name)
+    groups = [group for group in groups if group]
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
     notes = [*suspects.values(), *(note for world in worlds for note in world.notes)]
-    if worlds[0].placed:
+    if main.placed:
         for name, camera in stated.items():
             if name not in cameras:
                 cameras[name] = camera
@@ -86,7 +127,6 @@ def _collect(
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
         notes.append(f"{what}: that is taken out of the frames once these solved cameras are the calibration")
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
-    main = worlds[0]
     return Poses(
         cameras={name: cameras[name] for name in order},
         unsolved=unsolved,
@@ -132,8 +172,8 @@ def _check(
     flagged = adjusted > max(WORSE * own, own + WORSE_PX)
     note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
     if why is not None:
-        return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged)
-    return PairCheck(True, note, "", own, adjusted, off, flagged)
+        return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged, "solved")
+    return PairCheck(True, note, "", own, adjusted, off, flagged, "solved")
 
 
 def _bent_px(camera: Camera) -> float:

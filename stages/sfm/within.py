@@ -84,7 +84,7 @@ def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
     """How far a camera is from where it is stated, as a share of what its standard deviations allow."""
     metres = float(np.linalg.norm(found.C - stated.C))
     degrees = float(np.degrees(np.linalg.norm(rotation_vector(found.R @ stated.R.T))))
-    limit = DEVIATIONS * np.sqrt(3)  # of three coordinates
+    limit = DEVIATIONS * float(np.sqrt(3))  # of three coordinates
     return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
 
 

@@ -138,6 +138,31 @@ def test_a_wrong_known_pose_is_named_and_bends_nothing() -> None:
         assert np.allclose(camera.C, without.cameras[name].C, atol=1e-6)
 
 
+def test_known_cameras_place_the_others_whatever_a_wrong_pair_among_them_says() -> None:
+    site = make_pair_site(6, noise_px=0.2)
+    known = {name: true_placement(site, name) for name in ("c0", "c2", "c4")}
+    wrong = {pair: turned_wrong(site, pair, k) for k, pair in enumerate([("c0", "c2"), ("c2", "c4"), ("c1", "c3")])}
+    poses = solve(replace(site, geometries=site.geometries | wrong), known)
+    assert not poses.suspects and poses.metric
+    assert {name for name, source in poses.sources.items() if source == "stated"} == set(known)
+    for name, camera in poses.cameras.items():
+        assert np.linalg.norm(camera.C - site.cameras[name].C) < 0.02
+    for pair in wrong:
+        assert not poses.verdicts["--".join(pair)].kept
+    assert poses.verdicts["c0--c4"].known == "stated" and poses.verdicts["c0--c1"].known == "solved"
+
+
+def test_a_model_that_contradicts_the_known_poses_stands_apart_and_moves_none() -> None:
+    site = make_pair_site(4, noise_px=0.2)
+    pairs = {pair: geometry for pair, geometry in site.geometries.items() if pair != ("c0", "c3")}
+    turned = rotation_matrix(np.radians([6.0, 0, 0])) @ site.cameras["c3"].R
+    known = {"c0": true_placement(site, "c0"), "c3": Placement(turned, site.cameras["c3"].C)}
+    poses = solve(replace(site, geometries=pairs), known)
+    assert not poses.suspects and poses.components == (("c0", "c3"), ("c1", "c2"))
+    assert np.array_equal(poses.cameras["c3"].R, turned) and poses.metric
+    assert any("contradicts the known poses of c0 and c3" in note for note in poses.notes)
+
+
 def test_positions_with_a_standard_deviation_place_the_model_but_do_not_bend_it() -> None:
     site = make_pair_site(6, noise_px=0.1)
     rng = np.random.default_rng(1)
