@@ -14,6 +14,7 @@ from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_dist
 from ..twoview.pair_score import probability
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
+from .pose_check import BELIEVED
 from .tracks import Edge, without_distortion
 from .view_graph import ViewGraph
 from .world import World, to_world
@@ -72,14 +73,11 @@ def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], m
             distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
             if not np.median(distance) <= max_epipolar_px:
                 continue
-            R, t = relative_pose(left, right)
-            geometry = replace(
-                geometry,
-                cam2_R_cam1=R,
-                cam2_t_cam1=t / np.linalg.norm(t),
-                score=max(geometry.score, SURE),
-                good_probability=max(geometry.good_probability, probability(SURE)),
-            )
+            if geometry.good_probability >= BELIEVED:  # others may match look-alikes along the epipolar lines
+                R, t = relative_pose(left, right)
+                t /= np.linalg.norm(t)
+                score = max(geometry.score, SURE)
+                geometry = replace(geometry, cam2_R_cam1=R, cam2_t_cam1=t, score=score, good_probability=probability(score))
         found[pair] = geometry
     return found
 
@@ -96,21 +94,19 @@ def _collect(
 ) -> Poses:
     """All worlds as one result: those in the site's frame are the first component, each other is one of its own."""
     worlds = sorted(worlds, key=lambda world: not world.placed)
-    cameras: dict[str, Camera] = {}
-    groups: list[list[str]] = []
     main = worlds[0]
     if not main.placed and len(exact) >= 2:  # what is solved has no place among the known cameras
         main = replace(main, metric=exact_metric, scale="calibration" if exact_metric else "calibration, not metric", placed=True)
-        groups.append(list(exact))
-        cameras |= exact
+    cameras: dict[str, Camera] = dict(exact) if main.placed else {}
+    groups: list[list[str]] = [list(cameras)]
     for world in worlds:
-        if not (world.placed and groups):
+        solved = {graph.names[view]: camera for view, camera in world.model.cameras.items()}
+        mine = [name for name in solved if name not in cameras]
+        if not world.placed and groups[0]:
             groups.append([])
-        for view, camera in world.model.cameras.items():
-            if (name := graph.names[view]) not in cameras:
-                cameras[name] = exact.get(name, replace(camera, component=len(groups) - 1))
-                groups[-1].append(name)
-    groups = [group for group in groups if group]
+        for name in mine:
+            cameras[name] = replace(solved[name], component=len(groups) - 1)
+            groups[-1].append(name)
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
     notes = [*suspects.values(), *(note for world in worlds for note in world.notes)]
     if main.placed:

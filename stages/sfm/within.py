@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector, skew
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Bools, Camera, Float64s, Geometry, Pair
-from .pose_check import DEVIATIONS, PAIR_PX, Sigma, slack_px
+from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, Sigma, Witnesses, slack_px
 from .tracks import Edge, Tracks, build_tracks
 from .triangulation import angles, residuals, triangulate
 
@@ -21,6 +22,10 @@ MIN_SHARE = 0.5
 """...and this share of them."""
 LEAST_NOISE_PX = 0.2
 """Standard deviation of the matches at least: those of a pair err together, however small their residuals."""
+ALONE, CONFIRMED = 4.0, 400.0
+"""The matches of a pair weigh no more than so many with a noise of one pixel: what errs together does not average out.  Of a pair
+alone a part may show look-alikes that the standard deviations allow (on a tiled square, a third of its matches, 6 px off); pairs
+that a third camera confirms have none."""
 NOISES = 3.0
 """Scale of the Cauchy loss, in standard deviations of the noise."""
 ROUNDS = 4
@@ -40,7 +45,8 @@ def adjust_within(
     sigmas
         How well these are known; a camera that is not named is exact, and stays.
     geometries
-        Matches of the pairs.  Those far from the epipolar lines, by what the standard deviations allow, are not looked at.
+        Matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the epipolar
+        lines than the standard deviations allow.
 
     Returns
     -------
@@ -51,6 +57,8 @@ def adjust_within(
     number = {name: k for k, name in enumerate(names)}
     edges: dict[Edge, Geometry] = {}
     for pair, geometry in geometries.items():
+        if geometry.good_probability < BELIEVED:
+            continue
         if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry)) is not None:
             edges[number[pair[0]], number[pair[1]]] = near
     loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
@@ -59,14 +67,18 @@ def adjust_within(
     tracks = build_tracks(edges, len(names))
     stated = {number[name]: camera for name, camera in cameras.items()}
     known = {number[name]: sigmas[name] for name in loose}
+    trios = Witnesses.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).trios
+    confirmed = {frozenset(pair) for trio in trios for pair in combinations(trio.cameras, 2)}
     while True:
-        found = _most_probable(stated, known, tracks)
+        weight = sum(CONFIRMED if {names[i], names[j]} in confirmed else ALONE for i, j in edges)
+        found = _most_probable(stated, known, tracks, weight)
         strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
         if not strayed:
             return {name: found[number[name]] for name in names}
         worst = max(strayed, key=strayed.__getitem__)  # it stays where it is stated, and has no say about the others
         known = {view: sigma for view, sigma in known.items() if view != worst}
-        tracks = build_tracks(edges := {edge: geometry for edge, geometry in edges.items() if worst not in edge}, len(names))
+        edges = {edge: geometry for edge, geometry in edges.items() if worst not in edge}
+        tracks = build_tracks(edges, len(names))
 
 
 def _allowed(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> Geometry | None:
@@ -88,8 +100,11 @@ def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
     return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
 
 
-def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks) -> dict[int, Camera]:
-    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have."""
+def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float) -> dict[int, Camera]:
+    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have.
+
+    weight: of all matches together at most, as that of so many with a noise of one pixel.
+    """
     cameras = dict(stated)
     noise = 2.0
     for _ in range(ROUNDS):
@@ -102,7 +117,8 @@ def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tra
         use &= (angles(cameras, tracks, X, use) >= MIN_ANGLE)[tracks.track]
         if not use.any():
             return cameras
-        problem = _Problem(stated, known, tracks, use, noise)
+        points = len(np.unique(tracks.track[use]))
+        problem = _Problem(stated, known, tracks, use, noise, min(1.0, weight * noise**2 / points))
         _, cameras = levenberg_marquardt(
             cameras, problem.equations, problem.moved, steps=20, damping=1e-3, least_damping=1e-9, relative_tolerance=1e-6
         )
@@ -115,8 +131,10 @@ class _Problem:
     """Least squares over the loose cameras; each point is where the cameras see it best, so that steps count cameras only."""
 
     def __init__(
-        self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, use: Bools, noise: float
+        self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, use: Bools, noise: float, share: float
     ) -> None:
+        """share: weight of the images against what is stated."""
+        self.share = share
         self.stated, self.known, self.noise = stated, known, noise
         rows = np.flatnonzero(use)
         self.tracks = Tracks(tracks.track[rows], tracks.view[rows], tracks.xy[rows], tracks.count)
@@ -185,6 +203,7 @@ class _Problem:
         return J_camera, J_point
 
     def _with_priors(self, cameras: Mapping[int, Camera], cost: float, normal: Float64s, right: Float64s) -> Equations:
+        cost, normal, right = self.share * cost, self.share * normal, self.share * right
         for view, k in self.place.items():
             sigma, camera, stated = self.known[view], cameras[view], self.stated[view]
             turned = rotation_vector(camera.R @ stated.R.T)

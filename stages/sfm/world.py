@@ -57,7 +57,8 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         similarity = _own_frame(cameras, landmarks, up, factor)
         model = _moved(model, similarity)
         why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
-        return World(model, bool(landmarks), known_scale, why, {}, scale_notes)
+        alone = sum(p.C is not None for p in placements.values()) == 1  # without a scale it fits nothing else that is placed
+        return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {}, scale_notes)
     unplaced, model = model, _moved(model, alignment.similarity)
     exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     number = {name: view for view, name in enumerate(graph.names)}
