@@ -16,8 +16,9 @@ import numpy as np
 from .core.cameras import camera_of
 from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
-from .sfm.overruled import overruled
-from .sfm.pose_check import PAIR_PX, TURNED_DEG, Sigma, Witnesses, check_cameras, epipolar_error_px, turned_deg
+from .sfm.baseline import without_baseline
+from .sfm.overruled import NewPose, overruled
+from .sfm.pose_check import PAIR_PX, TURNED_DEG, Sigma, Witnesses, check_cameras, confirmed, epipolar_error_px, turned_deg
 from .sfm.within import adjust_within
 from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
@@ -33,6 +34,7 @@ def solve_poses(
     *,
     max_rotation_error_deg: float = 4.0,
     max_epipolar_px: float = 2.0,
+    min_angle_deg: float = 0.7,
 ) -> Poses | Rejected:
     """Put the cameras into one world.
 
@@ -50,6 +52,9 @@ def solve_poses(
         A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
     max_epipolar_px
         So is a pair whose inliers lie farther than this from the epipolar lines of the solved cameras (median), in pixels.
+    min_angle_deg
+        Reject where the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at one place,
+        seen from the scene, tell no depth.
 
     Returns
     -------
@@ -64,43 +69,72 @@ def solve_poses(
     sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
-    cameras = adjust_within(known, sigmas, seen)
-    moved = overruled(cameras, Witnesses.of(tuple(cameras), seen))
-    if moved:
-        cameras = adjust_within({n: camera for n, camera in known.items() if n not in moved}, sigmas, seen)
+    cameras, moved = _believed(known, sigmas, seen)
+    metric = all(placements[name].metric for name in cameras)
+    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, metric):
+        return rejected
     told = Witnesses.of(tuple(cameras), seen).evidence(cameras)
+    held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
+    believed = {name: placement for name, placement in placements.items() if name not in moved} | held
+    trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
+    geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
+    found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
+    if isinstance(found, Rejected):
+        return found
     checks = check_cameras(cameras, seen, told)
     unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
     notes = (_doubt(unclear, cameras, seen),) if unclear else ()
-    believed = {name: placement for name, placement in placements.items() if name not in moved}
-    believed |= {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
-    trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
-    fit = _fit(cameras, seen, max_epipolar_px)
-    if len(cameras) == len(views):
-        found = _as_stated(views, believed, trusted, survey)
-    else:
-        # here, so that a night whose poses are all known and right does not wait for what solves poses
-        from .sfm.solve import solve_from_pairs
-
-        found = solve_from_pairs(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
-        if isinstance(found, Rejected) and len(trusted) >= 2:
-            found = _as_stated(views, believed, trusted, survey)
-    if isinstance(found, Rejected):
-        return found
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
-    verdicts = {**found.verdicts, **fit}
-    for pair in set(found.verdicts) & {pair for pair, check in fit.items() if check.kept}:
-        verdicts[pair] = replace(found.verdicts[pair], known="stated")
+    verdicts = _verdicts(found, _fit(cameras, seen, max_epipolar_px))
     return replace(
         found,
         dropped={pair: check.reason for pair, check in verdicts.items() if not check.kept},
         verdicts=verdicts,
         checks=checks | off,
+        source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
         notes=(*suspects.values(), *notes, *found.notes),
     )
+
+
+def _believed(
+    known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]
+) -> tuple[dict[str, Camera], dict[str, NewPose]]:
+    """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
+    cameras = adjust_within(known, sigmas, geometries)
+    moved = overruled(cameras, Witnesses.of(tuple(cameras), geometries))
+    if moved:
+        cameras = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
+    return cameras, moved
+
+
+def _solved(
+    views: Mapping[str, View],
+    placements: Mapping[str, Placement],
+    geometries: Mapping[Pair, Geometry],
+    survey: Survey,
+    trusted: dict[str, Camera],
+    max_rotation_error_deg: float,
+    max_epipolar_px: float,
+) -> Poses | Rejected:
+    """All cameras, the trusted ones where they are."""
+    if len(trusted) == len(views) and all(placements[name].sigma_m == 0 for name in trusted):
+        return _as_stated(views, placements, trusted, survey)
+    # here, so that a night whose poses are all known and right does not wait for what solves poses
+    from .sfm.solve import solve_from_pairs
+
+    found = solve_from_pairs(views, placements, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
+    if isinstance(found, Rejected) and len(trusted) >= 2:
+        return _as_stated(views, placements, trusted, survey)
+    return found
+
+
+def _verdicts(found: Poses, fit: Mapping[str, PairCheck]) -> dict[str, PairCheck]:
+    """What is said of each pair: by known cameras where both are known and don't agree with it, else by all cameras."""
+    kept = {pair: found.verdicts[pair] for pair, check in fit.items() if check.kept and pair in found.verdicts}
+    return {**found.verdicts, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
 
 
 def _source(name: str, known: Mapping[str, Camera], trusted: Mapping[str, Camera], found: Poses) -> str:

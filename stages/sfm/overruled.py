@@ -35,16 +35,18 @@ class NewPose:
     """Witnesses for it..."""
     left: int
     """...and contradictions that stay with it among all cameras."""
+    pairs: tuple[Pair, ...]
+    """Those that agree with it."""
 
 
-def overruled(cameras: Mapping[str, Camera], witnesses: Witnesses) -> dict[str, Camera]:
+def overruled(cameras: Mapping[str, Camera], witnesses: Witnesses) -> dict[str, NewPose]:
     """The cameras whose stated poses are wrong, with where they are instead.
 
     A camera is overruled if at least two pairs with different partners, or three cameras whose matches close, contradict its
     pose and agree on another one; if their distinctive matches are spread over the image; and if they are more than the witnesses
     against it.  Where it could be one camera as well as another, neither is; nor if it were half of all cameras.
     """
-    found: dict[str, Camera] = {}
+    found: dict[str, NewPose] = {}
     passed: set[str] = set()
     while True:
         among = witnesses.without(set(found))
@@ -58,7 +60,7 @@ def overruled(cameras: Mapping[str, Camera], witnesses: Witnesses) -> dict[str, 
         if doubles := [rival for rival in rivals if _agreed(rival, cameras, alone) is None]:
             passed |= {name, *doubles}
         else:
-            found[name] = candidates[name].camera
+            found[name] = candidates[name]
 
 
 def _agreed(name: str, cameras: Mapping[str, Camera], witnesses: Witnesses) -> NewPose | None:
@@ -78,7 +80,8 @@ def _agreed(name: str, cameras: Mapping[str, Camera], witnesses: Witnesses) -> N
         if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= left:
             continue
         if best is None or (others + left, -len(supporters)) < (best.left, -best.support):
-            best = NewPose(camera, len(supporters), others + left)
+            agree = tuple(pair for pair in pairs if pair in supporters)
+            best = NewPose(camera, len(supporters), others + left, agree)
             if left == 0:
                 break
     return best

@@ -9,7 +9,7 @@ pose is overruled only where several partners agree on one new pose (`overruled`
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from ..core.cameras import backproject, project, ray_angles, relative_pose
 from ..core.rotations import angle_between_deg
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
+from ..twoview.pair_score import probability
 from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 from .tracks import same_places
 
@@ -31,6 +32,8 @@ TURNED_DEG = 0.5
 """The relative rotation of a pair's poses and that of its matches differ by more than this if one of the cameras was turned."""
 BELIEVED = 0.5
 """Pairs that are less probable than this are no witnesses."""
+SURE = 4.0
+"""Log odds of a pair that is confirmed by known poses."""
 MIN_ANGLE = np.radians(3.0)
 """Points are made of rays that meet at more than this, radians."""
 
@@ -147,6 +150,12 @@ def verified(name: str, evidence: list[Evidence]) -> bool:
     mine = [e for e in evidence if name in e.cameras]
     votes = [sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == size) for size in (2, 3)]
     return votes[0] > 0 and votes[1] >= 0
+
+
+def confirmed(geometry: Geometry) -> Geometry:
+    """A pair that agrees with known poses, or with several others on a new one."""
+    score = max(geometry.score, SURE)
+    return replace(geometry, score=score, good_probability=probability(score))
 
 
 def epipolar_error_px(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> float:

@@ -11,10 +11,9 @@ from ..core.cameras import relative_pose
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
-from ..twoview.pair_score import probability
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
-from .pose_check import BELIEVED
+from .pose_check import BELIEVED, confirmed
 from .tracks import Edge, without_distortion
 from .view_graph import ViewGraph
 from .world import World, to_world
@@ -22,8 +21,6 @@ from .world import World, to_world
 WORSE = 1.25
 """A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
 WORSE_PX = 0.1
-SURE = 4.0
-"""Log odds of a pair that agrees with the known poses of its cameras."""
 BENT_PX = 1.0
 """A solved lens that moves the corners of its frame by more than this is worth taking out."""
 
@@ -76,8 +73,7 @@ def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], m
             if geometry.good_probability >= BELIEVED:  # others may match look-alikes along the epipolar lines
                 R, t = relative_pose(left, right)
                 t /= np.linalg.norm(t)
-                score = max(geometry.score, SURE)
-                geometry = replace(geometry, cam2_R_cam1=R, cam2_t_cam1=t, score=score, good_probability=probability(score))
+                geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
         found[pair] = geometry
     return found
 
