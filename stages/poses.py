@@ -1,8 +1,9 @@
 """Where the cameras are: taken from the calibration, solved from the pairs' geometries, or both at once.
 
 Solved: rotations of all pairs are compared and contradictions dropped; what is left is grown into models view by view, with
-bundle adjustment; each model is put into the world by whatever is known of it.  Known poses then stay where they are, unless the
-images contradict them (`known_poses`): a wrong one is named, with how far it seems off, and solved like an unknown one.
+bundle adjustment; each model is put into the world by whatever is known of it.  A known pose is evidence with a standard
+deviation: it stays, or is adjusted within that.  Only where several partners agree on another pose (`sfm.overruled`) it is wrong:
+named, with how far it seems off, and solved like an unknown one.  What one pair says against it leaves it in use, unverified.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ import numpy as np
 from .core.cameras import camera_of
 from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
-from .sfm.pose_check import PAIR_PX, TURNED_DEG, check_cameras, contradicted, epipolar_error_px, evidence_on, turned_deg
+from .sfm.baseline import without_baseline
+from .sfm.overruled import NewPose, overruled
+from .sfm.pose_check import PAIR_PX, TURNED_DEG, Sigma, Witnesses, check_cameras, confirmed, epipolar_error_px, turned_deg
+from .sfm.within import adjust_within
 from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
@@ -30,6 +34,7 @@ def solve_poses(
     *,
     max_rotation_error_deg: float = 4.0,
     max_epipolar_px: float = 2.0,
+    min_angle_deg: float = 0.7,
 ) -> Poses | Rejected:
     """Put the cameras into one world.
 
@@ -47,6 +52,9 @@ def solve_poses(
         A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
     max_epipolar_px
         So is a pair whose inliers lie farther than this from the epipolar lines of the solved cameras (median), in pixels.
+    min_angle_deg
+        Reject where the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at one place,
+        seen from the scene, tell no depth.
 
     Returns
     -------
@@ -56,54 +64,103 @@ def solve_poses(
         return Rejected(Reason.ONE_CAMERA, {"cameras": len(views)})
     survey = survey or Survey()
     stated = stated_cameras(views, placements)
-    exact = {name: camera for name, camera in stated.items() if placements[name].sigma_m == 0}
     if not geometries:
         return _as_stated(views, placements, stated, survey)
-    seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(exact)}
-    wrong, unclear = _check(exact, seen)
-    checks = check_cameras({name: camera for name, camera in exact.items() if name not in wrong}, seen)
-    notes = (_doubt(unclear, exact, seen),) if unclear else ()
-    if len(exact) == len(views) and not wrong:
-        found = _as_stated(views, placements, stated, survey)
-        if isinstance(found, Rejected):
-            return found
-        return replace(found, verdicts=_fit(found.cameras, seen), checks=checks, notes=notes)
-    # here, so that a night whose poses are all known and right does not wait for what solves poses
-    from .sfm.solve import solve_from_pairs
-
-    believed = {name: placement for name, placement in placements.items() if name not in wrong}
-    trusted = {name: camera for name, camera in stated.items() if name not in wrong}
-    found = solve_from_pairs(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
-    if isinstance(found, Rejected) and len(trusted) >= 2:
-        found = _as_stated(views, believed, trusted, survey)
+    sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
+    known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
+    seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
+    cameras, moved = _believed(known, sigmas, seen)
+    metric = all(placements[name].metric for name in cameras)
+    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, metric):
+        return rejected
+    told = Witnesses.of(tuple(cameras), seen).evidence(cameras)
+    held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
+    believed = {name: placement for name, placement in placements.items() if name not in moved} | held
+    trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
+    geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
+    found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected):
         return found
-    moved = {name: _moved(exact[name], found.cameras.get(name), name, seen) for name in wrong}
-    suspects = {name: _suspicion(name, check, found.metric) for name, check in moved.items()}
+    checks = check_cameras(cameras, seen, told)
+    unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
+    notes = (_doubt(unclear, cameras, seen),) if unclear else ()
+    off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
+    suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
+    verdicts = _verdicts(found, _fit(cameras, seen, max_epipolar_px))
     return replace(
         found,
-        checks=checks | moved,
+        dropped={pair: check.reason for pair, check in verdicts.items() if not check.kept},
+        verdicts=verdicts,
+        checks=checks | off,
+        source="mixed" if moved else found.source,
+        sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
-        notes=(*suspects.values(), *(() if set(unclear) & set(found.suspects) else notes), *found.notes),
+        notes=(*suspects.values(), *notes, *found.notes),
     )
 
 
-def _check(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> tuple[list[str], list[str]]:
-    """Cameras whose known poses are wrong, and those among which there is another wrong one."""
-    wrong, unclear = contradicted(evidence_on(cameras, geometries))
-    if 2 * len(wrong + unclear) >= len(cameras):  # no single camera has moved: the calibration as a whole does not fit
-        return [], wrong + unclear
-    return wrong, unclear
+def _believed(
+    known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]
+) -> tuple[dict[str, Camera], dict[str, NewPose]]:
+    """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
+    cameras = adjust_within(known, sigmas, geometries)
+    moved = overruled(cameras, Witnesses.of(tuple(cameras), geometries))
+    if moved:
+        cameras = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
+    return cameras, moved
 
 
-def _fit(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, PairCheck]:
-    """How known poses fit each pair; whether it can be used, rectification decides."""
+def _solved(
+    views: Mapping[str, View],
+    placements: Mapping[str, Placement],
+    geometries: Mapping[Pair, Geometry],
+    survey: Survey,
+    trusted: dict[str, Camera],
+    max_rotation_error_deg: float,
+    max_epipolar_px: float,
+) -> Poses | Rejected:
+    """All cameras, the trusted ones where they are."""
+    if len(trusted) == len(views) and all(placements[name].sigma_m == 0 for name in trusted):
+        return _as_stated(views, placements, trusted, survey)
+    # here, so that a night whose poses are all known and right does not wait for what solves poses
+    from .sfm.solve import solve_from_pairs
+
+    found = solve_from_pairs(views, placements, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
+    if isinstance(found, Rejected) and len(trusted) >= 2:
+        return _as_stated(views, placements, trusted, survey)
+    return found
+
+
+def _verdicts(found: Poses, fit: Mapping[str, PairCheck]) -> dict[str, PairCheck]:
+    """What is said of each pair: by known cameras where both are known and don't agree with it, else by all cameras."""
+    kept = {pair: found.verdicts[pair] for pair, check in fit.items() if check.kept and pair in found.verdicts}
+    return {**found.verdicts, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
+
+
+def _source(name: str, known: Mapping[str, Camera], trusted: Mapping[str, Camera], found: Poses) -> str:
+    """How a camera's pose is known."""
+    camera = found.cameras[name]
+    if name not in trusted or not (np.array_equal(camera.R, trusted[name].R) and np.array_equal(camera.C, trusted[name].C)):
+        return "solved"
+    as_stated = name not in known or (np.array_equal(camera.R, known[name].R) and np.array_equal(camera.C, known[name].C))
+    return "stated" if as_stated else "refined"
+
+
+def _fit(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[str, PairCheck]:
+    """How the matches of each pair fit known poses: a pair whose matches don't is not kept, though its cameras are known."""
     found = {}
     for pair, geometry in geometries.items():
+        if not set(pair) <= set(cameras):
+            continue
         error = epipolar_error_px(cameras, pair, geometry)
-        reason = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else ""
         turned = turned_deg(cameras, pair, geometry)
-        found["--".join(pair)] = PairCheck(True, reason, "", geometry.epipolar_px, error, turned, bool(reason))
+        figures = geometry.epipolar_px, error, turned, not error <= PAIR_PX, "stated"
+        if not error <= max_epipolar_px:
+            why = Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error})
+            found["--".join(pair)] = PairCheck(False, why.reason, why.code, *figures)
+        else:
+            reason = f"the known poses leave an epipolar error of {error:.2f} px" if error > PAIR_PX else ""
+            found["--".join(pair)] = PairCheck(True, reason, "", *figures)
     return found
 
 
@@ -130,10 +187,13 @@ def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
     most = max((turned_deg(cameras, pair, geometry) for pair, geometry in pairs.items()), default=float("nan"))
     by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
+    if len(names) == 1:
+        return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
     what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong cannot be told."
+    what += " They stay in use, unverified: the matches may be of look-alikes."
     if len(names) == len(cameras) > 2:
         return f"{what} Is this the calibration of these captures?"
-    return f"{what} Leave out the pose of the camera that was moved, and it is solved; or add a camera that sees what both see."
+    return f"{what} If one was moved, leave out its pose, and it is solved; or add a camera that sees what both see."
 
 
 def _listed(names: list[str]) -> str:

@@ -48,6 +48,17 @@ class Reason(StrEnum):
     PAIRS_CONTRADICT = "pairs-contradict", "no two cameras could be placed: the pairs contradict each other"
     TOO_FEW_POINTS = "too-few-points", "no two cameras could be placed: too few points are seen at an angle"
 
+    NO_USABLE_BASELINE = (
+        "no-usable-baseline",
+        "no usable baseline: the rays of the matches meet at {angle_deg:.2f} degrees at most, {needed_deg:g} needed; the scene "
+        "is some {baselines:.0f} baselines away",
+    )
+    NO_USABLE_BASELINE_M = (
+        "no-usable-baseline-m",
+        "no usable baseline: the cameras are at most {baseline_m:.2g} m apart and the scene some {distance_m:.0f} m away, so "
+        "that the rays of the matches meet at {angle_deg:.2f} degrees at most, {needed_deg:g} needed",
+    )
+
     UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOPS
     LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOPS
     AMBIGUOUS = "ambiguous", "ambiguous: another pose fits as well" + _LOOPS
@@ -57,6 +68,10 @@ class Reason(StrEnum):
     CONTRADICTS_CAMERAS = (
         "contradicts-cameras",
         "contradicts the other pairs: its inliers are {epipolar_px:.1f} px off the epipolar lines of the solved cameras",
+    )
+    MATCHES_CONTRADICT_CAMERAS = (
+        "matches-contradict-cameras",
+        "its matches are {epipolar_px:.1f} px off the epipolar lines of the known poses, and don't count",
     )
     CAMERA_NOT_PLACED = "camera-not-placed", "a camera of it could not be placed"
     CAMERAS_APART = "cameras-apart", "its cameras could not be brought into one frame"

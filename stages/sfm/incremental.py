@@ -33,6 +33,8 @@ MIN_POINTS = 12
 """So many points at least must agree on the pose of a view."""
 MIN_SHARED = 5
 """So many at least on how far it is from a view that it makes a pair with..."""
+KNOWN_SHARE = 0.5
+"""A model begins with known cameras where they agree on this share of the points that two of them see."""
 SAME_LENGTH = 0.1
 """...to this share of the distance; and at least half of those that could."""
 SETTLED = 1e-3
@@ -67,6 +69,8 @@ class Model:
     """(n,) which observations they rest on."""
     lenses: Mapping[int, int]
     """Views whose focal length and distortion are solved too, each with the number of the lens that it may share with others."""
+    held: tuple[int, ...] = ()
+    """Views whose cameras are known and stay."""
 
     @property
     def straight(self) -> Tracks:
@@ -84,8 +88,9 @@ def grow(
     geometries: Mapping[Edge, Geometry],
     *,
     lenses: Mapping[int, int] | None = None,
+    known: Mapping[int, Camera] | None = None,
 ) -> Model | None:
-    """Solve as many views as hang together with the best pair.
+    """Solve as many views as hang together with the known cameras, or with the best pair.
 
     Parameters
     ----------
@@ -97,12 +102,14 @@ def grow(
         The pairs that are believed, with relative poses.
     lenses
         See `Model`.
+    known
+        Cameras whose poses are known: where two of them or more see the same points, the model begins with them, in their world.
 
     Returns
     -------
     Model, or None when not even two views can be placed.
     """
-    model = _from_best_pair(cameras, tracks, geometries, lenses or {})
+    model = _from_known(known or {}, tracks, lenses or {}) or _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
         return None
     adjusted = len(model.cameras)
@@ -141,7 +148,8 @@ def _sketched(model: Model) -> Model:
     model = _retriangulated(model)
     focals = _lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
     args = model.cameras, model.tracks, model.X, _spread(model)
-    cameras, _ = adjust(*args, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
+    held = model.held
+    cameras, _ = adjust(*args, held=held, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH, iterations=SKETCH_STEPS)
     return _retriangulated(replace(model, cameras=cameras))
 
 
@@ -198,8 +206,8 @@ def refine(
     positions
         Centres (3,) of three views or more, with standard deviations, in the world where the model already stands.
     """
-    free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known else {}
-    held = [view for view in known if view in model.cameras]
+    free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
+    held = [view for view in model.cameras if view in known or view in model.held]
     for _ in range(rounds):
         before, model = model.use, _retriangulated(model)
         if not model.use.any():
@@ -218,6 +226,17 @@ def refine(
 def replace_cameras(model: Model, cameras: dict[int, Camera]) -> Model:
     """The model with other cameras, in the order of their numbers."""
     return replace(model, cameras=dict(sorted(cameras.items())))
+
+
+def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int, int]) -> Model | None:
+    """The known cameras and what they see together; None where that is too little, or contradicts them."""
+    if len(known) < 2:
+        return None
+    nowhere, unused = np.full((tracks.count, 3), np.nan), np.zeros(len(tracks.track), bool)
+    model = _retriangulated(Model(dict(known), tracks, nowhere, unused, lenses, tuple(known)))
+    found = int(np.isfinite(model.X[:, 0]).sum())
+    shared = int((np.bincount(tracks.track[posed(known, tracks)], minlength=tracks.count) >= 2).sum())
+    return model if found >= max(MIN_POINTS, KNOWN_SHARE * shared) else None
 
 
 def _from_best_pair(

@@ -1,75 +1,138 @@
 """Known poses compared with the images: has a camera been knocked, turned or moved since it was measured?
 
-Two kinds of evidence, each for a few cameras at once.  A pair: how far its inliers lie from the epipolar lines of the stated
-poses.  Three cameras: points that two of them see, projected into the third; this also tells what moves along the epipolar lines.
-A wrong camera is the one whose removal leaves agreement among the others.
+A stated pose is evidence with a standard deviation.  Two kinds of evidence speak about it.  A pair: how far its inliers lie from
+the epipolar lines of the stated poses.  Three cameras: keypoints that all three pairs among them chain to the same point; this
+also tells what moves along the epipolar lines.  Either may be a look-alike, which no count of inliers tells from the truth: so a
+pose is overruled only where several partners agree on one new pose (`overruled`), and is unverified otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from ..core.cameras import backproject, project, ray_angles, relative_pose
 from ..core.rotations import angle_between_deg
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
-from ..types import Camera, Float64s, Geometry, Pair, PoseCheck
+from ..twoview.pair_score import probability
+from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 from .tracks import same_places
 
 MIN_SHARED = 20
 """Matches or points that a piece of evidence needs at least."""
 PAIR_PX, TRIO_PX = 1.0, 4.0
-"""Larger median errors contradict the poses: of a pair, and of three cameras, where the error of a point adds to that of the
+"""Larger median errors contradict exact poses: of a pair, and of three cameras, where the error of a point adds to that of the
 matches."""
-CLEARER = 2.0
-"""One camera is named if without it the others agree so many times better than without any other..."""
-AGREEMENT = 0.3
-"""...where errors below this share of what is tolerated are as good as none."""
+DEVIATIONS = 3.0
+"""Poses with standard deviations may be off by so many."""
 TURNED_DEG = 0.5
 """The relative rotation of a pair's poses and that of its matches differ by more than this if one of the cameras was turned."""
 BELIEVED = 0.5
 """Pairs that are less probable than this are no witnesses."""
+SURE = 4.0
+"""Log odds of a pair that is confirmed by known poses."""
 MIN_ANGLE = np.radians(3.0)
 """Points are made of rays that meet at more than this, radians."""
 
 
 @dataclass(frozen=True)
+class Sigma:
+    """How well a stated pose is known; zeros: exactly."""
+
+    metres: float = 0.0
+    degrees: float = 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Is there nothing to refine?"""
+        return self.metres == 0 and self.degrees == 0
+
+
+@dataclass(frozen=True)
 class Evidence:
-    """What two or three cameras (ids) say of each other: median error in pixels; of a pair also the angle between its relative
-    rotation and that of its matches, in degrees (nan: unknown)."""
+    """What two or three cameras say of each other."""
 
     cameras: tuple[str, ...]
+    """Ids."""
     error_px: float
-    turned_deg: float = float("nan")
+    """Median."""
+    tolerated_px: float
+    """What right poses may leave."""
 
     @property
     def excess(self) -> float:
         """The error as a share of what is tolerated."""
-        return self.error_px / (PAIR_PX if len(self.cameras) == 2 else TRIO_PX)
+        return self.error_px / self.tolerated_px
+
+    @property
+    def contradicts(self) -> bool:
+        """Are the poses and the matches not both right?"""
+        return not self.excess <= 1
 
 
-def evidence_on(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> list[Evidence]:
-    """All that the believed pairs of these cameras say about their poses."""
-    pairs = {pair: g for pair, g in geometries.items() if set(pair) <= set(cameras) and g.good_probability >= BELIEVED}
-    witnesses = {pair: g for pair, g in pairs.items() if len(g.x1) >= MIN_SHARED}
-    found = [Evidence(p, epipolar_error_px(cameras, p, g), turned_deg(cameras, p, g)) for p, g in witnesses.items()]
-    points = {pair: _points(cameras, pair, geometry) for pair, geometry in pairs.items()}
-    best: dict[tuple[str, ...], tuple[int, float]] = {}
-    for a, b in pairs:
-        for hinge in (a, b):
-            for third in cameras:
-                if third in (a, b) or _either(hinge, third, pairs) is None:
-                    continue
-                x, X = _seen_by(third, hinge, (a, b), points, pairs)
-                trio = tuple(sorted((a, b, third), key=list(cameras).index))
-                if len(x) >= max(MIN_SHARED, best.get(trio, (0, 0.0))[0] + 1):
-                    best[trio] = len(x), float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
-    return found + [Evidence(trio, error) for trio, (_, error) in best.items()]
+@dataclass(frozen=True)
+class Trio:
+    """Three cameras and (n, 2) pixels in each of points that all three pairs among them agree on."""
+
+    cameras: tuple[str, str, str]
+    x: tuple[Float64s, Float64s, Float64s]
 
 
-def check_cameras(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> dict[str, PoseCheck]:
+@dataclass(frozen=True)
+class Witnesses:
+    """What may speak about poses: believed pairs with enough matches, and the trios among them."""
+
+    pairs: Mapping[Pair, Geometry]
+    trios: tuple[Trio, ...]
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> Witnesses:
+        """Those among the cameras of these names."""
+        known = set(names)
+        pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= BELIEVED}
+        pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
+        trios = [trio for three in _triangles(pairs) if (trio := _trio(three, pairs)) is not None]
+        return cls(pairs, tuple(trios))
+
+    def without(self, names: set[str]) -> Witnesses:
+        """Those that say nothing of some cameras."""
+        pairs = {pair: g for pair, g in self.pairs.items() if not set(pair) & names}
+        return Witnesses(pairs, tuple(t for t in self.trios if not set(t.cameras) & names))
+
+    def evidence(self, cameras: Mapping[str, Camera], about: str = "") -> list[Evidence]:
+        """What all say; or those that know the camera `about`."""
+        found = []
+        for pair, geometry in self.pairs.items():
+            if not about or about in pair:
+                found.append(Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX))
+        for trio in self.trios:
+            if (not about or about in trio.cameras) and (error := trio_error_px(cameras, trio)) is not None:
+                found.append(Evidence(trio.cameras, error, TRIO_PX))
+        return found
+
+
+def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> float:
+    """How far off a pair's epipolar lines may be for what is uncertain of its cameras: `DEVIATIONS` of it."""
+    if all(sigmas.get(name, Sigma()).exact for name in pair):
+        return 0.0
+    X = _points(cameras, pair, geometry)
+    X = X[np.isfinite(X[:, 0])]
+    square = 0.0
+    for name in pair:
+        camera, sigma = cameras[name], sigmas.get(name, Sigma())
+        away = float(np.linalg.norm(cameras[pair[0]].C - cameras[pair[1]].C))
+        if len(X):
+            away = float(np.median(np.linalg.norm(X - camera.C, axis=1)))
+        square += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / away)) ** 2
+    return DEVIATIONS * float(np.sqrt(square))
+
+
+def check_cameras(
+    cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]
+) -> dict[str, PoseCheck]:
     """The figures of each camera that some pair with another of them can check."""
     found: dict[str, PoseCheck] = {}
     for name in cameras:
@@ -77,8 +140,22 @@ def check_cameras(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geome
         mine = {pair: g for pair, g in mine.items() if g.good_probability >= BELIEVED}
         if mine:
             errors = [epipolar_error_px(cameras, pair, g) for pair, g in mine.items()]
-            found[name] = PoseCheck(len(mine), sum(g.inliers for g in mine.values()), float(np.median(errors)))
+            inliers = sum(g.inliers for g in mine.values())
+            found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=verified(name, evidence))
     return found
+
+
+def verified(name: str, evidence: list[Evidence]) -> bool:
+    """Do more of a camera's pairs, and of its trios, agree with the poses than contradict them?"""
+    mine = [e for e in evidence if name in e.cameras]
+    votes = [sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == size) for size in (2, 3)]
+    return votes[0] > 0 and votes[1] >= 0
+
+
+def confirmed(geometry: Geometry) -> Geometry:
+    """A pair that agrees with known poses, or with several others on a new one."""
+    score = max(geometry.score, SURE)
+    return replace(geometry, score=score, good_probability=probability(score))
 
 
 def epipolar_error_px(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> float:
@@ -94,71 +171,66 @@ def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) ->
     return angle_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
 
 
-def contradicted(evidence: list[Evidence]) -> tuple[list[str], list[str]]:
-    """Cameras without which the others agree; and, where it could be several, those among which a wrong one is.
-
-    In turn the camera that leaves the least contradiction among the others.  At least half of its pairs or of its trios must
-    speak against it, so that one wrong pair accuses nobody.
-    """
-    wrong: list[str] = []
-    while True:
-        left = [e for e in evidence if not set(e.cameras) & set(wrong)]
-        rank = {}
-        for name in dict.fromkeys(name for e in left if e.excess > 1 for name in e.cameras):
-            if max(_share_against(name, left, 2), _share_against(name, left, 3)) >= 0.5:
-                without = [e.excess for e in left if name not in e.cameras]
-                rank[name] = sum(e > 1 for e in without), max(without, default=0.0)
-        if not rank:
-            return wrong, []
-        fewest, least = min(rank.values())
-        first = [name for name, (bad, excess) in rank.items() if bad == fewest and excess <= CLEARER * max(least, AGREEMENT)]
-        if len(first) > 1:
-            first = _turned(first, left) or first
-        if len(first) > 1:
-            return wrong, first
-        wrong += first
+def trio_error_px(cameras: Mapping[str, Camera], trio: Trio) -> float | None:
+    """Median distance of the points that the two widest views give to their pixels in the third; None where these are few."""
+    best: tuple[float, float] | None = None
+    for i, j in combinations(range(3), 2):
+        X = _meet(cameras[trio.cameras[i]], cameras[trio.cameras[j]], trio.x[i], trio.x[j])
+        good = np.isfinite(X[:, 0])
+        if good.sum() < MIN_SHARED:
+            continue
+        angle = ray_angles(X - cameras[trio.cameras[i]].C, X - cameras[trio.cameras[j]].C)
+        width = float(np.median(angle[good]))
+        if best is None or width > best[0]:
+            k = 3 - i - j
+            off = np.linalg.norm(project(cameras[trio.cameras[k]], X[good])[0] - trio.x[k][good], axis=1)
+            best = width, float(np.median(off))
+    return best and best[1]
 
 
-def _turned(cameras: list[str], evidence: list[Evidence]) -> list[str]:
-    """Those of the cameras that must have been turned: all their pairs say so, and those of the others don't all.
-
-    At the end of a chain: the camera before it is where it is said to be for all that the one before that can tell.
-    """
-    pairs = [e for e in evidence if len(e.cameras) == 2]
-    return [c for c in cameras if all(e.turned_deg > TURNED_DEG and e.excess > 1 for e in pairs if c in e.cameras)]
-
-
-def _share_against(camera: str, evidence: list[Evidence], cameras: int) -> float:
-    mine = [e.excess > 1 for e in evidence if camera in e.cameras and len(e.cameras) == cameras]
-    return sum(mine) / len(mine) if mine else 0.0
+def seen_points(cameras: Mapping[str, Camera], trio: Trio, name: str) -> tuple[Float64s, Float64s]:
+    """(n, 2) pixels of one camera of a trio, and (n, 3) the points that the other two make of them."""
+    k = trio.cameras.index(name)
+    i, j = (n for n in range(3) if n != k)
+    X = _meet(cameras[trio.cameras[i]], cameras[trio.cameras[j]], trio.x[i], trio.x[j])
+    good = np.isfinite(X[:, 0])
+    return trio.x[k][good], X[good]
 
 
-def _either(a: str, b: str, pairs: Mapping[Pair, Geometry]) -> Pair | None:
-    return (a, b) if (a, b) in pairs else (b, a) if (b, a) in pairs else None
+def _triangles(pairs: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
+    after: dict[str, set[str]] = {}
+    for a, b in pairs:
+        after.setdefault(a, set()).add(b)
+    return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
+
+
+def _trio(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Trio | None:
+    """The points whose matches close: what a wrong pair says, the two others would have to say, too."""
+    a, b, c = three
+    ab, bc, ac = pairs[a, b], pairs[b, c], pairs[a, c]
+    first, second = _joined(ab.i2, ab.x2, bc.i1, bc.x1)  # rows of a--b and of b--c that share a keypoint of b
+    third, row = _joined(ac.i1, ac.x1, None if ab.i1 is None else ab.i1[first], ab.x1[first])
+    first, second = first[row], second[row]
+    closes = np.linalg.norm(ac.x2[third] - bc.x2[second], axis=1) < 1.5
+    if closes.sum() < MIN_SHARED:
+        return None
+    return Trio(three, (ab.x1[first[closes]], ab.x2[first[closes]], bc.x2[second[closes]]))
+
+
+def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tuple[Int64s, Int64s]:
+    """Rows of two lists of points of one view that are the same keypoint, or at the same place where there are no keypoints."""
+    if i is None or j is None:
+        return same_places(x, y)
+    _, rows, others = np.intersect1d(i, j, return_indices=True)
+    return rows, others
 
 
 def _points(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> Float64s:
-    """(n, 3) world points of a pair's inliers, nan where the rays are too parallel."""
-    left, right = (cameras[name] for name in pair)
-    depth, _ = triangulate_depth(left, right, geometry.x1, geometry.x2)
-    X = backproject(left, geometry.x1, depth)
+    return _meet(cameras[pair[0]], cameras[pair[1]], geometry.x1, geometry.x2)
+
+
+def _meet(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
+    """(n, 3) world points of matches, nan where the rays are too parallel."""
+    X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
     X[~(ray_angles(X - left.C, X - right.C) > MIN_ANGLE)] = np.nan
     return X
-
-
-def _seen_by(
-    camera: str, hinge: str, pair: Pair, points: Mapping[Pair, Float64s], pairs: Mapping[Pair, Geometry]
-) -> tuple[Float64s, Float64s]:
-    """Pixels of `camera` and points of `pair`, which both share the keypoints of `hinge`."""
-    link = _either(hinge, camera, pairs)
-    assert link is not None
-    this, other = pairs[pair], pairs[link]
-    mine, at = (this.i1, this.x1) if pair[0] == hinge else (this.i2, this.x2)
-    theirs, there, x = (other.i1, other.x1, other.x2) if link[0] == hinge else (other.i2, other.x2, other.x1)
-    if mine is None or theirs is None:
-        a, b = same_places(at, there)
-    else:
-        _, a, b = np.intersect1d(mine, theirs, return_indices=True)
-    X = points[pair][a]
-    good = np.isfinite(X[:, 0])
-    return x[b][good], X[good]

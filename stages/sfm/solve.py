@@ -13,6 +13,7 @@ from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
+from .pose_check import BELIEVED, confirmed
 from .tracks import Edge, without_distortion
 from .view_graph import ViewGraph
 from .world import World, to_world
@@ -42,37 +43,69 @@ def solve_from_pairs(
     stated
         Cameras whose intrinsics and poses are both known, by id.
     """
-    graph = ViewGraph.of(views, geometries)
+    exact = {name: camera for name, camera in stated.items() if _exact(placements[name])}
+    graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
     trusted, dropped = graph.consistent(max_rotation_error_deg)
-    models = graph.models(trusted)
+    number = {name: view for view, name in enumerate(graph.names)}
+    models = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
     if not models:
         figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
         return Rejected(graph.why_nothing(trusted), figures)
     worlds = [to_world(graph, refine(model, rounds=3), placements, survey) for model in models]
-    return _collect(graph, worlds, stated, dropped, max_epipolar_px, survey)
+    metric = all(placements[name].metric for name in exact)
+    return _collect(graph, worlds, stated, exact, metric, dropped, max_epipolar_px, survey)
+
+
+def _exact(placement: Placement) -> bool:
+    return placement.sigma_m == 0 and placement.sigma_deg == 0
+
+
+def _obeying(exact: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], max_epipolar_px: float) -> dict[Pair, Geometry]:
+    """The geometries without pairs of known cameras that contradict these, and with the known pose in those that don't."""
+    found = {}
+    for pair, geometry in geometries.items():
+        if set(pair) <= set(exact):
+            left, right = (exact[name] for name in pair)
+            F = fundamental_from_cameras(left, right)
+            distance = symmetric_epipolar_distance(F, geometry.x1, geometry.x2)
+            if not np.median(distance) <= max_epipolar_px:
+                continue
+            if geometry.good_probability >= BELIEVED:  # others may match look-alikes along the epipolar lines
+                R, t = relative_pose(left, right)
+                t /= np.linalg.norm(t)
+                geometry = replace(confirmed(geometry), cam2_R_cam1=R, cam2_t_cam1=t)
+        found[pair] = geometry
+    return found
 
 
 def _collect(
     graph: ViewGraph,
     worlds: list[World],
     stated: Mapping[str, Camera],
+    exact: Mapping[str, Camera],
+    exact_metric: bool,
     dropped: dict[Edge, Rejected],
     max_epipolar_px: float,
     survey: Survey,
 ) -> Poses:
     """All worlds as one result: those in the site's frame are the first component, each other is one of its own."""
     worlds = sorted(worlds, key=lambda world: not world.placed)
-    cameras: dict[str, Camera] = {}
-    groups: list[list[str]] = []
+    main = worlds[0]
+    if not main.placed and len(exact) >= 2:  # what is solved has no place among the known cameras
+        main = replace(main, metric=exact_metric, scale="calibration" if exact_metric else "calibration, not metric", placed=True)
+    cameras: dict[str, Camera] = dict(exact) if main.placed else {}
+    groups: list[list[str]] = [list(cameras)]
     for world in worlds:
-        if not (world.placed and groups):
+        solved = {graph.names[view]: camera for view, camera in world.model.cameras.items()}
+        mine = [name for name in solved if name not in cameras]
+        if not world.placed and groups[0]:
             groups.append([])
-        for view, camera in world.model.cameras.items():
-            cameras[graph.names[view]] = replace(camera, component=len(groups) - 1)
-            groups[-1].append(graph.names[view])
+        for name in mine:
+            cameras[name] = replace(solved[name], component=len(groups) - 1)
+            groups[-1].append(name)
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
     notes = [*suspects.values(), *(note for world in worlds for note in world.notes)]
-    if worlds[0].placed:
+    if main.placed:
         for name, camera in stated.items():
             if name not in cameras:
                 cameras[name] = camera
@@ -86,7 +119,6 @@ def _collect(
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
         notes.append(f"{what}: that is taken out of the frames once these solved cameras are the calibration")
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
-    main = worlds[0]
     return Poses(
         cameras={name: cameras[name] for name in order},
         unsolved=unsolved,
@@ -132,8 +164,8 @@ def _check(
     flagged = adjusted > max(WORSE * own, own + WORSE_PX)
     note = f"adjusted epipolar error {adjusted:.2f} px, {own:.2f} px before" if flagged else ""
     if why is not None:
-        return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged)
-    return PairCheck(True, note, "", own, adjusted, off, flagged)
+        return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged, "solved")
+    return PairCheck(True, note, "", own, adjusted, off, flagged, "solved")
 
 
 def _bent_px(camera: Camera) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
-from ..types import Float64s, Geometry, Pair, View
+from ..types import Camera, Float64s, Geometry, Pair, View
 from .focal import Lenses, guess_lenses, relative_rotations
 from .incremental import Model, grow
 from .loops import check_loops
@@ -54,15 +54,17 @@ class ViewGraph:
                 dropped[edge] = Rejected(Reason.CONTRADICTS_ROTATIONS, {"off_deg": off_deg})
         return trusted, dropped
 
-    def models(self, trusted: list[Edge]) -> list[Model]:
-        """A model of every part that hangs together, largest first."""
+    def models(self, trusted: list[Edge], known: Mapping[int, Camera]) -> list[Model]:
+        """A model of every part that hangs together, largest first; known cameras stay."""
         found = []
         waiting = components(trusted, sorted({view for edge in trusted for view in edge}))
         while waiting:
             part = waiting.pop(0)
             edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
             tracks = build_tracks(edges, len(self.names))
-            model = grow({view: self.lenses.camera(view) for view in part}, tracks, edges, lenses=self.lenses.solved)
+            bare = {view: self.lenses.camera(view) for view in part}
+            there = {view: known[view] for view in part if view in known}
+            model = grow(bare, tracks, edges, lenses=self.lenses.solved, known=there)
             if model is None:
                 continue
             found.append(model)

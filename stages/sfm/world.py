@@ -68,10 +68,18 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         similarity = _own_frame(cameras, landmarks, up, factor)
         model = _moved(model, similarity)
         why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
-        return World(model, bool(landmarks), known_scale, why, {}, scale_notes)
-    model = _moved(model, alignment.similarity)
+        alone = sum(p.C is not None for p in placements.values()) == 1  # without a scale it fits nothing else that is placed
+        return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {}, scale_notes)
+    unplaced, model = model, _moved(model, alignment.similarity)
+    exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     number = {name: view for view, name in enumerate(graph.names)}
     held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
+    if len(held) < 2 <= len(exact):  # the model contradicts the known poses, and no more than it can be right
+        names = " and ".join(graph.names[view] for view in exact)
+        note = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
+        similarity = _own_frame(unplaced.cameras, [], up, scale if scale is not None else 1 / _median_baseline(graph, cameras))
+        why = "known distances" if scale is not None else "none: the median baseline is 1, the cloud is not metric"
+        return World(_moved(unplaced, similarity), False, scale is not None, why, {}, (*scale_notes, note))
     if len(held) >= 2:
         stated = {view: _at(model.cameras[view], placed[view]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
@@ -81,7 +89,13 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         positions = {view: (p.C, max(p.sigma_m, EXACT_SHARE * distance)) for view, p in measured.items() if p.C is not None}
         if len(positions) >= 3 and min(sigma for _, sigma in positions.values()) < LOOSE_SHARE * distance:
             model = refine(model, positions=positions)
-    suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items()}
+    known = {graph.names[view] for view in exact}
+    suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items() if name not in known}
+    scale_notes += tuple(
+        f"the known pose of {name} is unverified: the model of the others has it {off[0]:.3g} m away; it stays in use"
+        for name, off in alignment.doubted.items()
+        if name in known
+    )
     source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
     return World(model, True, metric or scale is not None, source, suspects, scale_notes)
 

@@ -46,6 +46,8 @@ class Placement:
     """(3,), None where unknown."""
     sigma_m: float = 0.0
     """Standard deviation of C in metres, 0 where it is to be held."""
+    sigma_deg: float = 0.0
+    """Standard deviation of R in degrees, 0 where it is to be held."""
     metric: bool = True
     """C is in metres."""
 

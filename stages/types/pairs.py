@@ -128,3 +128,5 @@ class PairCheck:
     """Between its own relative rotation and that of the cameras."""
     flagged: bool = False
     """The adjusted F is noticeably worse than the pair's own."""
+    known: str = ""
+    """How the relative pose is known that counts: "stated" or "solved", "" where it is not."""

@@ -28,6 +28,8 @@ class PoseCheck:
     """How far that is from the known pose, world lengths; nan where not moved, or unknown."""
     off_deg: float = float("nan")
     """The same in degrees."""
+    verified: bool = False
+    """More of its pairs and trios agree with the pose in use than contradict it."""
 
 
 @short_repr
@@ -78,3 +80,5 @@ class Poses:
     """Their median error."""
     checks: Mapping[str, PoseCheck] = field(default_factory=dict)
     """By id, of the cameras with known poses."""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """By id, how the pose in use is known: "stated", "refined" (within what is stated of it) or "solved"."""

@@ -38,6 +38,10 @@ class Calibrated:
     """(3,), the centre in the world."""
     metric: bool = True
     """C is in metres."""
+    sigma_m: float = 0.0
+    """Standard deviation of C, 0 where it is exact."""
+    sigma_deg: float = 0.0
+    """Standard deviation of R, 0 where it is exact."""
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:
@@ -98,7 +102,15 @@ def _entry(path: Path, name: str, entry: Any) -> Calibrated:
     if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
         raise CalibrationError(f"{path}: {name}.K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
     distortion = numbers("distortion", 5) if entry.get("distortion") is not None else None
-    return Calibrated(K, size[0], size[1], distortion, R, C, entry.get("metric") is not False)
+    sigmas = []
+    for key, of, known in (("position_sigma_m", "C", C), ("rotation_sigma_deg", "R", R)):
+        sigma = entry.get(key)
+        if sigma is not None and not (_is_number(sigma) and sigma >= 0):
+            raise CalibrationError(f"{path}: {name}.{key} must be a number, 0 or more")
+        if sigma is not None and known is None:
+            raise CalibrationError(f"{path}: {name}.{key} says how well {of} is known, which is not given")
+        sigmas.append(float(sigma or 0))
+    return Calibrated(K, size[0], size[1], distortion, R, C, entry.get("metric") is not False, *sigmas)
 
 
 def _is_number(value: Any) -> bool:

@@ -81,9 +81,11 @@ def _lens(camera: CameraSection, entry: Calibrated | None) -> StatedLens:
 
 
 def _placement(camera: CameraSection, entry: Calibrated | None, frame: LocalFrame | None) -> StatedPlacement:
-    rough = camera.pose is not None and (camera.pose.matrix() is None or camera.pose.sigma_m > 0)
+    rough = camera.pose is not None and (camera.pose.matrix() is None or max(camera.pose.sigma_m, camera.pose.sigma_deg) > 0)
     if (pose := camera.pose) and not (rough and entry and entry.R and entry.C):  # what was solved from it knows better
         geodetic = pose.geodetic
         C = frame.metres(*geodetic) if frame and geodetic else pose.position
-        return StatedPlacement(pose.matrix(), C, pose.sigma_m)
-    return StatedPlacement(entry.R, entry.C, metric=entry.metric) if entry else StatedPlacement()
+        return StatedPlacement(pose.matrix(), C, pose.sigma_m, pose.sigma_deg)
+    if entry is None:
+        return StatedPlacement()
+    return StatedPlacement(entry.R, entry.C, entry.sigma_m, entry.sigma_deg, entry.metric)

@@ -66,6 +66,7 @@ class PoseSection(Position):
     """Where a camera is, and which way it looks."""
 
     position_sigma_m: float | None = Field(None, ge=0)
+    rotation_sigma_deg: float | None = Field(None, ge=0)
     rotation: Matrix3 | None = None
     look_at: Vector3 | None = None
     yaw_pitch_roll: Vector3 | None = None
@@ -77,6 +78,8 @@ class PoseSection(Position):
             raise PydanticCustomError("pose", f"{' and '.join(given)} are both given")
         if self.look_at is not None and self.position is None:
             raise PydanticCustomError("pose", "'look_at' needs 'position' in the same coordinates")
+        if self.rotation_sigma_deg is not None and not given:
+            raise PydanticCustomError("pose", "'rotation_sigma_deg' says how well a rotation is known that is not given")
         self.matrix()
         return self
 
@@ -86,6 +89,11 @@ class PoseSection(Position):
         if self.position_sigma_m is not None:
             return self.position_sigma_m
         return GEODETIC_SIGMA_M if self.geodetic else 0.0
+
+    @property
+    def sigma_deg(self) -> float:
+        """Standard deviation of the rotation, degrees: as stated, else exact."""
+        return self.rotation_sigma_deg or 0.0
 
     def matrix(self) -> list[list[float]] | None:
         """R, whichever way it is stated; None where only the position is."""

@@ -38,6 +38,8 @@ class StatedPlacement:
     """Metres."""
     sigma_m: float = 0.0
     """Standard deviation of C; 0 where it is to be held."""
+    sigma_deg: float = 0.0
+    """Standard deviation of R, degrees; 0 where it is to be held."""
     metric: bool = True
     """C is in metres."""
 
@@ -79,8 +81,8 @@ class SiteCamera:
 
     @property
     def posed(self) -> bool:
-        """Are intrinsics and pose both given, to be taken as they are?"""
-        return self.stated and not self.placement.sigma_m
+        """Are intrinsics and the whole pose given, exactly or with a standard deviation of each part that is not exact?"""
+        return self.stated and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
 
     @property
     def stated(self) -> bool:

@@ -160,8 +160,8 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         lists="components",
         world_reports=WorldReports(
-            cameras={"pose": Entry("checks")},
-            pairs={"poses_px": Entry("verdicts", "adjusted_px")},
+            cameras={"pose": Entry("checks"), "verified": Entry("checks", "verified"), "pose_from": Entry("sources")},
+            pairs={"poses_px": Entry("verdicts", "adjusted_px"), "known": Entry("verdicts", "known")},
             camera_notes="suspects",
             lost_cameras="unsolved",
         ),

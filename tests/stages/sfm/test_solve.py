@@ -138,6 +138,31 @@ def test_a_wrong_known_pose_is_named_and_bends_nothing() -> None:
         assert np.allclose(camera.C, without.cameras[name].C, atol=1e-6)
 
 
+def test_known_cameras_place_the_others_whatever_a_wrong_pair_among_them_says() -> None:
+    site = make_pair_site(6, noise_px=0.2)
+    known = {name: true_placement(site, name) for name in ("c0", "c2", "c4")}
+    wrong = {pair: turned_wrong(site, pair, k) for k, pair in enumerate([("c0", "c2"), ("c2", "c4"), ("c1", "c3")])}
+    poses = solve(replace(site, geometries=site.geometries | wrong), known)
+    assert not poses.suspects and poses.metric
+    assert {name for name, source in poses.sources.items() if source == "stated"} == set(known)
+    for name, camera in poses.cameras.items():
+        assert np.linalg.norm(camera.C - site.cameras[name].C) < 0.02
+    for pair in wrong:
+        assert not poses.verdicts["--".join(pair)].kept
+    assert poses.verdicts["c0--c4"].known == "stated" and poses.verdicts["c0--c1"].known == "solved"
+
+
+def test_a_model_that_contradicts_the_known_poses_stands_apart_and_moves_none() -> None:
+    site = make_pair_site(4, noise_px=0.2)
+    pairs = {pair: geometry for pair, geometry in site.geometries.items() if pair != ("c0", "c3")}
+    turned = rotation_matrix(np.radians([6.0, 0, 0])) @ site.cameras["c3"].R
+    known = {"c0": true_placement(site, "c0"), "c3": Placement(turned, site.cameras["c3"].C)}
+    poses = solve(replace(site, geometries=pairs), known)
+    assert not poses.suspects and poses.components == (("c0", "c3"), ("c1", "c2"))
+    assert np.array_equal(poses.cameras["c3"].R, turned) and poses.metric
+    assert any("contradicts the known poses of c0 and c3" in note for note in poses.notes)
+
+
 def test_positions_with_a_standard_deviation_place_the_model_but_do_not_bend_it() -> None:
     site = make_pair_site(6, noise_px=0.1)
     rng = np.random.default_rng(1)
@@ -243,3 +268,32 @@ def test_pairs_that_fare_worse_with_the_adjusted_cameras_are_flagged() -> None:
     turned = Placement(rotation_matrix(np.radians([0.06, 0.0, 0.0])) @ site.cameras["c1"].R, site.cameras["c1"].C)
     verdict = solve(only(site, "c0", "c1", "c2", "c3"), known | {"c1": turned}).verdicts["c0--c1"]
     assert verdict.flagged and verdict.adjusted_px > 2 * verdict.estimated_px
+
+
+def on_one_mast(site: PairSite) -> PairSite:
+    """The site with all cameras within 1 m, the scene 8 m away seen as if from 300 m: pairs that meet at a third of a degree."""
+    hung = {name: replace(camera, C=site.cameras["c0"].C + 0.1 * k) for k, (name, camera) in enumerate(site.cameras.items())}
+    far = site.X + 300 * site.cameras["c0"].R[2]
+    same = {name: replace(camera, R=site.cameras["c0"].R) for name, camera in hung.items()}
+    rng = np.random.default_rng(0)
+    pixels = {name: project(camera, far)[0] + 0.1 * rng.normal(size=(len(far), 2)) for name, camera in same.items()}
+    pairs = {pair: pair_geometry(same, site.views, pixels, pair, 0.0) for pair in site.geometries}
+    return PairSite(same, site.views, {pair: replace(g, angle_deg=0.1) for pair, g in pairs.items()}, far)
+
+
+def test_cameras_on_one_mast_tell_no_depth_and_the_reason_names_the_baseline() -> None:
+    site = on_one_mast(make_pair_site(4))
+    unknown = solve_poses(site.views, {}, site.geometries)
+    assert isinstance(unknown, Rejected) and unknown.code == "no-usable-baseline"
+    assert "meet at 0.10 degrees at most, 0.7 needed; the scene is some 573 baselines away" in unknown.reason
+    known = solve_poses(site.views, {name: true_placement(site, name) for name in site.cameras}, site.geometries)
+    assert isinstance(known, Rejected) and known.code == "no-usable-baseline-m"
+    assert "the cameras are at most 0.52 m apart and the scene some 30" in known.reason
+
+
+def test_one_pair_with_a_baseline_is_enough() -> None:
+    site = on_one_mast(make_pair_site(4))
+    pair = ("c0", "c3")
+    site = replace(site, geometries=site.geometries | {pair: replace(site.geometries[pair], angle_deg=2.0)})
+    found = solve_poses(site.views, {}, site.geometries)
+    assert not (isinstance(found, Rejected) and found.code == "no-usable-baseline")

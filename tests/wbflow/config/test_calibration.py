@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,14 @@ def test_a_colmap_text_model(tmp_path: Path) -> None:
     assert camera.R is not None and camera.C is not None
     assert np.allclose(camera.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     assert np.allclose(camera.C, [-2, 1, -3])
+
+
+@pytest.mark.parametrize(("key", "value"), [("rotation_sigma_deg", 0.3), ("position_sigma_m", "wide"), ("position_sigma_m", -1)])
+def test_a_sigma_of_nothing_or_that_is_none_is_refused(tmp_path: Path, key: str, value: object) -> None:
+    entry = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "width": 640, "height": 480, "C": [1, 2, 3], key: value}
+    (tmp_path / "cameras.json").write_text(json.dumps({"gate": entry}))
+    with pytest.raises(CalibrationError, match=f"gate.{key}"):
+        read_calibration(tmp_path / "cameras.json")
 
 
 @pytest.mark.parametrize(

@@ -91,6 +91,14 @@ CASES = {
         "control_points: [{position: [0, 0, 0], pixels: {gate: [1, 2]}}]",
         "2:18: control_points[0]: fewer than two cameras see it",
     ),
+    "a sigma of nothing": (
+        "  - {id: a, pose: {position: [0, 0, 9], rotation_sigma_deg: 0.3}}",
+        "4:19: cameras[0].pose: 'rotation_sigma_deg' says how well a rotation is known that is not given",
+    ),
+    "a negative sigma": (
+        "  - {id: a, pose: {position: [0, 0, 9], look_at: [1, 0, 9], rotation_sigma_deg: -1}}",
+        "4:81: cameras[0].pose.rotation_sigma_deg: input should be greater than or equal to 0",
+    ),
     "straight down": ("  - {id: a, pose: {position: [0, 0, 9], look_at: [0, 0, 0]}}", "4:19: cameras[0].pose: looks straight"),
     "skewed": (
         "  - {id: a, pose: {position: [0, 0, 9], rotation: [[1, 0, 0], [0, 1, 0], [0, 1, 0]]}}",
@@ -198,6 +206,18 @@ def test_distances_and_control_points_count_cameras_by_their_place(tmp_path: Pat
     assert survey.distances == [[1.0, 0.0, 7.0]]
     assert survey.points == [[1, 2, 3]]
     assert survey.observations == [[0.0, 0.0, 5, 6.5], [0.0, 1.0, 7, 8]]
+
+
+def test_how_well_a_pose_is_known_may_stand_in_the_site_file_or_in_the_calibration(tmp_path: Path) -> None:
+    stated = "look_at: [10, 0, 0], position_sigma_m: 0.05, rotation_sigma_deg: 0.3}"
+    entry = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "width": 640, "height": 480, "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    entry |= {"C": [1, 2, 3], "position_sigma_m": 0.04, "rotation_sigma_deg": 0.2}
+    (tmp_path / "cameras.json").write_text(json.dumps({"gate": entry}))
+    text = GOOD.replace("look_at: [10, 0, 0]}", stated) + "calibration: cameras.json\n"
+    site = load_site(site_at(tmp_path, text))
+    gate, roof = site.cameras
+    assert (gate.placement.sigma_m, gate.placement.sigma_deg) == (0.04, 0.2) and gate.posed
+    assert (roof.placement.sigma_m, roof.placement.sigma_deg) == (0.05, 0.3)
 
 
 def test_a_distance_between_cameras_whose_ids_are_numbers(tmp_path: Path) -> None:

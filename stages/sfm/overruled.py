@@ -1,0 +1,162 @@
+"""Which stated poses the images overrule: those for which several partners agree on one and the same other pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ..core.cameras import project
+from ..core.rotations import angle_between_deg, rotation_matrix
+from ..twoview.epipolar import fundamental_from_cameras, sampson_distance
+from ..types import Camera, Float64s, Geometry, Pair
+from .pose_check import PAIR_PX, TRIO_PX, Evidence, Trio, Witnesses, seen_points
+
+AGREE_DEG = 1.5
+"""Two pairs agree on a camera's rotation within this; then one pose must satisfy both."""
+CLEARER = 2.0
+"""A witness supports a new pose if it fits so many times better than the stated one."""
+MIN_CELLS = 8
+"""Distinctive matches of a witness are in so many cells of the image at least (of 96)."""
+SAMPLE = 150
+"""So many matches of a witness are fitted."""
+PARALLEL = 0.03
+"""Two directions to a camera that differ by less than this (radians) leave its distance open."""
+
+
+@dataclass(frozen=True)
+class NewPose:
+    """A camera where its partners agree that it is."""
+
+    camera: Camera
+    support: int
+    """Witnesses for it..."""
+    left: int
+    """...and contradictions that stay with it among all cameras."""
+    pairs: tuple[Pair, ...]
+    """Those that agree with it."""
+
+
+def overruled(cameras: Mapping[str, Camera], witnesses: Witnesses) -> dict[str, NewPose]:
+    """The cameras whose stated poses are wrong, with where they are instead.
+
+    A camera is overruled if at least two pairs with different partners, or three cameras whose matches close, contradict its
+    pose and agree on another one; if their distinctive matches are spread over the image; and if they are more than the witnesses
+    against it.  Where it could be one camera as well as another, neither is; nor if it were half of all cameras.
+    """
+    found: dict[str, NewPose] = {}
+    passed: set[str] = set()
+    while True:
+        among = witnesses.without(set(found))
+        open_ = [name for name in cameras if name not in found and name not in passed]
+        candidates = {name: new for name in open_ if (new := _agreed(name, cameras, among)) is not None}
+        if not candidates:
+            return found if 2 * len(found) < len(cameras) else {}
+        name = min(candidates, key=lambda n: (candidates[n].left, -candidates[n].support))
+        rivals = [n for n, new in candidates.items() if n != name and new.left <= candidates[name].left]
+        alone = among.without({name})
+        if doubles := [rival for rival in rivals if _agreed(rival, cameras, alone) is None]:
+            passed |= {name, *doubles}
+        else:
+            found[name] = candidates[name]
+
+
+def _agreed(name: str, cameras: Mapping[str, Camera], witnesses: Witnesses) -> NewPose | None:
+    """The pose of a camera that its partners agree on against the stated one; None where they don't."""
+    stated = {e.cameras: e for e in witnesses.evidence(cameras, name)}
+    against = {key: e for key, e in stated.items() if e.contradicts and _distinctive(key, witnesses.pairs)}
+    trios = [trio for trio in witnesses.trios if trio.cameras in against]
+    pairs = {pair: geometry for pair, geometry in witnesses.pairs.items() if pair in against}
+    if len(pairs) < 2 and not trios:
+        return None
+    best: NewPose | None = None
+    others = sum(e.contradicts for e in witnesses.evidence(cameras)) - sum(e.contradicts for e in stated.values())
+    for start, those, three in _starts(name, cameras, pairs, trios):
+        camera = _fitted(name, start, cameras, those, three)
+        supporters, left = _votes(stated, witnesses.evidence({**cameras, name: camera}, name))
+        partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
+        if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= left:
+            continue
+        if best is None or (others + left, -len(supporters)) < (best.left, -best.support):
+            agree = tuple(pair for pair in pairs if pair in supporters)
+            best = NewPose(camera, len(supporters), others + left, agree)
+            if left == 0:
+                break
+    return best
+
+
+def _votes(stated: Mapping[tuple[str, ...], Evidence], moved: list[Evidence]) -> tuple[list[tuple[str, ...]], int]:
+    """Those for the new pose that were against the stated one, and how many contradict it."""
+    supporters, left = [], 0
+    for new in moved:
+        old = stated.get(new.cameras)
+        left += new.contradicts
+        if old is not None and old.contradicts and not new.contradicts and CLEARER * new.excess <= old.excess:
+            supporters.append(new.cameras)
+    return supporters, left
+
+
+def _distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
+    return all(geometry.distinct_cells >= MIN_CELLS for pair, geometry in pairs.items() if set(pair) <= set(key))
+
+
+def _starts(
+    name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], trios: list[Trio]
+) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Trio]]]:
+    """Poses to begin with, each with the witnesses that say so."""
+    told = {pair: said for pair, g in pairs.items() if (said := _told(name, cameras, pair, g)) is not None}
+    for a, b in combinations(told, 2):
+        if angle_between_deg(told[a][0], told[b][0]) <= AGREE_DEG:
+            C = _crossing(cameras[name], *told[a][1:], *told[b][1:])
+            if C is not None:
+                three = [trio for trio in trios if {*a, *b} == set(trio.cameras)]
+                yield replace(cameras[name], R=told[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, three
+    for trio in trios:
+        yield cameras[name], {pair: g for pair, g in pairs.items() if set(pair) <= set(trio.cameras)}, [trio]
+
+
+def _told(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
+    """R of a camera as a pair tells it, the partner's centre, and the direction (3,) from there to the camera."""
+    R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+    if R is None or t is None:
+        return None
+    if pair[1] == name:
+        partner = cameras[pair[0]]
+        own = R @ partner.R
+        return own, partner.C, -own.T @ t
+    partner = cameras[pair[1]]
+    return R.T @ partner.R, partner.C, partner.R.T @ t
+
+
+def _crossing(camera: Camera, A: Float64s, a: Float64s, B: Float64s, b: Float64s) -> Float64s | None:
+    """(3,) where two directions a from A and b from B meet; None where that is behind one of them."""
+    if np.linalg.norm(np.cross(a, b)) < PARALLEL:  # the partners are in line with the camera: as far as it is said to be
+        return np.asarray(A + a * np.linalg.norm(camera.C - A), dtype=np.float64)
+    (s, t), *_ = np.linalg.lstsq(np.column_stack([a, -b]), B - A, rcond=None)
+    return np.asarray(0.5 * (A + s * a + B + t * b), dtype=np.float64) if min(s, t) > 0 else None
+
+
+def _fitted(name: str, start: Camera, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], trios: list[Trio]) -> Camera:
+    """The pose that satisfies some witnesses best, the other cameras being where they are said to be."""
+    from scipy.optimize import least_squares  # here: nights whose poses are right don't wait for it
+
+    scale = min(float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name) or 1.0
+    sights = [(pair, g.x1[_some(len(g.x1))], g.x2[_some(len(g.x1))]) for pair, g in pairs.items()]
+    points = [(x[_some(len(x))], X[_some(len(x))]) for trio in trios for x, X in [seen_points(cameras, trio, name)]]
+
+    def at(step: Float64s) -> Camera:
+        return replace(start, R=rotation_matrix(step[:3]) @ start.R, C=start.C + scale * step[3:])
+
+    def errors(step: Float64s) -> Float64s:
+        moved = {**cameras, name: at(step)}
+        off = [sampson_distance(fundamental_from_cameras(moved[a], moved[b]), x1, x2) / PAIR_PX for (a, b), x1, x2 in sights]
+        off += [np.nan_to_num((project(moved[name], X)[0] - x) / TRIO_PX).ravel() for x, X in points]
+        return np.concatenate([*off, np.zeros(6)])
+
+    return at(least_squares(errors, np.zeros(6), loss="cauchy", max_nfev=60).x)
+
+
+def _some(count: int) -> slice:
+    return slice(None, None, max(1, count // SAMPLE))

@@ -1,0 +1,219 @@
+"""Known poses adjusted to the images within their standard deviations: the most probable cameras, given both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from ..core.least_squares import Equations, levenberg_marquardt
+from ..core.rotations import rotation_matrix, rotation_vector, skew
+from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
+from ..types import Bools, Camera, Float64s, Geometry, Pair
+from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, Sigma, Witnesses, slack_px
+from .tracks import Edge, Tracks, build_tracks
+from .triangulation import angles, residuals, triangulate
+
+MIN_MATCHES = 20
+"""A pair adjusts its cameras if so many of its matches lie within what the standard deviations allow..."""
+MIN_SHARE = 0.5
+"""...and this share of them."""
+LEAST_NOISE_PX = 0.2
+"""Standard deviation of the matches at least: those of a pair err together, however small their residuals."""
+ALONE, CONFIRMED = 4.0, 400.0
+"""The matches of a pair weigh no more than so many with a noise of one pixel: what errs together does not average out.  Of a pair
+alone a part may show look-alikes that the standard deviations allow (on a tiled square, a third of its matches, 6 px off); pairs
+that a third camera confirms have none."""
+NOISES = 3.0
+"""Scale of the Cauchy loss, in standard deviations of the noise."""
+ROUNDS = 4
+MIN_ANGLE = np.radians(1.0)
+"""Rays that meet at less than this don't make a point."""
+
+
+def adjust_within(
+    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]
+) -> dict[str, Camera]:
+    """The most probable cameras, given their stated poses with their standard deviations and the matches that these allow.
+
+    Parameters
+    ----------
+    cameras
+        As they are stated.
+    sigmas
+        How well these are known; a camera that is not named is exact, and stays.
+    geometries
+        Matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the epipolar
+        lines than the standard deviations allow.
+
+    Returns
+    -------
+    dict[str, Camera]
+        None of them farther than three standard deviations from where it is stated.
+    """
+    names = tuple(cameras)
+    number = {name: k for k, name in enumerate(names)}
+    edges: dict[Edge, Geometry] = {}
+    for pair, geometry in geometries.items():
+        if geometry.good_probability < BELIEVED:
+            continue
+        if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry)) is not None:
+            edges[number[pair[0]], number[pair[1]]] = near
+    loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
+    if not edges or not loose:
+        return dict(cameras)
+    tracks = build_tracks(edges, len(names))
+    stated = {number[name]: camera for name, camera in cameras.items()}
+    known = {number[name]: sigmas[name] for name in loose}
+    trios = Witnesses.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).trios
+    confirmed = {frozenset(pair) for trio in trios for pair in combinations(trio.cameras, 2)}
+    while True:
+        weight = sum(CONFIRMED if {names[i], names[j]} in confirmed else ALONE for i, j in edges)
+        found = _most_probable(stated, known, tracks, weight)
+        strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
+        if not strayed:
+            return {name: found[number[name]] for name in names}
+        worst = max(strayed, key=strayed.__getitem__)  # it stays where it is stated, and has no say about the others
+        known = {view: sigma for view, sigma in known.items() if view != worst}
+        edges = {edge: geometry for edge, geometry in edges.items() if worst not in edge}
+        tracks = build_tracks(edges, len(names))
+
+
+def _allowed(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> Geometry | None:
+    """The pair with the matches that its cameras allow; None where these are few."""
+    distance = symmetric_epipolar_distance(fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]]), geometry.x1, geometry.x2)
+    keep = distance <= 3 * PAIR_PX + slack_px(cameras, sigmas, pair, geometry)
+    if keep.sum() < max(MIN_MATCHES, MIN_SHARE * len(keep)):
+        return None
+    rows = (None if i is None else i[keep] for i in (geometry.i1, geometry.i2))
+    i1, i2 = rows
+    return replace(geometry, x1=geometry.x1[keep], x2=geometry.x2[keep], i1=i1, i2=i2, probability=geometry.probability[keep])
+
+
+def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
+    """How far a camera is from where it is stated, as a share of what its standard deviations allow."""
+    metres = float(np.linalg.norm(found.C - stated.C))
+    degrees = float(np.degrees(np.linalg.norm(rotation_vector(found.R @ stated.R.T))))
+    limit = DEVIATIONS * float(np.sqrt(3))  # of three coordinates
+    return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
+
+
+def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float) -> dict[int, Camera]:
+    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have.
+
+    weight: of all matches together at most, as that of so many with a noise of one pixel.
+    """
+    cameras = dict(stated)
+    noise = 2.0
+    for _ in range(ROUNDS):
+        scale = NOISES * noise
+        X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), scale)
+        error = np.linalg.norm(residuals(cameras, tracks, X), axis=1)
+        with np.errstate(invalid="ignore"):
+            use = np.asarray(error < 4 * scale)
+        use &= (np.bincount(tracks.track[use], minlength=tracks.count) >= 2)[tracks.track]
+        use &= (angles(cameras, tracks, X, use) >= MIN_ANGLE)[tracks.track]
+        if not use.any():
+            return cameras
+        points = len(np.unique(tracks.track[use]))
+        problem = _Problem(stated, known, tracks, use, noise, min(1.0, weight * noise**2 / points))
+        _, cameras = levenberg_marquardt(
+            cameras, problem.equations, problem.moved, steps=20, damping=1e-3, least_damping=1e-9, relative_tolerance=1e-6
+        )
+        left = np.linalg.norm(residuals(cameras, tracks, problem.points(cameras))[use], axis=1)
+        noise = max(LEAST_NOISE_PX, float(np.nanmedian(left)) / 1.1774)
+    return cameras
+
+
+class _Problem:
+    """Least squares over the loose cameras; each point is where the cameras see it best, so that steps count cameras only."""
+
+    def __init__(
+        self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, use: Bools, noise: float, share: float
+    ) -> None:
+        """share: weight of the images against what is stated."""
+        self.share = share
+        self.stated, self.known, self.noise = stated, known, noise
+        rows = np.flatnonzero(use)
+        self.tracks = Tracks(tracks.track[rows], tracks.view[rows], tracks.xy[rows], tracks.count)
+        self.all = tracks
+        self.use = use
+        self.place = {view: 6 * k for k, view in enumerate(known)}
+
+    def points(self, cameras: Mapping[int, Camera]) -> Float64s:
+        """(count, 3) where the observations in use meet."""
+        return triangulate(cameras, self.all, self.use, NOISES * self.noise)
+
+    def moved(self, cameras: Mapping[int, Camera], step: Float64s) -> dict[int, Camera]:
+        """The cameras after a step: for each loose one a turn in its own axes, and a shift."""
+        found = dict(cameras)
+        for view, k in self.place.items():
+            camera = cameras[view]
+            found[view] = replace(camera, R=rotation_matrix(step[k : k + 3]) @ camera.R, C=camera.C + step[k + 3 : k + 6])
+        return found
+
+    def equations(self, cameras: Mapping[int, Camera]) -> Equations:
+        """Cauchy loss of the pixels in standard deviations, plus the priors; normal equations with the points eliminated."""
+        tracks, size = self.tracks, 6 * len(self.place)
+        X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), NOISES * self.noise)
+        off = residuals(cameras, tracks, X) / self.noise
+        seen = np.isfinite(off).all(axis=1)
+        off[~seen] = 4 * NOISES
+        square = (off**2).sum(axis=1)
+        cost = 0.5 * NOISES**2 * float(np.log1p(square / NOISES**2).sum())
+        weight = np.where(seen, 1 / (1 + square / NOISES**2), 0.0)
+        J_camera, J_point = self._jacobians(cameras, X)
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        H = np.zeros((tracks.count, 3, 3))
+        g = np.zeros((tracks.count, 3))
+        np.add.at(H, tracks.track, np.einsum("n,nki,nkj->nij", weight, J_point, J_point))
+        np.add.at(g, tracks.track, np.einsum("n,nki,nk->ni", weight, J_point, off))
+        trace = np.trace(H, axis1=1, axis2=2)[:, None, None]
+        inverse = np.linalg.inv(H + (1e-9 * trace + 1e-12) * np.eye(3))
+        W = np.zeros((len(self.place), tracks.count, 6, 3))
+        for place, (view, k) in enumerate(self.place.items()):
+            rows = tracks.view == view
+            A, B, w = J_camera[rows], J_point[rows], weight[rows]
+            normal[k : k + 6, k : k + 6] += np.einsum("n,nki,nkj->ij", w, A, A)
+            right[k : k + 6] += np.einsum("n,nki,nk->i", w, A, off[rows])
+            W[place, tracks.track[rows]] = np.einsum("n,nki,nkj->nij", w, A, B)
+        WH = np.einsum("ctij,tjk->ctik", W, inverse)
+        for a, k in enumerate(self.place.values()):
+            right[k : k + 6] -= np.einsum("tij,tj->i", WH[a], g)
+            for b, m in enumerate(self.place.values()):
+                normal[k : k + 6, m : m + 6] -= np.einsum("tij,tkj->ik", WH[a], W[b])
+        return self._with_priors(cameras, cost, normal, right)
+
+    def _jacobians(self, cameras: Mapping[int, Camera], X: Float64s) -> tuple[Float64s, Float64s]:
+        """(n, 2, 6) by turn and shift of the observation's camera, and (n, 2, 3) by its point, of observed minus projected."""
+        tracks = self.tracks
+        J_camera, J_point = np.zeros((len(tracks.track), 2, 6)), np.zeros((len(tracks.track), 2, 3))
+        for view, camera in cameras.items():
+            rows = np.flatnonzero(tracks.view == view)
+            x = (np.nan_to_num(X[tracks.track[rows]]) - camera.C) @ camera.R.T
+            z = np.where(x[:, 2] > 0, x[:, 2], 1.0)
+            p = x @ camera.K.T / z[:, None]
+            D = (camera.K[None, :2] - p[:, :2, None] * camera.K[None, 2:]) / z[:, None, None]  # pixels by camera axes
+            turned = np.stack([skew(v) for v in x]) if len(x) else np.zeros((0, 3, 3))
+            J_camera[rows, :, :3] = np.einsum("nij,njk->nik", D, turned) / self.noise
+            J_point[rows] = -D @ camera.R / self.noise
+            J_camera[rows, :, 3:] = -J_point[rows]
+        return J_camera, J_point
+
+    def _with_priors(self, cameras: Mapping[int, Camera], cost: float, normal: Float64s, right: Float64s) -> Equations:
+        cost, normal, right = self.share * cost, self.share * normal, self.share * right
+        for view, k in self.place.items():
+            sigma, camera, stated = self.known[view], cameras[view], self.stated[view]
+            turned = rotation_vector(camera.R @ stated.R.T)
+            for first, off, known in ((0, turned, np.radians(sigma.degrees)), (3, camera.C - stated.C, sigma.metres)):
+                own = slice(k + first, k + first + 3)
+                if known == 0:  # exact: stays
+                    normal[own], normal[:, own], right[own] = 0.0, 0.0, 0.0
+                    normal[own, own] = np.eye(3)
+                    continue
+                cost += 0.5 * float(off @ off) / known**2
+                normal[own, own] += np.eye(3) / known**2
+                right[own] += off / known**2
+        return cost, normal, right
