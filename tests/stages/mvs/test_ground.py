@@ -1,0 +1,59 @@
+"""The ground is found from what all views show of it, and is carried exactly from one view to another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers.flat_ground import cameras, frame_of, texture
+from wbflow_stages.core.cameras import backproject, project
+from wbflow_stages.mvs.ground import find_ground, ground_homography, ground_planes
+from wbflow_stages.types import Float32s
+
+
+def pictures(height: float, repeated: int = 0) -> dict[str, Float32s]:
+    """Grey pictures of flat ground; repeated: of tiles of so many texels."""
+    ground = texture()
+    if repeated:
+        tile = ground[:repeated, :repeated]
+        ground = np.tile(tile, (ground.shape[0] // repeated + 1,) * 2)[: ground.shape[0], : ground.shape[1]]
+    return {name: frame_of(camera, ground, height).image[..., 0].astype(np.float32) for name, camera in cameras().items()}
+
+
+@pytest.mark.parametrize("height", [0.0, 0.7])
+def test_flat_ground_is_found_to_a_centimetre(height: float) -> None:
+    plane = find_ground(pictures(height), cameras())
+    assert plane is not None
+    assert plane[2] > 0.9999
+    assert abs(-plane[3] - height) < 0.01
+
+
+@pytest.mark.parametrize("tile", [20, 25, 40])
+def test_repeated_tiles_fit_at_many_heights_and_are_not_put_at_a_wrong_one(tile: int) -> None:
+    plane = find_ground(pictures(0.0, repeated=tile), cameras())
+    assert plane is None or abs(plane[3]) < 0.02
+
+
+def test_views_that_show_no_common_plane_have_no_ground() -> None:
+    noise = {name: 255 * np.random.default_rng(k).random((240, 320)).astype(np.float32) for k, name in enumerate(cameras())}
+    assert find_ground(noise, cameras()) is None
+
+
+def test_a_ground_point_is_carried_to_where_the_other_camera_sees_it() -> None:
+    one, two = list(cameras().values())[:2]
+    X = np.array([[0.0, 0.0, 0.3], [1.0, -0.5, 0.3], [-1.2, 0.8, 0.3]])
+    H = ground_homography(one, two, np.array([0.0, 0.0, 1.0, -0.3]))
+    x1, x2 = project(one, X)[0], project(two, X)[0]
+    mapped = np.column_stack([x1, np.ones(3)]) @ H.T
+    assert (mapped[:, 2] > 0).all()
+    np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], x2, atol=1e-9)
+
+
+def test_the_grounds_inverse_depth_is_that_of_points_on_it() -> None:
+    camera = cameras()["c0"]
+    planes = ground_planes(camera, np.array([0.0, 0.0, 1.0, 0.0]))
+    pixels = np.array([[20.0, 200.0], [160.0, 120.0], [300.0, 230.0]])
+    y, x = pixels[:, 1].astype(int), pixels[:, 0].astype(int)
+    X = backproject(camera, pixels, 1 / planes[0, y, x].astype(np.float64))
+    np.testing.assert_allclose(X[:, 2], 0.0, atol=1e-4)
+    np.testing.assert_allclose(planes[0, 120, 161] - planes[0, 120, 160], planes[1, 120, 160], atol=1e-7)
