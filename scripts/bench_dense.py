@@ -24,7 +24,7 @@ from time import process_time
 
 import cv2
 import numpy as np
-from bench_files import Panel, draw, write_rows
+from bench_files import Panel, draw, exit_status, write_rows
 from pairs_with_truth import DATA, read_rgb
 from rectified_pairs import SWEEP, dense_errors, true_pairs
 
@@ -312,10 +312,7 @@ def main() -> int:
         write_rows(rows, JSON_KEYS, given.json)
     if given.plot:
         plot(rows, given.plot)
-    faults = check(rows) if given.check else []
-    for fault in faults:
-        print(fault)
-    return 1 if faults else 0
+    return exit_status(check(rows) if given.check else [])
 
 
 if __name__ == "__main__":

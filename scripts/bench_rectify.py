@@ -25,7 +25,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from bench_files import Panel, draw, write_rows
+from bench_files import Panel, draw, exit_status, write_rows
 from pairs_with_truth import on_one_thread
 from rectified_pairs import SWEEP, TruePair, dense_errors, row_errors, true_pairs
 
@@ -222,10 +222,7 @@ def main() -> int:
         write_rows(rows, JSON_KEYS, given.json)
     if given.plot:
         plot(rows, given.plot)
-    faults = check(rows) if given.check else []
-    for fault in faults:
-        print(fault)
-    return 1 if faults else 0
+    return exit_status(check(rows) if given.check else [])
 
 
 if __name__ == "__main__":
