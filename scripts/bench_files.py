@@ -1,4 +1,4 @@
-"""What benchmarks leave behind: rows as JSON, curves as SVG (without a plotting library)."""
+"""What benchmarks leave behind: rows as JSON, curves as SVG (without a plotting library), a last word."""
 
 from __future__ import annotations
 
@@ -20,6 +20,13 @@ def write_rows(rows: Sequence[object], keys: Sequence[str], file: Path) -> None:
     """The named fields of each row as a JSON object; null where there is no number."""
     objects = [{key: _json_value(getattr(row, key)) for key in keys} for row in rows]
     file.write_text(json.dumps(objects, indent=1))
+
+
+def exit_status(faults: Sequence[str]) -> int:
+    """Say what is worse than it should be; 1 if anything is."""
+    for fault in faults:
+        print(fault)
+    return 1 if faults else 0
 
 
 def _json_value(value: object) -> object:

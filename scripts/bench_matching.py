@@ -27,6 +27,7 @@ from statistics import mean
 from time import process_time
 from typing import Any
 
+from bench_files import exit_status
 from pairs_with_truth import TrueView, axes_angle_deg, correct, on_one_thread, photographed, pose_error_deg, true_correspondences
 
 from wbflow_stages.geometry import estimate_geometry
@@ -233,10 +234,7 @@ def main() -> int:
         given.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     if given.plot:
         plot(rows, given.plot)
-    faults = check(rows) if given.check else []
-    for fault in faults:
-        print(fault)
-    return 1 if faults else 0
+    return exit_status(check(rows) if given.check else [])
 
 
 if __name__ == "__main__":
