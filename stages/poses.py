@@ -83,7 +83,6 @@ def solve_poses(
         return found
     checks = check_cameras(cameras, seen, told)
     unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
-    notes = (_doubt(unclear, cameras, seen),) if unclear else ()
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
     verdicts = _verdicts(found, _fit(cameras, seen, max_epipolar_px))
@@ -95,7 +94,7 @@ def solve_poses(
         source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
-        notes=(*suspects.values(), *notes, *found.notes),
+        notes=(*suspects.values(), *([_doubt(unclear, cameras, seen)] if unclear else []), *found.notes),
     )
 
 

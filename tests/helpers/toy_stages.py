@@ -105,10 +105,18 @@ def solve_poses(
 
 
 def rectify(
-    geometry: Geometry, left: Camera | None, right: Camera | None, verdict: PairCheck | None, *, margin: float = 0.0
-) -> Rectification:
+    geometry: Geometry,
+    left: Camera | None,
+    right: Camera | None,
+    verdict: PairCheck | None,
+    *,
+    margin: float = 0.0,
+    reject: bool = False,
+) -> Rectification | Rejected:
     """H1 that remembers F and the cameras."""
     _trouble("rectify")
+    if reject:
+        return Rejected("almost no baseline")
     assert left is not None
     assert right is not None
     H = geometry.F + left.C + right.C + margin

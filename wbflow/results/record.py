@@ -59,7 +59,7 @@ def run_record(
         cloud=_cloud(Task(product), main) if main else None,
         other_clouds=tuple(cloud for cloud in others if cloud),
         poses=_world(plan),
-        reason=main.reason if main and not main.usable else None,
+        reason=root_cause(plan, Task(product)) if main and not main.usable else None,
         code=main.code if main and not main.usable else None,
     )
 
@@ -74,6 +74,45 @@ def exit_code(plan: Plan, cameras: tuple[CameraRecord, ...], interrupted: bool =
         return ExitCode.FAILED
     lost = any(state.outcome == "failed" for state in plan.states.values()) or not all(camera.ok for camera in cameras)
     return ExitCode.DEGRADED if lost else ExitCode.GOOD
+
+
+def root_cause(plan: Plan, task: Task) -> str | None:
+    """Why a task gave nothing: where it was skipped since others were skipped, what that goes back to.
+
+    Of several causes the one that most tasks share.
+    """
+    state = plan.states[task]
+    if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
+        return state.reason
+    if not _pairs(plan) and (reason := _why_no_pairs(plan)):
+        return reason
+    waiting, seen, roots = [task], {task}, []
+    while waiting:
+        at = waiting.pop(0)
+        above = [up for up in plan.upstreams(at) if (s := plan.states.get(up)) and not s.usable]
+        if plan.states[at].outcome != "skipped" or not above:
+            roots.append(at)
+            continue
+        new = [up for up in dict.fromkeys(above) if up not in seen]
+        seen.update(new)
+        waiting += new
+    kinds = Counter((root.stage, _code(plan.states[root])) for root in roots)
+    kind, count = kinds.most_common(1)[0]
+    if kind[0] == stage_with(Role.FRAME).name:  # too few cameras: the reason says how many there are
+        return state.reason
+    first = next(root for root in roots if (root.stage, _code(plan.states[root])) == kind)
+    more = f" (and {count - 1} more like it)" if count > 1 else ""
+    return f"{first}: {plan.states[first].reason}{more}"
+
+
+def _why_no_pairs(plan: Plan) -> str | None:
+    """What the pair graph says of most pairs that it dropped."""
+    state = plan.states.get(Task(stage_with(Role.PAIR_GRAPH).name))
+    dropped = Counter(edge["reason"] for edge in _figures(state).get("edges", ()))
+    if not dropped:
+        return None
+    reason, count = dropped.most_common(1)[0]
+    return f"no two cameras were matched: {reason} ({count} of {dropped.total()} pairs)"
 
 
 def reported(scope: str) -> list[str]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, turned_wrong
 from wbflow_stages.core.rotations import rotation_matrix
-from wbflow_stages.poses import solve_poses
+from wbflow_stages.poses import solve_poses, stated_cameras
 from wbflow_stages.types import Placement, Poses
 
 
@@ -132,7 +132,7 @@ def test_poses_with_standard_deviations_are_refined_to_nearly_exact_ones(count: 
     known = rough(site, 0, 0.05, 0.3)
     poses = solve(site, known)
     assert not poses.suspects and not poses.notes and set(poses.sources.values()) == {"refined"}
-    stated = {name: replace(site.cameras[name], R=p.R, C=p.C) for name, p in known.items()}
+    stated = stated_cameras(site.views, known)
     before, after = (aligned_errors(replace(poses, cameras=c), site.cameras) for c in (stated, poses.cameras))
     assert after[0] < before[0] / 8 and after[1] < before[1] / 8
     assert all(verdict.kept and verdict.adjusted_px < 0.5 for verdict in poses.verdicts.values())

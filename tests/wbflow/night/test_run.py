@@ -131,6 +131,14 @@ def test_one_usable_camera_is_said_to_be_too_few(toy: ToySite) -> None:
     assert "only camera gate has a usable capture" in toy.run(code=1)["reason"]
 
 
+def test_a_run_without_a_cloud_says_what_that_goes_back_to(toy: ToySite) -> None:
+    toy.parameters = {"rectify": {"reject": True}}
+    toy.write()
+    record = toy.run(code=1)
+    assert record["reason"].startswith("rectify ") and record["reason"].endswith(": almost no baseline (and 5 more like it)")
+    assert "skipped" not in record["reason"]
+
+
 def test_what_failed_is_tried_again_and_what_was_rejected_is_not(toy: ToySite) -> None:
     toy.capture("roof").write_text("broken")
     toy.run(code=3)
