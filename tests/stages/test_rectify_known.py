@@ -15,7 +15,7 @@ from wbflow_stages.rectify import rectify
 from wbflow_stages.types import Rectification, Rejected
 
 ONE, TWO = list(cameras().values())[:2]
-FRAMES = [frame_of(camera, texture()) for camera in (ONE, TWO)]
+FRAMES = frame_of(ONE, texture()), frame_of(TWO, texture())
 
 
 def test_known_cameras_are_rectified_without_matches() -> None:

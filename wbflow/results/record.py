@@ -96,11 +96,11 @@ def root_cause(plan: Plan, task: Task) -> str | None:
         new = [up for up in dict.fromkeys(above) if up not in seen]
         seen.update(new)
         waiting += new
-    kinds = Counter((root.stage, _code(plan.states[root])) for root in roots)
+    kinds = Counter((root.stage, plan.states[root].code) for root in roots)
     kind, count = kinds.most_common(1)[0]
     if kind[0] == stage_with(Role.FRAME).name:  # too few cameras: the reason says how many there are
         return state.reason
-    first = next(root for root in roots if (root.stage, _code(plan.states[root])) == kind)
+    first = next(root for root in roots if (root.stage, plan.states[root].code) == kind)
     more = f" (and {count - 1} more like it)" if count > 1 else ""
     return f"{first}: {plan.states[first].reason}{more}"
 
