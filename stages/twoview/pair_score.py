@@ -42,6 +42,32 @@ class PairEvidence:
     agreement: float
     half_rotation_deg: float
     stretch: float
+    rivalry: float = 0.0
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of the score: its name, and whether more of it speaks for a pair (1) or against it (-1)."""
+
+    name: str
+    sign: int
+
+
+TERMS = (
+    Term("ln(1 + distinct_cells)", 1),
+    Term("distinct_share", 1),
+    Term("agreement", 1),
+    Term("ln(stretch + .01)", 1),
+    Term("ln(1 + inliers)", 1),
+    Term("ln(half_rotation_deg + .01)", -1),
+    Term("rivalry", -1),
+)
+
+
+def terms(e: PairEvidence) -> tuple[float, ...]:
+    """The values of `TERMS` for a pair whose intrinsics are known."""
+    cells, inliers, stretch = log(1 + e.distinct_cells), log(1 + e.inliers), log(e.stretch + 0.01)
+    return cells, e.distinct_share, e.agreement, stretch, inliers, log(e.half_rotation_deg + 0.01), e.rivalry
 
 
 def pair_evidence(
