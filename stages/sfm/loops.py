@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
@@ -16,8 +17,11 @@ from ..twoview.pair_score import probability
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .rotation_averaging import rotations_along_tree
 
-STANDS_ALONE = 1.0
-"""Log odds that a pair needs which no third camera can confirm."""
+STANDS_ALONE = log(19)
+"""Log odds that a pair needs which no third camera confirms: one such in twenty may be wrong.  One that others do confirm needs
+only be more likely right than wrong."""
+STANDS_ALONE_BARE = 1.0
+"""The same without a relative pose, where no rival was looked for and the score is another."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,9 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
     count = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
     why = {pair: _refusal(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
+    for pair, code in _unsupported({p for p in posed if why[p] is None}, geometries, triangles, closed).items():
+        k = index[pair]
+        why[pair] = Rejected(code, _figures(geometries[pair], int(count[k]), int(closing[k])))
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
     for pair, degrees in _against_tree(posed, believed).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
@@ -73,14 +80,43 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
 
 def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> Rejected | None:
     """None for a pair to be believed."""
-    figures = {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
-    if triangles == 0 and 0 < geometry.score <= STANDS_ALONE:
+    figures = _figures(geometry, triangles, closed)
+    alone = STANDS_ALONE if geometry.cam2_R_cam1 is not None else STANDS_ALONE_BARE
+    if triangles == 0 and 0 < geometry.score <= alone:
         return Rejected(Reason.UNCONFIRMED, figures)
     if belief > 0:
         return None
     if geometry.score > 0:
         return Rejected(Reason.LOOK_ALIKE, figures)
     return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
+
+
+def _figures(geometry: Geometry, triangles: int, closed: int) -> dict[str, float]:
+    return {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
+
+
+def _unsupported(
+    believed: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
+) -> dict[Pair, Reason]:
+    """Believed pairs that no camera may be hung on.
+
+    Where a triangle of three believed pairs does not close, one of them is wrong, and nothing says which: copies of a building
+    contradict each other, with scores like those of right pairs.  So a pair needs at least as many of its triangles of believed
+    pairs closed as open; and where none of them is closed, a score that stands alone.
+    """
+    agree, object_ = dict.fromkeys(believed, 0), dict.fromkeys(believed, 0)
+    for (a, b, c), closes in zip(triangles, closed.tolist(), strict=True):
+        sides = ((a, b), (b, c), (a, c))
+        if believed.issuperset(sides):
+            for side in sides:
+                (agree if closes else object_)[side] += 1
+    found = {}
+    for pair in believed:
+        if object_[pair] > agree[pair]:
+            found[pair] = Reason.LOOK_ALIKE
+        elif agree[pair] == 0 and geometries[pair].score <= STANDS_ALONE:
+            found[pair] = Reason.UNCONFIRMED
+    return found
 
 
 def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:

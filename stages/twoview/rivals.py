@@ -17,7 +17,7 @@ from ..matching.assignment import without_repeats
 from ..matching.candidates import ViewPair, inverses
 from ..matching.initial import Correspondences, confirmations
 from ..matching.structural import solve_rounds
-from ..types import Features, Float64s, Int32s, View
+from ..types import Bools, Features, Float64s, Int32s, View
 from .epipolar import symmetric_epipolar_distance
 from .robust import estimate_essential
 
@@ -26,30 +26,44 @@ EXPLAINED_PX = 12.0
 CONFIRMED = 2
 """Neighbours that confirm a first match of the rival."""
 DOMINANCE, ROUNDS = 0.8, 3
+"""Of the matcher's rounds."""
+FEWEST = 8
 OFF_LINES_PX = 3.0
+MUCH = 0.25
+"""Share of the accepted inliers that makes any other pose a rival..."""
+MUCH_TURNED, TURNED_DEG = 0.1, 20.0
+"""...and one that is turned by more than so many degrees."""
 
 
 @dataclass(frozen=True)
 class Rival:
     """The best other hypothesis of a pair."""
 
-    matches: int = 0
-    """How many matches hang together without those that the geometry explains."""
     inliers: int = 0
-    """How many of them agree with one pose."""
-    shared: int = 0
-    """How many of these are keypoints of accepted matches with another partner."""
-    better: int = 0
-    """For how many of those the other partner's descriptor is the nearer one."""
-    turned_deg: float = 0.0
-    """Between the rotations of both hypotheses."""
+    """How many of the matches that the geometry does not explain agree with one pose."""
     elsewhere: int = 0
-    """How many agree with one pose among those that lie off the accepted epipolar lines."""
-    elsewhere_deg: float = 0.0
+    """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, not another pose."""
+    turned_deg: float = 0.0
+    """Between the accepted rotation and that of the matches off the lines."""
+
+    def ambiguous(self, inliers: int) -> bool:
+        """Nothing decides between this and a geometry with so many inliers.
+
+        A quarter of the support is much for a second pose.  A tenth is, if it is turned by far: that is the view of another side.
+        """
+        share = self.elsewhere / max(inliers, 1)
+        return share >= MUCH or (share >= MUCH_TURNED and self.turned_deg > TURNED_DEG)
 
 
 def find_rival(
-    left: Features, right: Features, pairs: tuple[ViewPair, ...], i1: Int32s, i2: Int32s, R: Float64s | None, F: Float64s, seed: int = 0
+    left: Features,
+    right: Features,
+    pairs: tuple[ViewPair, ...],
+    i1: Int32s,
+    i2: Int32s,
+    R: Float64s | None,
+    F: Float64s,
+    seed: int = 0,
 ) -> Rival:
     """The strongest pattern of matches besides the accepted ones.
 
@@ -61,34 +75,30 @@ def find_rival(
         Their views, as `matching.candidates.view_pairs` gives them.
     i1, i2
         (n,) int32, the accepted matches: rows of the features.
-    R
-        Their rotation, None without K.
+    R, F
+        Their rotation, None without K, and F.
     seed
         Of the random samples.
     """
-    others = tuple(_without(pair, left, right, i1, i2) for pair in pairs[:1])
-    found = solve_rounds(left, right, others, _first(others), DOMINANCE, ROUNDS, None)
-    if len(found.i1) < 8:
-        return Rival(len(found.i1))
+    others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
+    found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
+    if found is None or len(found.i1) < FEWEST:
+        return Rival()
     x1, x2 = left.xy[found.i1], right.xy[found.i2]
-    keep, turned = _one_pose(x1, x2, left.view, right.view, R, seed)
+    inliers, _ = _one_pose(x1, x2, left.view, right.view, R, seed)
     off = symmetric_epipolar_distance(F, x1, x2) > OFF_LINES_PX
-    other, other_turned = _one_pose(x1[off], x2[off], left.view, right.view, R, seed) if off.sum() >= 8 else (off[:0], 0.0)
-    a, b = found.i1[keep], found.i2[keep]
-    partner = np.full(len(left.xy), -1, np.int64)
-    partner[i1] = i2
-    both = partner[a] >= 0
-    a, b = a[both], b[both]
-    theirs = np.einsum("nd,nd->n", left.descriptors[a], right.descriptors[b])
-    ours = np.einsum("nd,nd->n", left.descriptors[a], right.descriptors[partner[a]])
-    return Rival(len(found.i1), int(keep.sum()), int(both.sum()), int((theirs > ours).sum()), turned, int(other.sum()), other_turned)
+    elsewhere, turned = _one_pose(x1[off], x2[off], left.view, right.view, R, seed)
+    return Rival(inliers, elsewhere, turned)
 
 
-def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None, seed: int) -> tuple[np.ndarray, float]:
+def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None, seed: int) -> tuple[int, float]:
+    """How many matches agree with one pose, and by how much it is turned against R."""
+    if R is None or len(x1) < FEWEST:
+        return 0, 0.0
     pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
-    if pose is None or pose.R is None or R is None:
-        return np.zeros(len(x1), bool), 0.0
-    return pose.inliers, angle_between_deg(pose.R, R)
+    if pose is None or pose.R is None:
+        return 0, 0.0
+    return int(pose.inliers.sum()), angle_between_deg(pose.R, R)
 
 
 def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:
@@ -106,21 +116,10 @@ def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: In
     return replace(pair, candidates=replace(c, i=c.i[away], j=c.j[away], q=c.q[away]))
 
 
-def _first(pairs: tuple[ViewPair, ...]) -> Correspondences:
+def _first(pair: ViewPair) -> Correspondences:
     """Candidates that are the best of both their keypoints among what is left, and that their neighbours confirm."""
-    pair = pairs[0]
     c = pair.candidates
-    order = np.lexsort((c.q, c.i))
-    best1 = np.full(len(pair.x1), -1, np.int64)
-    i_sorted = c.i[order]
-    first = np.concatenate([[True], i_sorted[1:] != i_sorted[:-1]]) if len(order) else np.zeros(0, bool)
-    best1[i_sorted[first]] = order[first]
-    order = np.lexsort((c.q, c.j))
-    best2 = np.full(len(pair.x2), -2, np.int64)
-    j_sorted = c.j[order]
-    first = np.concatenate([[True], j_sorted[1:] != j_sorted[:-1]]) if len(order) else np.zeros(0, bool)
-    best2[j_sorted[first]] = order[first]
-    mutual = np.flatnonzero((best1[c.i] == np.arange(len(c.i))) & (best2[c.j] == np.arange(len(c.j))))
+    mutual = np.flatnonzero(_best(c.i, c.q, len(pair.x1)) & _best(c.j, c.q, len(pair.x2)))
     i, j, q = c.i[mutual], c.j[mutual], c.q[mutual]
     x1, x2 = pair.x1[i], pair.x2[j]
     affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])
@@ -128,3 +127,11 @@ def _first(pairs: tuple[ViewPair, ...]) -> Correspondences:
     rows1, rows2 = pair.rows1[i[good]], pair.rows2[j[good]]
     keep = without_repeats(x1[good], x2[good], -q[good])
     return Correspondences(rows1[keep], rows2[keep], np.ones(int(keep.sum())))
+
+
+def _best(keypoint: Int32s, distance: Float64s, count: int) -> Bools:
+    """(n,) which candidates are the nearest of their keypoint."""
+    order = np.lexsort((distance, keypoint))
+    nearest = np.full(count, -1, np.int64)
+    nearest[keypoint[order[::-1]]] = order[::-1]  # of several, the last one written stays
+    return np.asarray(nearest[keypoint] == np.arange(len(keypoint)))

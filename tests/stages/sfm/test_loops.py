@@ -82,7 +82,7 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
 
 def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:
     pair = next(iter(site(2).values()))
-    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 2.5))
+    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 3.5))
     assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
     assert sure.rejected is None
 
