@@ -1,7 +1,8 @@
 """The logistic score of a pair, fitted on some scenes and judged on others.
 
-Few terms, each with the sign that makes sense, and a small penalty on leaving an earlier fit.  Every scene weighs the same, and within a
-scene its right and its wrong pairs, so that neither the number of cameras nor that of pairs without overlap sets the offset.
+Few terms, each with the sign that makes sense, and a small penalty on leaving an earlier fit.  Every scene weighs the same, and
+within a scene its right and its wrong pairs, so that neither the number of cameras nor that of pairs without overlap sets the
+offset.
 """
 
 from __future__ import annotations
@@ -21,19 +22,28 @@ PENALTY = 0.005
 """On the squares of what the weights of standardised terms differ by from `BEFORE`, against the mean loss of a pair."""
 
 
+Errors = tuple[float, float]
+"""Degrees: of the relative rotation, and of the direction of the baseline."""
+USABLE, WRONG = (3.0, 10.0), (10.0, 30.0)
+"""A pair is usable below both errors, and wrong above one of them."""
+
+
 @dataclass(frozen=True)
 class LabelledPair:
     """A pair with what speaks for it and what it is in truth."""
 
-    scene: str
+    set: str
     left: str
     right: str
     evidence: PairEvidence
     contradicted: bool
-    rotation_deg: float
-    """Error of the relative rotation..."""
-    translation_deg: float
-    """...and of the direction of the baseline."""
+    """The intrinsics contradict F."""
+    error_deg: Errors
+    error_of_copy_deg: Errors
+    """Against the nearest copy of the cameras, where the scene is the same after a part of a turn."""
+    R: Float64s | None = None
+    t: Float64s | None = None
+    """The relative pose that was found."""
 
     @property
     def ambiguous(self) -> bool:
@@ -42,11 +52,19 @@ class LabelledPair:
 
     @property
     def usable(self) -> bool:
-        return self.rotation_deg < 3 and self.translation_deg < 10
+        return is_usable(self.error_deg)
 
     @property
     def wrong(self) -> bool:
-        return self.rotation_deg > 10 or self.translation_deg > 30
+        return is_wrong(self.error_deg)
+
+
+def is_usable(error: Errors) -> bool:
+    return error[0] < USABLE[0] and error[1] < USABLE[1]
+
+
+def is_wrong(error: Errors) -> bool:
+    return error[0] > WRONG[0] or error[1] > WRONG[1]
 
 
 @dataclass(frozen=True)
@@ -62,14 +80,18 @@ class Weights:
 
 
 def table(pairs: list[LabelledPair]) -> Float64s:
-    """(n, terms) of the pairs."""
-    return np.array([terms(pair.evidence) for pair in pairs], np.float64).reshape(-1, len(TERMS))
+    """(n, terms) of the pairs; far below zero for those whose rivals nobody knows."""
+    nothing = (0.0,) * (len(TERMS) - 1) + (1e3,)
+    rows = [terms(pair.evidence) if pair.evidence.rival is not None else nothing for pair in pairs]
+    return np.array(rows, np.float64).reshape(-1, len(TERMS))
 
 
 def fit(pairs: list[LabelledPair], penalty: float = PENALTY) -> Weights:
-    """Weights from the pairs that are plainly usable or wrong."""
-    plain = [pair for pair in pairs if (pair.usable or pair.wrong) and not pair.contradicted]
-    x, right = table(plain), np.array([pair.usable for pair in plain])
+    """Weights from the pairs that are plainly usable or wrong; copies count as right, since no pair tells them apart."""
+    plain = [
+        p for p in pairs if (is_usable(p.error_of_copy_deg) or is_wrong(p.error_of_copy_deg)) and p.evidence.rival is not None
+    ]
+    x, right = table(plain), np.array([is_usable(pair.error_of_copy_deg) for pair in plain])
     mean, spread = x.mean(axis=0), x.std(axis=0) + 1e-9
     z, weight, sign = (x - mean) / spread, balance(plain, right), np.array([term.sign for term in TERMS])
 
@@ -91,7 +113,7 @@ def fit(pairs: list[LabelledPair], penalty: float = PENALTY) -> Weights:
 
 def balance(pairs: list[LabelledPair], right: Bools) -> Float64s:
     """(n,) weights that add to 1: each scene as much as any other, up to its number of pairs where it has few of a kind."""
-    key = [(pair.scene, bool(r)) for pair, r in zip(pairs, right, strict=True)]
+    key = [(pair.set.split("-")[0], bool(r)) for pair, r in zip(pairs, right, strict=True)]
     count = {k: key.count(k) for k in set(key)}
     weight = np.array([1 / max(count[k], 10) for k in key])
     return np.asarray(weight / weight.sum())

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.pair_score import probability
+from ..twoview.rivals import shows_another_side
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .rotation_averaging import rotations_along_tree
 
@@ -43,6 +44,10 @@ LOOP_ROTATION_DEG, LOOP_DIRECTION_DEG = 3.0, 10.0
 P_CLOSED_GOOD, P_CLOSED_BAD = 0.95, 0.05
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
 """Triangles share pairs, so each counts half; all together they move the log odds by at most 6."""
+P_SYMMETRIC = 0.2
+"""Of a site whose cameras see a building that looks the same from other sides."""
+P_TURNED_SYMMETRIC, P_TURNED = 0.7, 0.15
+"""Of a pair to have a rival turned by far, there and elsewhere (rendered halls: .76; all other scenes: .15)."""
 PRIOR_SHIFT = 0.5
 TREE_DEG = 4.0
 
@@ -71,6 +76,9 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
     for pair, degrees in _against_tree(posed, believed).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
+    if _looks_alike_turned(posed):
+        for pair in posed:
+            why[pair] = why[pair] or Rejected(Reason.SAME_FROM_OTHER_SIDES, _figures(geometries[pair], 0, 0))
     checks = {}
     for k, pair in enumerate(pairs):
         p = probability(float(belief[k]))
@@ -89,6 +97,19 @@ def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> 
     if geometry.score > 0:
         return Rejected(Reason.LOOK_ALIKE, figures)
     return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
+
+
+def _looks_alike_turned(posed: Mapping[Pair, Geometry]) -> bool:
+    """Is the scene more likely than not the same from several sides?  Then what is wrong may close all loops.
+
+    A single pair of any site may have a rival of another side by chance; where the building itself repeats, most have.
+    """
+    odds = log(P_SYMMETRIC / (1 - P_SYMMETRIC))
+    for g in posed.values():
+        turned = shows_another_side(g.inliers, g.rival_elsewhere, g.rival_turned_deg)
+        ours, usual = (P_TURNED_SYMMETRIC, P_TURNED) if turned else (1 - P_TURNED_SYMMETRIC, 1 - P_TURNED)
+        odds += log(ours / usual)
+    return odds > 0
 
 
 def _figures(geometry: Geometry, triangles: int, closed: int) -> dict[str, float]:

@@ -68,9 +68,9 @@ TERMS = (
     Term("ln((rival inliers + 20) / (inliers + 20))", -1),
 )
 WEIGHTS, OFFSET = (0.89, 0.90, 3.37, 1.20, 2.91, 3.68, -0.27, -1.15), -15.3
-"""Of the terms, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, look-alikes in most; each
-scene with the same weight, drawn to the weights of an earlier fit (walls and a courtyard).  Exact copies of a building count as
-right there: no pair tells them apart."""
+"""Of the terms, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, look-alikes in most;
+each scene with the same weight, drawn to the weights of an earlier fit (walls and a courtyard).  Exact copies of a building
+count as right there: no pair tells them apart."""
 
 
 def terms(e: PairEvidence) -> tuple[float, ...]:

@@ -31,7 +31,7 @@ FEWEST = 8
 OFF_LINES_PX = 3.0
 MUCH = 0.25
 """Share of the accepted inliers that makes any other pose a rival..."""
-MUCH_TURNED, TURNED_DEG = 0.1, 20.0
+MUCH_TURNED, TURNED_DEG = 0.08, 20.0
 """...and one that is turned by more than so many degrees."""
 
 
@@ -49,10 +49,14 @@ class Rival:
     def ambiguous(self, inliers: int) -> bool:
         """Nothing decides between this and a geometry with so many inliers.
 
-        A quarter of the support is much for a second pose.  A tenth is, if it is turned by far: that is the view of another side.
+        A quarter of the support is much for a second pose; a twelfth is if that is turned by far: the view of another side.
         """
-        share = self.elsewhere / max(inliers, 1)
-        return share >= MUCH or (share >= MUCH_TURNED and self.turned_deg > TURNED_DEG)
+        return self.elsewhere >= MUCH * inliers or shows_another_side(inliers, self.elsewhere, self.turned_deg)
+
+
+def shows_another_side(inliers: int, elsewhere: int, turned_deg: float) -> bool:
+    """A pose that is turned by far has support too: the scene may look the same from another side."""
+    return elsewhere >= MUCH_TURNED * inliers and turned_deg > TURNED_DEG
 
 
 def find_rival(
