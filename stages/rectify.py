@@ -6,8 +6,9 @@ The homographies of `congruent`, `literal`, `hartley` and `calibrated` cannot wo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -38,6 +39,10 @@ METHODS = {
 _LEAST_PARALLAX = 0.01
 """Share of the width that the matches must leave their best homography by, where no camera tells the angle."""
 
+_LEAST_ROW_SHARE, _LEAST_ROW_RATIO = 0.01, 2.0
+"""Without matches so much of the common area must match densely, and so many times what matches with one image shifted by eight
+rows."""
+
 _FEWEST_POINTS = 50
 """So few points of a dense match show no scene."""
 
@@ -61,8 +66,6 @@ def rectify(
     max_row_error_px: float = 0.5,
     min_angle_deg: float = 0.7,
     range_margin: float = 0.1,
-    min_row_share: float = 0.01,
-    min_row_ratio: float = 2.0,
     **options: object,
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
@@ -74,75 +77,81 @@ def rectify(
     ----------
     geometry
         Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no cameras.
-        May be missing where both cameras are known.
-    left, right
-        Solved or known cameras; F comes from them when both are given.
-    verdict
-        What the cameras of the whole site say of the pair's matches; those that contradict the cameras are not used.
-    left_frame, right_frame
-        The frames of the pair, looked at where the matches are too few.
-    scene
-        Where the scene lies, as far as it is known, for the same case.
+    left, right, verdict
+        Solved or known cameras, which then give F; and whether the pair's matches agree with those of the whole site.
+    left_frame, right_frame, scene
+        The frames of the pair, and what is known of where things are: looked at where the matches are too few.
     method
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
         the matches; "literal": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
-        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a function of your own,
-        `package.module:function`.  Homographies that tear the image are replaced by Hartley's, and where an epipole is near by
-        "polar"; `reason` says why.
+        orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a dotted function.
+        Homographies that tear the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
     fallback
         Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
     min_matches
         Fewer matches than this reject the pair where no cameras are known.
     few_matches
-        Fewer are not left to tell where the scene lies if both cameras are known.
+        Fewer do not tell where the scene lies if both cameras are known.
     max_row_error_px
         Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a frame whose long
-        side is 768: the limit grows with larger frames, whose pixels show as much less.  Smaller frames keep the limit in their
-        own pixels, since no matcher notices half a pixel.
+        side is 768, or smaller: the limit grows with larger frames, whose pixels show as much less.
     min_angle_deg
-        Reject if the rays of the matches converge by less than this (median), in degrees; where no camera tells the angle,
-        a homography that explains the pair takes its place.
+        Reject if the rays converge by less (median), in degrees; or where a homography explains a pair without cameras.
     range_margin
         The disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
-    min_row_share
-        Without matches, this share of the common area must match densely, no unit...
-    min_row_ratio
-        ...and so many times what matches with one image shifted by eight rows.
     options
         Parameters of the method, see its function.
 
     Raises
     ------
-    ValueError
-        No such method, or it needs the cameras; neither geometry nor cameras.
-    TypeError
-        A parameter that the method does not read.
+    ValueError, TypeError
+        No such method, or it needs the cameras; a parameter that the method does not read.
 
     References
     ----------
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
-
-    def fitted(pair: MatchedPair) -> Placed | Rejected:
-        rectifier = bind(METHODS, method, {"pair": pair, "geometry": geometry, "left": left, "right": right}, options)
-        return placed(pair, method, rectifier, fallback)
-
-    by_matches: Rectification | Rejected = Rejected(Reason.NOTHING_KNOWN)
-    if geometry is not None:
-        pair = _obeying(geometry, left, right)
-        refusal = _contradicted(verdict) or _unbelievable(geometry, pair)
-        refusal = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg)
-        found = refusal or fitted(pair)
-        by_matches = found if isinstance(found, Rejected) else finished(*found, pair, geometry, max_row_error_px, range_margin)
-        if isinstance(by_matches, Rectification) and (left is None or right is None or len(pair.x1) >= few_matches):
-            return by_matches
-    if left is None or right is None or left_frame is None or right_frame is None:
+    fitted = partial(_fitted, (geometry, left, right), method, fallback, options)
+    limits = min_matches, max_row_error_px, min_angle_deg, range_margin
+    by_matches, matches = _by_matches(geometry, left, right, verdict, fitted, limits)
+    enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
+    if enough or left is None or right is None or left_frame is None or right_frame is None:
         return by_matches
-    if isinstance(by_matches, Rejected) and by_matches.code == Reason.NO_BASELINE:
-        return by_matches
-    limits = min_row_share, min_row_ratio, min_angle_deg
-    by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, limits)
+    by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
     return by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
+
+
+def _by_matches(
+    geometry: Geometry | None,
+    left: Camera | None,
+    right: Camera | None,
+    verdict: PairCheck | None,
+    fitted: Callable[[MatchedPair], Placed | Rejected],
+    limits: tuple[int, float, float, float],
+) -> tuple[Rectification | Rejected, int]:
+    """The rectification that the matches tell, and how many of them obey F.  limits: `min_matches`, `max_row_error_px`,
+    `min_angle_deg` and `range_margin` of `rectify`."""
+    if geometry is None:
+        return Rejected(Reason.NOTHING_KNOWN), 0
+    min_matches, max_row_error_px, min_angle_deg, range_margin = limits
+    pair = _obeying(geometry, left, right)
+    refusal = _contradicted(verdict) or _unbelievable(geometry, pair)
+    found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
+    if isinstance(found, Rejected):
+        return found, len(pair.x1)
+    return finished(*found, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
+
+
+def _fitted(
+    known: tuple[Geometry | None, Camera | None, Camera | None],
+    method: str,
+    fallback: bool,
+    options: Mapping[str, object],
+    pair: MatchedPair,
+) -> Placed | Rejected:
+    """A pair laid out by a method, which may ask for geometry and cameras, too."""
+    inputs = dict(zip(("geometry", "left", "right"), known, strict=True))
+    return placed(pair, method, bind(METHODS, method, {"pair": pair, **inputs}, options), fallback)
 
 
 def _from_cameras(
@@ -150,10 +159,10 @@ def _from_cameras(
     frames: tuple[Frame, Frame],
     scene: Scene | None,
     fitted: Callable[[MatchedPair], Placed | Rejected],
-    limits: tuple[float, float, float],
+    min_angle_deg: float,
 ) -> Rectification | Rejected:
     """The rectification that two cameras give, laid out by the scene that both should see; dense matching must confirm it, and
-    shows where the scene really is.  limits: `min_row_share`, `min_row_ratio`, `min_angle_deg` of `rectify`."""
+    shows where the scene really is."""
     expected = predict(*cameras, scene)
     if expected is None:
         return Rejected(Reason.NOTHING_IN_COMMON)
@@ -166,12 +175,12 @@ def _from_cameras(
     likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
     witness = ask_witness(*frames, likely)
     rows = witness.rows
-    if not rows.passed(*limits[:2]) or len(witness.x1) < _FEWEST_POINTS:
+    if not rows.passed(_LEAST_ROW_SHARE, _LEAST_ROW_RATIO) or len(witness.x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
     pair = _known_pair(cameras, witness.x1, witness.x2, witness.confidence)
     pair = replace(pair, around=(expected.x1, expected.x2))
-    if pair.angle_deg < limits[2]:
-        return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": limits[2]})
+    if pair.angle_deg < min_angle_deg:
+        return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
     second = fitted(pair)
     if isinstance(second, Rejected):
         return second

@@ -33,24 +33,9 @@ from ..store.cache import Cache, Receipt
 from ..store.pictures import read_drawing
 from ..task import Subject, Task, component_name
 from .captures import CaptureFile, expected
+from .obstacles import Impossible, Waiting, because
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
 from .state import Cause, State, cached_state
-
-
-class _Waiting(Exception):
-    """An input depends on `task`, which is not settled yet."""
-
-    def __init__(self, task: Task | None) -> None:
-        super().__init__(str(task))
-        self.task = task
-
-
-class _Impossible(Exception):
-    """An input will not come; the message says why, in one word the code."""
-
-    def __init__(self, why: str, code: str) -> None:
-        super().__init__(why)
-        self.code = code
 
 
 @dataclass
@@ -110,7 +95,7 @@ class Plan:
                     if follower in self.waiting:
                         try:
                             lane.append(self._spec(stage, follower, among={s.task for s in lane}))
-                        except (_Waiting, _Impossible):
+                        except (Waiting, Impossible):
                             continue
             yield lane
         if not self.ready:
@@ -167,10 +152,10 @@ class Plan:
     def _settle(self, stage: Stage, task: Task) -> None:
         try:
             spec = self._spec(stage, task)
-        except _Waiting as waiting:
+        except Waiting as waiting:
             self.waiting[task] = waiting.task
             return
-        except _Impossible as impossible:
+        except Impossible as impossible:
             self.states[task] = State(stage.missing, str(impossible), impossible.code)
             return
         preimage = spec.preimage()
@@ -216,7 +201,7 @@ class Plan:
             if name in stage.picture.needs:
                 try:
                     drawn[name] = self._input(stage, task, stage.picture.needs[name], among)
-                except (_Waiting, _Impossible):
+                except (Waiting, Impossible):
                     drawn[name] = Absent()
             elif name in inputs:
                 drawn[name] = inputs[name]
@@ -240,13 +225,13 @@ class Plan:
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
 
     def _inputs(self, stage: Stage, task: Task, needs: Mapping[str, Need], among: set[Task]) -> dict[str, Input]:
-        """All inputs of a task by argument name.  Raises _Waiting, _Impossible."""
+        """All inputs of a task by argument name.  Raises Waiting, Impossible."""
         found: dict[str, Input] = {}
-        impossible: dict[str, _Impossible] = {}
+        impossible: dict[str, Impossible] = {}
         for name, need in needs.items():
             try:
                 found[name] = self._input(stage, task, need, among)
-            except _Impossible as error:
+            except Impossible as error:
                 if not (isinstance(need, FromStage) and need.unless):
                     raise
                 found[name], impossible[name] = Absent(), error
@@ -288,34 +273,34 @@ class Plan:
             return Absent()
         state = self.states.get(upstream)
         if state is None:
-            raise _Waiting(upstream)
+            raise Waiting(upstream)
         if not state.usable or state.receipt is None:
             if need.optional:
                 return Absent()
-            raise _because(upstream, state)
+            raise because(upstream, state)
         if part and str(part) not in state.receipt.parts:
             if need.optional:
                 return Absent()
-            raise _Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
+            raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
         return Stored(upstream, part).resolved(self.cache, state.receipt)
 
     def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
         if origin not in self._stages and need.optional:
             return Joined({})
         if not self.pairs_known() and (origin.scope == "pair" or need.which is Which.AROUND):
-            raise _Waiting(None)
+            raise Waiting(None)
         if origin.scope == "site":
             return self._entries(origin, need, task)
         items: dict[Subject, Value | Stored] = {}
-        faults: list[_Impossible] = []
+        faults: list[Impossible] = []
         for upstream in self._joined(origin, need, task):
             state = self.states.get(upstream)
             if state is None:
-                raise _Waiting(upstream)
+                raise Waiting(upstream)
             if state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):
                 items[upstream.subject] = Stored(upstream, need.part).resolved(self.cache, state.receipt)
             else:
-                faults.append(_because(upstream, state))
+                faults.append(because(upstream, state))
         if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):
             raise self._nothing(origin, faults)
         return Joined(items)
@@ -330,7 +315,7 @@ class Plan:
             if isinstance(stored, Stored):
                 items[camera,] = stored
         if not items:
-            raise _because(Task(origin.name), self.states[Task(origin.name)])
+            raise because(Task(origin.name), self.states[Task(origin.name)])
         return Joined(items)
 
     def _around(self, camera: str) -> list[str]:
@@ -338,7 +323,7 @@ class Plan:
         around = {c for pair in self._pairs() or () if camera in pair for c in pair} - {camera}
         return [c.id for c in self.site.cameras if c.id in around]
 
-    def _nothing(self, origin: Stage, faults: list[_Impossible]) -> _Impossible:
+    def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
         """Why a stage that joins many has none to join."""
         frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
         first = f": {faults[0]}" if faults else ""
@@ -346,13 +331,13 @@ class Plan:
         if len(usable) < 2:
             have = f"only camera {usable[0]} has" if usable else "no camera has"
             why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
-            return _Impossible(why, Cause.TOO_FEW_CAMERAS)
+            return Impossible(why, Cause.TOO_FEW_CAMERAS)
         pairs = self.states.get(graph)
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
-                return _because(graph, pairs)
-            return _Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
-        return _Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
+                return because(graph, pairs)
+            return Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
+        return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
 
     def _joined(self, origin: Stage, need: FromStage, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
@@ -386,10 +371,10 @@ class Plan:
         """A camera's files that can be read."""
         files = self.captures[camera.id]
         if not files:
-            raise _Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
-            raise _Impossible(f"no capture: {files[0].name} cannot be read", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: {files[0].name} cannot be read", Cause.NO_CAPTURE)
         return readable
 
     def _camera(self, camera: str) -> SiteCamera:
@@ -408,9 +393,3 @@ def make_plan(
     """A plan for one night, not yet refreshed."""
     expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))
-
-
-def _because(task: Task, state: State) -> _Impossible:
-    """What a task ended with is why another that needs it cannot be done."""
-    ended = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
-    return _Impossible(f"{task} {ended}: {state.reason}" if state.reason else f"{task} {ended}", state.code or Cause.UPSTREAM)
