@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .functions import FunctionInfo, FunctionReader
 from .modules import FunctionError
-from .pipeline import Need, Stage
+from .pipeline import FromStage, Need, Stage
 from .signature import Parameter, Signature
 
 
@@ -81,12 +81,12 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     parameters = {name: p for name, p in own.parameters.items() if name not in inputs}
     if chooser is None:
         asked = _asked(own) | (set(stage.needs) if own.takes_any else set())
-        return Binding(stage, function, None, _only(inputs, asked), parameters)
+        return Binding(stage, function, None, _wanted(inputs, asked, own), parameters)
     method = reader.read(_chosen(stage, values, parameters, reader))
     given = {*inputs, *chooser.given}
     parameters |= {n: p for n, p in method.signature.parameters.items() if n not in given and n not in parameters}
     asked = (_asked(own) & set(stage.needs)) | (_asked(method.signature) & _asked(own))
-    return Binding(stage, function, method, _only(inputs, asked), parameters)
+    return Binding(stage, function, method, _wanted(inputs, asked, own), parameters)
 
 
 def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
@@ -117,8 +117,15 @@ def _asked(signature: Signature) -> set[str]:
     return {a.name for a in signature.arguments} | set(signature.parameters)
 
 
-def _only(inputs: Mapping[str, Need], names: set[str]) -> dict[str, Need]:
-    return {name: need for name, need in inputs.items() if name in names}
+def _wanted(inputs: Mapping[str, Need], names: set[str], own: Signature) -> dict[str, Need]:
+    """The inputs of these names.  What the function has no default for must be there, whatever else is."""
+    required = {argument.name for argument in own.arguments if argument.required}
+    found = {name: need for name, need in inputs.items() if name in names}
+    for name in required & set(found):
+        need = found[name]
+        if isinstance(need, FromStage) and need.unless:
+            found[name] = replace(need, unless=())
+    return found
 
 
 def _faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
