@@ -235,6 +235,10 @@ class Stage:
     """Dotted function: the result -> lines for the header of the product."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)
 
+    def needed(self) -> set[str]:
+        """The stages without which it can do nothing."""
+        return {need.stage for need in self.needs.values() if isinstance(need, FromStage) and not need.optional}
+
     @property
     def suffix(self) -> str:
         """Of its artifacts' files."""

@@ -66,7 +66,7 @@ class Plan:
         settings = self.site.stages
         self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
         off = {name for name, stage in settings.items() if not stage.enabled}
-        off |= {stage.name for stage in STAGES if stage.optional and off & _needed(stage)}
+        off |= {stage.name for stage in STAGES if stage.optional and off & stage.needed()}
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
 
     def refresh(self) -> None:
@@ -395,8 +395,3 @@ def make_plan(
     """A plan for one night, not yet refreshed."""
     expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))
-
-
-def _needed(stage: Stage) -> set[str]:
-    """The stages without which a stage can do nothing."""
-    return {need.stage for need in stage.needs.values() if isinstance(need, FromStage) and not need.optional}
