@@ -29,7 +29,7 @@ FLOORS = [
 ]
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
 
-LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api", "screen", "cli")
+LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api", "screen", "commands", "cli")
 """Who may import whom: each only what stands before it."""
 PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | quarantine | lock | \.writing | \.wbflow

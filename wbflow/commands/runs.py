@@ -1,0 +1,104 @@
+"""What runs have left: reports, history, comparison, exports, room on the disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ..errors import ExitCode, UsageError
+from ..screen import say, stop
+from .common import PATH, load, place_of, run_argument, site_argument, work_option
+
+if TYPE_CHECKING:
+    pass
+
+
+@click.command()
+@site_argument
+@run_argument
+@work_option
+def report(site: Path, run_id: str | None, work: Path | None) -> None:
+    """(Re)build a run's report."""
+    place = place_of(load(site, work))
+    from ..results.report.page import rebuild_report
+    from ..store.run_folder import RunFolder
+
+    folder = RunFolder.of(place, run_id)
+    say(folder.write_report(rebuild_report(place, folder)))
+
+
+@click.command()
+@site_argument
+@work_option
+def history(site: Path, work: Path | None) -> None:
+    """Runs: when, how long, cached/ran/failed, cloud size, exit code."""
+    loaded = load(site, work)
+    place = place_of(loaded)
+    if not place.run_ids():
+        stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
+    from ..store.ledger import Ledger
+
+    with Ledger(place) as ledger:
+        runs = ledger.runs()
+    head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
+    say(f"{'run':17} {'night':10} {head} {'points':>11} exit")
+    for r in runs:
+        points = f"{r.points:,}" if r.points else "-"
+        figures = f"{r.wall:8.1f} {r.cpu:8.1f} {r.cached:6} {r.ran:5} {r.rejected:8} {r.failed:6}"
+        say(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}")
+
+
+@click.command()
+@click.argument("run_a", type=PATH)
+@click.argument("run_b", type=PATH)
+def compare(run_a: Path, run_b: Path) -> None:
+    """Two nights side by side: folders of two runs."""
+    from ..results.compare import compare as rows
+    from ..store.run_folder import RunFolder
+
+    for row in rows(RunFolder.at(run_a).record(), RunFolder.at(run_b).record()):
+        say(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
+
+
+@click.command()
+@site_argument
+@run_argument
+@click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the files.")
+@click.option("--laz", is_flag=True, help="The cloud as LAZ, on the map where positions are known by latitude and longitude.")
+@click.option("--heights", is_flag=True, help="Heights seen from above: GeoTIFF where the site is on the map, else PNG, PFM.")
+@click.option("--depth", is_flag=True, help="Depth map of each camera: 16-bit PNG and PFM.")
+@click.option("--mesh", is_flag=True, help="The surface through the cloud (Poisson), as PLY.")
+@click.option("--colmap", is_flag=True, help="Cameras, images and points as a COLMAP model.")
+@work_option
+def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked: bool) -> None:
+    """A run's results for other programs; the newest run that made a cloud, if no RUN is named."""
+    forms = frozenset(name for name, wanted in asked.items() if wanted)
+    if not forms:
+        raise UsageError(f"say what to export: {', '.join(f'--{name}' for name in asked)}")
+    place = place_of(load(site, work))
+    from ..results.artifacts import FinishedRun
+    from ..results.export import export as write
+    from ..store.run_folder import RunFolder
+
+    folder = RunFolder.of(place, run_id or (place.latest.name if place.latest.exists() else None))
+    for file in write(FinishedRun.open(place, folder), out, forms):
+        say(file)
+
+
+@click.command()
+@site_argument
+@click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Runs whose artifacts stay.")
+@click.option("--dry-run", is_flag=True, help="Only say how much would go.")
+@work_option
+def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
+    """Remove artifacts that the last N runs don't use."""
+    place = place_of(load(site, work))
+    from ..store.clean import clean as remove
+    from ..store.lock import hold
+
+    with hold(place.lock, wait=False):
+        done = remove(place, keep, dry_run)
+    verb = "would remove" if dry_run else "removed"
+    say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")

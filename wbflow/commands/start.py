@@ -1,0 +1,89 @@
+"""For a start, and for who looks behind it: a demo, a site file, two photographs, the stages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ..errors import ExitCode, UsageError
+from ..screen import listener, say, stop
+from .common import PATH, jobs_option, verbose_option
+
+if TYPE_CHECKING:
+    pass
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=PATH)
+@click.option(
+    "--scene", default="yard", metavar="NAME", show_default=True, help="yard, square, hall, hall-2, hall-4, houses, ..."
+)
+@click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
+@click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
+@click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
+def demo(folder: Path, scene: str, small: bool, light: str, cameras: int | None, seed: int) -> None:
+    """Render the demo site (captures, site.yaml, truth) into DIR."""
+    from ..results.demo import write_demo
+
+    write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
+    say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
+
+
+@click.command()
+@click.argument("folder", metavar="[FOLDER]", type=PATH, default=Path())
+def init(folder: Path) -> None:
+    """Write a site file from a folder of photographs.
+
+    Either one photograph of each camera, or one folder for each camera with its photographs (several are several captures of
+    one night). The site file is put into FOLDER (here, if none is named) as site.yaml; one that is there is left alone.
+
+    \b
+    photographs/gate.jpg photographs/roof.jpg ...            wbflow init photographs
+    photographs/gate/1.jpg photographs/roof/1.jpg ...        wbflow init photographs
+    """
+    from ..results.init import write_site
+
+    made = write_site(folder)
+    say(f"{made.file}: {len(made.cameras)} cameras: {', '.join(made.cameras)}")
+    for note in made.notes:
+        say(note)
+    say(f"now try  wbflow check {made.file}  and  wbflow run {made.file}")
+
+
+@click.command()
+@click.argument("left", type=PATH)
+@click.argument("right", type=PATH)
+@click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the results (and the cache).")
+@click.option("--resolution", type=click.IntRange(min=64), default=1600, metavar="N", help="Long side in pixels to work at.")
+@jobs_option
+@verbose_option
+def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose: bool) -> None:
+    """Two photographs and nothing else: matches, F, rectified pair, disparity, and a picture of each step."""
+    from ..api import run as work_through
+    from ..results.pair import LAST_STAGE, failure, pair_site, write_pair
+
+    site = pair_site(left, right, out, resolution)
+    finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=listener(site, verbose, quiet=False)).finished
+    for file in write_pair(finished, out):
+        say(file)
+    if why := failure(finished):
+        stop(ExitCode.FAILED, f"no disparity: {why}")
+
+
+@click.command()
+@click.argument("stage", metavar="[STAGE]", required=False)
+def stages(stage: str | None) -> None:
+    """Every parameter of every stage, with default, unit and meaning; of one stage, if it is named."""
+    from ..graph.describe import describe, describe_all, lines
+    from ..graph.functions import FunctionReader
+    from ..graph.pipeline import STAGES
+
+    chosen = [row for row in STAGES if row.name == stage]
+    if stage and not chosen:
+        raise UsageError(f"there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+    reader = FunctionReader()
+    rows = [describe(row, reader) for row in chosen] or describe_all(reader)
+    say("\n\n".join("\n".join(lines(row)) for row in rows))
