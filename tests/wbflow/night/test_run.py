@@ -157,9 +157,9 @@ def test_what_failed_is_tried_again_and_what_was_rejected_is_not(toy: ToySite) -
 def test_a_camera_none_of_whose_pairs_came_to_anything_is_named(toy: ToySite) -> None:
     toy.parameters = {"matches": {"reject": str(_first_pixel(b"a view from gate"))}}
     toy.write()
-    cameras = {camera["id"]: camera for camera in toy.run()["cameras"]}
-    assert "none of its 3 pairs could be used" in cameras["gate"]["notes"][-1]
-    assert not any("pairs could be used" in note for note in cameras["roof"]["notes"])
+    (finding,) = toy.run(code=3)["verdict"]["findings"]
+    assert (finding["kind"], finding["subject"]) == ("camera-fruitless", ["gate"])
+    assert "none of its 3 pairs could be used" in finding["text"]
 
 
 def test_jobs_do_not_change_a_byte(toy: ToySite) -> None:
