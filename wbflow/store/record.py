@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-Figures = Mapping[str, Any]
-"""What stages report of a camera, a pair or the world, by name: numbers, words, and mappings of these."""
+from .findings import Figures as Figures
+from .findings import Finding as Finding
+from .findings import Health as Health
+from .findings import Verdict as Verdict
+from .findings import rounded
 
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
@@ -70,6 +73,8 @@ class CameraRecord:
     """What the operator should know of it."""
     figures: Figures = field(default_factory=dict)
     """What the stages report of it; None where they did not come so far."""
+    health: Health | None = None
+    """How it is, compared with what it has been; None where nobody knows."""
 
     @property
     def ok(self) -> bool:
@@ -81,7 +86,8 @@ class CameraRecord:
 
     def to_json(self) -> dict[str, Any]:
         reason = {"reason": self.reason, "code": self.code, "notes": list(self.notes)}
-        return {"id": self.id, "outcome": self.outcome, **_rounded(self.figures), **reason}
+        health = self.health and self.health.to_json()
+        return {"id": self.id, "outcome": self.outcome, **rounded(self.figures), **reason, "health": health}
 
 
 @dataclass(frozen=True)
@@ -115,7 +121,7 @@ class PairRecord:
     def to_json(self) -> dict[str, Any]:
         head = {"left": self.left, "right": self.right, "outcome": self.outcome}
         stage = {"stage": self.stage} if self.stage else {}
-        return {**head, **_rounded(self.figures), "reason": self.reason, "code": self.code, **stage}
+        return {**head, **rounded(self.figures), "reason": self.reason, "code": self.code, **stage}
 
 
 @dataclass(frozen=True)
@@ -165,8 +171,8 @@ class WorldRecord:
         return tuple(self.figures.get("notes") or ())
 
     def to_json(self) -> dict[str, Any]:
-        rounded: dict[str, Any] = _rounded(self.figures)
-        return rounded
+        data: dict[str, Any] = rounded(self.figures)
+        return data
 
 
 @dataclass(frozen=True)
@@ -193,6 +199,8 @@ class RunRecord:
     reason: str | None = None
     """Why there is no cloud."""
     code: str | None = None
+    verdict: Verdict | None = None
+    """What the night came to; None of a run of an earlier version."""
     later: Figures = field(default_factory=dict)
     """Keys of a later version."""
 
@@ -219,6 +227,7 @@ class RunRecord:
             "poses": self.poses and self.poses.to_json(),
             "reason": self.reason,
             "code": self.code,
+            "verdict": self.verdict and self.verdict.to_json(),
             **self.later,
         }
 
@@ -234,7 +243,9 @@ class RunRecord:
         poses = WorldRecord(rest["poses"]) if rest.get("poses") else None
         others = tuple(cloud for entry in rest.get("other_clouds", ()) if (cloud := _cloud(entry)))
         peak, reason, code = rest.get("peak_rss_mb", 0), rest.get("reason"), rest.get("code")
-        known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb", "reason", "code"}
+        verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
+        known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
+        known |= {"reason", "code", "verdict"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -248,6 +259,7 @@ class RunRecord:
             poses=poses,
             reason=reason,
             code=code,
+            verdict=verdict,
             later=later,
         )
 
@@ -258,10 +270,11 @@ def _seconds(data: Mapping[str, Any]) -> Seconds:
 
 
 def _camera(data: Mapping[str, Any]) -> CameraRecord:
-    named = ("id", "outcome", "reason", "code", "notes")
+    named = ("id", "outcome", "reason", "code", "notes", "health")
     figures = {name: value for name, value in data.items() if name not in named}
     notes = tuple(data.get("notes") or ())
-    return CameraRecord(data["id"], data["outcome"], data.get("reason"), data.get("code"), notes, figures)
+    health = Health.from_json(data["health"]) if data.get("health") else None
+    return CameraRecord(data["id"], data["outcome"], data.get("reason"), data.get("code"), notes, figures, health)
 
 
 def _pair(data: Mapping[str, Any]) -> PairRecord:
@@ -276,10 +289,3 @@ def _cloud(data: Mapping[str, Any] | None) -> CloudRecord | None:
         return None
     low, high = data["bounds"]
     return CloudRecord(data["path"], data["points"], (tuple(low), tuple(high)))
-
-
-def _rounded(value: Any) -> Any:
-    """Four digits are more than anybody reads."""
-    if isinstance(value, Mapping):
-        return {key: _rounded(entry) for key, entry in value.items()}
-    return round(value, 4) if isinstance(value, float) else value
