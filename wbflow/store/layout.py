@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..task import Task
+from .atomic import sync_folder
 
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
@@ -24,6 +25,14 @@ _UNFINISHED = ".tmp"
 def run_id(moment: datetime.datetime) -> str:
     """The id of a run that starts at `moment` (UTC, to the second): ids sort as the runs did."""
     return moment.strftime(_RUN_ID)
+
+
+def started_by(name: str) -> datetime.datetime | None:
+    """When the run of an id was started (UTC); None for a folder that somebody else has made."""
+    try:
+        return datetime.datetime.strptime(name, _RUN_ID).replace(tzinfo=datetime.UTC)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -158,6 +167,22 @@ class WorkFolder:
         """A link to the newest run that made a cloud."""
         return self.runs / "latest"
 
+    def turn(self, link: Path, run: str) -> None:
+        """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.
+
+        Nothing is ever written or removed through the link.  Raises OSError.
+        """
+        fresh = self.unfinished_run(link.name).folder
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(run)
+        fresh.replace(link)
+        sync_folder(self.runs)
+
+    def led_to(self, link: Path) -> str | None:
+        """The run that a link leads to; None where there is no link, or no whole run behind it."""
+        name = link.readlink().name if link.is_symlink() else None
+        return name if name and self.run(name).record.is_file() else None
+
     def run_ids(self) -> list[str]:
         """Every published run, oldest first."""
         found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
@@ -177,18 +202,23 @@ class WorkFolder:
         """Held while somebody writes."""
         return self.root / "lock"
 
-    def start_writing(self) -> None:
-        """Clear away what a killed run left half-written, and mark that there may be such again.  The caller holds the lock."""
-        if self._writing.exists():
+    def start_writing(self) -> bool:
+        """Clear away what a killed run left half-written, and mark that there may be such again.  The caller holds the lock.
+
+        Returns whether the last one that wrote here was killed.
+        """
+        killed = self._writing.exists()
+        if killed:
             for path in self.cache.rglob(f".*{_UNFINISHED}"):
                 path.unlink(missing_ok=True)
-            for folder in self.runs.glob(f".*{_UNFINISHED}"):
-                if folder.is_symlink():
-                    folder.unlink()
+            for path in self.runs.glob(f".*{_UNFINISHED}"):
+                if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
+                    shutil.rmtree(path)
                 else:
-                    shutil.rmtree(folder)
+                    path.unlink()
         self._writing.parent.mkdir(parents=True, exist_ok=True)
         self._writing.touch()
+        return killed
 
     def done_writing(self) -> None:
         """All that was begun is finished."""

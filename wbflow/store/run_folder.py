@@ -14,8 +14,11 @@ from ..errors import ExitCode, WbflowError
 from ..task import Subject, Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
-from .layout import RunPaths, WorkFolder, cloud_name, run_id
+from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
 from .record import CloudRecord, RunRecord
+
+_SET_BACK_S = 2.0
+"""A newest run that lies further in the future than this was made before the clock was set back."""
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -109,6 +112,10 @@ class RunFolder:
         """The file of one of the record's clouds."""
         return self.paths.folder / cloud.path
 
+    def has_cloud(self) -> bool:
+        """Is there a main cloud?"""
+        return self.paths.cloud.is_file()
+
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
         write_atomic(self.paths.log, self.paths.log.read_bytes() + _lines([event]))
@@ -142,15 +149,9 @@ class UnfinishedRun:
         write_atomic(self._paths.record, json.dumps(record.to_json(), indent=1).encode())
         write_atomic(self._paths.report, report.encode())
         final = self.work.run(self.name)
-        has_cloud = self._paths.cloud.is_file()
         self._paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
-        if has_cloud:
-            link = self.work.unfinished_run(self.work.latest.name).folder
-            link.unlink(missing_ok=True)
-            link.symlink_to(final.folder.name)
-            link.replace(self.work.latest)
-            sync_folder(self.work.runs)
+        turn_links(self.work)
         return RunFolder(final)
 
     @property
@@ -158,11 +159,34 @@ class UnfinishedRun:
         return self.work.unfinished_run(self.name)
 
 
+def turn_links(work: WorkFolder) -> None:
+    """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
+    killed in between.  Raises OSError."""
+    may_show = {work.latest: RunFolder.has_cloud}
+    runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
+    for link, suits in may_show.items():
+        shown = work.led_to(link)
+        for run in runs:
+            if run.id == shown:
+                break
+            if suits(run):
+                work.turn(link, run.id)
+                break
+
+
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
-    """An id for a run that starts now, and that moment.  No id is used twice: a second run in the same second waits."""
+    """An id for a run that starts now, and that moment.
+
+    No id is used twice: a second run in the same second waits.  Ids sort as the runs did, even where the clock has been set back:
+    then one takes the second after the newest run's.
+    """
+    newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
     while True:
         moment = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-        if not work.run(run_id(moment)).folder.exists():
+        ahead = (newest - moment).total_seconds() if newest else -1.0
+        if newest and ahead > _SET_BACK_S:
+            return run_id(newest + datetime.timedelta(seconds=1)), moment
+        if ahead < 0 and not work.run(run_id(moment)).folder.exists():
             return run_id(moment), moment
         time.sleep(0.05)
 

@@ -11,7 +11,7 @@ import pytest
 from tests.wbflow.store.test_record import some_record
 from wbflow.store.events import Event, TaskEvent, WarningEvent, event_from_json
 from wbflow.store.layout import WorkFolder, run_id
-from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run
+from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run, turn_links
 from wbflow.task import Task
 
 REJECTED = TaskEvent(
@@ -67,6 +67,38 @@ def test_a_run_without_a_cloud_leaves_latest_where_it_is(tmp_path: Path) -> None
     assert RunFolder.of(work).id == "20261121T031500Z"
 
 
+def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    newest = publish(work, "20261121T031500Z").paths
+    files = {path.name: path.read_bytes() for path in newest.folder.iterdir()}
+    work.start_writing()
+    work.turn(work.latest, "20261120T031500Z")  # as it was when the kill came
+    work.unfinished_run(work.latest.name).folder.symlink_to(newest.folder.name)
+    assert work.start_writing(), "somebody was killed"
+    turn_links(work)
+    assert {path.name: path.read_bytes() for path in newest.folder.iterdir()} == files
+    assert sorted(path.name for path in work.runs.iterdir()) == ["20261120T031500Z", "20261121T031500Z", "latest"]
+    assert RunFolder.of(work, "latest").id == "20261121T031500Z"
+
+
+def test_a_link_that_leads_nowhere_is_turned_to_the_newest_run(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    work.turn(work.latest, "20261121T031500Z")
+    turn_links(work)
+    assert RunFolder.of(work, "latest").id == "20261120T031500Z"
+
+
+def test_ids_go_on_where_the_clock_was_set_back(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20991231T235959Z")
+    (work.runs / "copy-of-mine").mkdir()
+    name, moment = new_run(work)
+    assert name == "21000101T000000Z"
+    assert moment.year < 2099
+
+
 def test_what_happens_later_can_be_added_to_the_log(tmp_path: Path) -> None:
     folder = publish(WorkFolder(tmp_path), "20261120T031500Z")
     later = WarningEvent("the disk is slow", "t")
@@ -110,7 +142,7 @@ def test_a_warning_in_words() -> None:
 def test_no_run_id_is_given_twice(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     first, moment = new_run(work)
-    work.run(first).folder.mkdir(parents=True)
+    publish(work, first)
     second, later = new_run(work)
     assert first == run_id(moment)
     assert second > first
