@@ -31,7 +31,7 @@ from .verdict import judged
 def publish(
     run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
 ) -> FinishedRun:
-    """Write what a night left into the folder of its run; where there is a cloud, `latest` leads there.
+    """Write what a night left into the folder of its run; `latest` leads there.
 
     Parameters
     ----------

@@ -2,7 +2,8 @@
 
 A night is good where there is nothing to look at; it has failed where there is no cloud; it is degraded where a camera that
 should give something gave nothing or is not as it should be, where a task failed, and where much less came of it than is usual
-(the last good nights with the same settings) or, without these, than its own plan expected.  A pair that finds nothing is a result.
+(the last good nights with the same settings) or, without these, than its own plan expected.  A pair that finds nothing is no
+failure.
 """
 
 from __future__ import annotations
