@@ -35,7 +35,23 @@ def carpark(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render the car park; arguments as of `square`, of 8 cameras."""
+    """Render the car park; arguments as of `square`, of 8 cameras.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     check_arguments(size, captures, cameras, len(MASTS))
     texel_m = float(np.clip(14.0 / size[0], 0.0145, 0.06))
     lanes = (((-23.0, -9.3), (23.0, -9.3)), ((-23.0, 7.3), (23.0, 7.3)))

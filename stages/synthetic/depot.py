@@ -33,7 +33,23 @@ def containers(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render the depot; arguments as of `square`, of 8 cameras."""
+    """Render the depot; arguments as of `square`, of 8 cameras.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     check_arguments(size, captures, cameras, len(MASTS))
     texel_m = float(np.clip(16.0 / size[0], 0.0166, 0.06))
     aisles = (((-24.0, -5.8), (24.0, -5.8)), ((-24.0, 5.8), (24.0, 5.8)), ((0.0, -18.0), (0.0, 16.0)))

@@ -42,7 +42,23 @@ def hall(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render the hall with something distinct on each side; arguments as of `square`, of 12 cameras 30 degrees apart."""
+    """Render the hall with something distinct on each side; arguments as of `square`, of 12 cameras 30 degrees apart.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     return _render(1, cameras, size, captures, seed, light, threads)
 
 
@@ -55,7 +71,23 @@ def hall_2(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render the hall that is the same after half a turn."""
+    """Render the hall that is the same after half a turn.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     return _render(2, cameras, size, captures, seed, light, threads)
 
 
@@ -68,7 +100,23 @@ def hall_4(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render the hall that is the same after a quarter turn."""
+    """Render the hall that is the same after a quarter turn.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     return _render(4, cameras, size, captures, seed, light, threads)
 
 

@@ -31,7 +31,23 @@ def houses(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render the street; arguments as of `square`, of 8 cameras."""
+    """Render the street; arguments as of `square`, of 8 cameras.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     check_arguments(size, captures, cameras, len(LOOKS))
     texel_m = float(np.clip(12.0 / size[0], 0.0125, 0.05))
     night = Night(

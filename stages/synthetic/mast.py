@@ -32,7 +32,23 @@ def mast(
     *,
     threads: int = 2,
 ) -> DemoSite:
-    """Render what the mast's cameras see; arguments as of `square`, of 6 cameras."""
+    """Render what the mast's cameras see; arguments as of `square`, of 6 cameras.
+
+    Parameters
+    ----------
+    cameras : int
+        So many of the scene's cameras, the first ones.
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : Daytime
+        The hour.
+    threads : int
+        Of rendering (the result does not depend on it).
+    """
     check_arguments(size, captures, cameras, len(CENTRES))
     texel_m = float(np.clip(400.0 / size[0], 0.42, 1.6))
     night = Night(

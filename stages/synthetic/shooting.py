@@ -96,7 +96,19 @@ class _Shoot:
 
 
 def check_arguments(size: tuple[int, int], captures: int, cameras: int, there_are: int) -> None:
-    """Raises ValueError for pictures that are too small, or none, and for cameras that are not there."""
+    """Raises ValueError for pictures that are too small, or none, and for cameras that are not there.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height, pixels.
+    captures : int
+        Of each camera.
+    cameras : int
+        Asked for.
+    there_are : int
+        Cameras of the scene.
+    """
     if not 1 <= cameras <= there_are:
         raise ValueError(f"this scene has 1 to {there_are} cameras, not {cameras}")
     if captures < 1 or min(size) < 16:
@@ -163,7 +175,21 @@ def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> F
 def render_pixels(
     prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
 ) -> Float32s:
-    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
+    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    pixels : ndarray
+        (n,) indices in the image, row by row.
+    batch : int
+        Pixels at once.
+    """
     out = np.empty((len(pixels), 3), np.float32)
     spread = 1.0 / (SAMPLES * camera.K[0, 0])
     sub_y, sub_x = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
@@ -192,7 +218,21 @@ def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float
 
 
 def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
-    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
+    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is added.
+    light : Light
+        For the shadows.
+    camera : Camera
+        Pose and size.
+    lens : Lens
+        Distortion.
+    tile : int
+        Side of a tile, pixels.
+    """
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
