@@ -9,7 +9,6 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +20,7 @@ from .reference import reference_cloud
 from .renderer import Light, PreparedScene, SkyGrid, build_atlas, render_rays, truth_mask
 from .scene import Scene, joined
 from .sensor import burn_clock, clock_mask, develop, sensor_of
-
-Daytime = Literal["day", "dusk", "night", "dark"]
-"""dark: night with the lamps off."""
+from .shots import Daytime, Shots
 
 FIRST_CAPTURE = {
     "day": datetime(2026, 11, 19, 14, 2, 11),
@@ -95,51 +92,15 @@ class _Shoot:
     seed: int
 
 
-def check_arguments(size: tuple[int, int], captures: int, cameras: int, there_are: int) -> None:
-    """Raises ValueError for pictures that are too small, or none, and for cameras that are not there.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, pixels.
-    captures : int
-        Of each camera.
-    cameras : int
-        Asked for.
-    there_are : int
-        Cameras of the scene.
-    """
-    if not 1 <= cameras <= there_are:
-        raise ValueError(f"this scene has 1 to {there_are} cameras, not {cameras}")
-    if captures < 1 or min(size) < 16:
-        raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {captures} of {size[0]} x {size[1]}")
-
-
-def photograph(night: Night, size: tuple[int, int], seed: int, light: Daytime, voxel_m: float, threads: int) -> DemoSite:
-    """Let every camera work, several at a time.
-
-    Parameters
-    ----------
-    night : Night
-        What stands before the cameras.
-    size : tuple of int
-        Width and height of the pictures, pixels.
-    seed : int
-        Of exposures and noise.
-    light : Daytime
-        What the sensors expect, and the hour of the captures.
-    voxel_m : float
-        Cell of the reference cloud, metres.
-    threads : int
-        Of rendering; the result does not depend on it.
-    """
+def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
+    """Let every camera work, several at a time; `voxel_m`: cell of the reference cloud."""
     scenes = [joined(night.still, each) for each in night.traffic]
     atlas = build_atlas(scenes[0].textures)
     empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
     busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
-    shoot = _Shoot(empty, busy, night.traffic, light, seed)
-    with ThreadPoolExecutor(threads) as pool:
-        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, size), night.viewpoints))
+    shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
+    with ThreadPoolExecutor(shots.threads) as pool:
+        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, shots.size), night.viewpoints))
     rows = [camera for camera, _ in done]
     pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [_upright(c) for c in rows]
     return DemoSite(tuple(rows), reference_cloud(pinholes, depths, [n for _, n in done], colors, voxel_m), voxel_m)
