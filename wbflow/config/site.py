@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,23 @@ class SiteCamera:
         return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
-_LIMITS = {"points": 0.7, "pairs": 0.7, "coverage": 0.7, "cameras": 1.0, "brightness": 0.35}
+class Measure(StrEnum):
+    """A figure of a night that is compared with what is usual."""
+
+    POINTS = "points"
+    PAIRS = "pairs"
+    COVERAGE = "coverage"
+    CAMERAS = "cameras"
+    BRIGHTNESS = "brightness"
+
+
+_LIMITS: Mapping[str, float] = {
+    Measure.POINTS: 0.7,
+    Measure.PAIRS: 0.7,
+    Measure.COVERAGE: 0.7,
+    Measure.CAMERAS: 1.0,
+    Measure.BRIGHTNESS: 0.35,
+}
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
-from ..config.site import Site
+from ..config.site import Measure, Site
 from ..graph.binding import bind
 from ..graph.pipeline import STAGES, Role, stage_with
 from ..store.layout import WorkFolder
@@ -72,9 +72,9 @@ def usual_of(records: Sequence[RunRecord]) -> Usual:
 
 def figures_of(record: RunRecord) -> dict[str, float]:
     """What is compared of a whole night, by name."""
-    found = {"points": float(record.cloud.points) if record.cloud else 0.0}
+    found: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
     if record.pairs:
-        found["pairs"] = float(sum(pair.ok for pair in record.pairs))
+        found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
     return found
 
 
