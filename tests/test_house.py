@@ -33,7 +33,8 @@ LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api
 """Who may import whom: each only what stands before it."""
 PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | quarantine | lock | \.writing | \.wbflow
-    | run\.json | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
+    | run\.json | metrics\.prom | notified\.json
+    | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
     | cloud.*\.ply | .*\.tmp | \.?jpg | \.drawn | \.published)$"""
 LAYOUT = ENGINE / "store" / "layout.py"
 OTHERS = {

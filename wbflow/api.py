@@ -28,6 +28,7 @@ from .night.night import open_night
 from .night.options import Options
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
+from .results.notify import NotTold, notify
 from .results.publish import publish
 from .store.events import Event, Listener
 from .store.layout import WorkFolder
@@ -240,6 +241,8 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
         _tell_ledger(finished, journal)
+        if not options.until and not worked.interrupted:
+            _tell_people(site, finished, journal)
         place.done_writing()
     return Run(finished)
 
@@ -258,6 +261,17 @@ def _tell_ledger(run: FinishedRun, journal: Journal) -> None:
         journal.warn(f"the ledger was not written: {error}", remedy="delete it: the next run makes it again")
     for event in journal.events[told:]:
         run.folder.add(event)
+
+
+def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, but is told of."""
+    if site.notify is None:
+        return
+    try:
+        notify(site.notify, run.work, run.folder.paths, run.record)
+    except (NotTold, OSError) as error:
+        journal.warn(str(error), remedy="the command is called again after the next run")
+        run.folder.add(journal.events[-1])
 
 
 def _quiet(event: Event) -> None:

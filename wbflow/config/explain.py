@@ -9,7 +9,16 @@ from pydantic import ValidationError
 
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .positions import Document, Place, SiteProblem
-from .schema import CameraSection, CapturesSection, ExpectSection, IntrinsicsSection, PairsSection, PoseSection, SiteSection
+from .schema import (
+    CameraSection,
+    CapturesSection,
+    ExpectSection,
+    IntrinsicsSection,
+    NotifySection,
+    PairsSection,
+    PoseSection,
+    SiteSection,
+)
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
@@ -27,6 +36,7 @@ _REMEDIES = {
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
     "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
+    "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
@@ -49,7 +59,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern", "notify"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -84,6 +94,7 @@ def _fields_at(place: Place) -> list[str]:
         "pairs": PairsSection,
         "control_points": ControlPoint,
         "expect": ExpectSection,
+        "notify": NotifySection,
     }
     for step in place:
         model = sections.get(str(step), model)

@@ -150,6 +150,22 @@ class ExpectSection(Section):
         return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
 
 
+class NotifySection(Section):
+    """Who is told of a night."""
+
+    command: str | list[str]
+    heartbeat: bool = False
+    seconds: float = Field(60.0, gt=0, le=3600)
+
+    @field_validator("command", mode="before")
+    @classmethod
+    def _command(cls, command: object) -> object:
+        words = [command] if isinstance(command, str) else command
+        if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+            raise PydanticCustomError("notify", "a command is a text for the shell, or a list of program and arguments")
+        return command
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -164,4 +180,5 @@ class SiteSection(Section):
     pairs: PairsSection = PairsSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
+    notify: NotifySection | None = None
     work: str | None = None

@@ -126,6 +126,20 @@ class Expected:
 
 
 @dataclass(frozen=True)
+class Notify:
+    """Who is told of a night: a command."""
+
+    command: str | tuple[str, ...]
+    """For the shell, or program and arguments."""
+    folder: Path
+    """Where it runs: that of the site file."""
+    heartbeat: bool = False
+    """Told of every night."""
+    seconds: float = 60.0
+    """How long it may take."""
+
+
+@dataclass(frozen=True)
 class StageSettings:
     """What the site file says of one stage: another function for it (`use`), parameters, or that it is off."""
 
@@ -152,6 +166,7 @@ class Site:
     reader: FunctionReader
     survey: StatedSurvey = field(default_factory=StatedSurvey)
     expected: Expected = Expected()
+    notify: Notify | None = None
     notes: tuple[SiteProblem, ...] = ()
     """What still works, but should be written otherwise."""
 

@@ -23,6 +23,7 @@ from ..store.record import RunRecord
 from ..store.run_folder import UnfinishedRun
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .metrics import metrics
 from .past import Past
 from .record import run_record
 from .verdict import judged
@@ -64,7 +65,7 @@ def publish(
     record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     page = _report(work, record, journal, cameras or {})
-    folder = unfinished.publish(record, journal.events, page)
+    folder = unfinished.publish(record, journal.events, page, metrics(record))
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
 
 

@@ -6,6 +6,7 @@ runs/latest                          link to the newest run, whatever came of it
 runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
+notified.json                        what somebody was told last
 lock                                 held by the one run that may write
 """
 
@@ -61,6 +62,11 @@ class RunPaths:
     def report(self) -> Path:
         """The run for people."""
         return self.folder / "report.html"
+
+    @property
+    def metrics(self) -> Path:
+        """The run for Prometheus."""
+        return self.folder / "metrics.prom"
 
     @property
     def cloud(self) -> Path:
@@ -202,6 +208,11 @@ class WorkFolder:
     def ledger_files(self) -> list[Path]:
         """The ledger and what SQLite keeps beside it."""
         return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
+
+    @property
+    def notified(self) -> Path:
+        """The state of the site that somebody was told of last."""
+        return self.root / "notified.json"
 
     @property
     def lock(self) -> Path:
