@@ -34,7 +34,7 @@ from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
-from .store.run_folder import RunFolder, new_run
+from .store.run_folder import RunFolder, new_run, turn_links
 from .task import Task
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     where : Site, str or Path
         The site, its file or folder, or the folder of the run itself.
     run_id : str, optional
-        Which of the site's runs; "latest" is the newest that made a cloud; the newest, if not given.
+        Which of the site's runs; "latest-good" is the newest with a cloud; the newest, if not given.
 
     Raises
     ------
@@ -231,7 +231,8 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
     with hold(place.lock, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        place.start_writing()
+        if place.start_writing():
+            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:

@@ -84,7 +84,7 @@ STAGES: tuple[Stage, ...] = (
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        reports=Reports(notes="notes"),
+        reports=Reports({name: name for name in ("brightness", "contrast", "saturated", "sharpness")}, notes="notes"),
     ),
     Stage(
         "features",

@@ -23,13 +23,15 @@ from ..store.record import RunRecord
 from ..store.run_folder import UnfinishedRun
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .past import Past
 from .record import run_record
+from .verdict import judged
 
 
 def publish(
     run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
 ) -> FinishedRun:
-    """Write what a night left into the folder of its run; where there is a cloud, `latest` leads there.
+    """Write what a night left into the folder of its run; `latest` leads there.
 
     Parameters
     ----------
@@ -59,7 +61,8 @@ def publish(
     unfinished = UnfinishedRun(work, run)
     unfinished.write_products(clouds, cameras)
     seconds = costs.seconds(own_process)
-    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb, worked.interrupted)
+    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
+    record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     page = _report(work, record, journal, cameras or {})
     folder = unfinished.publish(record, journal.events, page)
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})

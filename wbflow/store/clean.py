@@ -25,10 +25,10 @@ class Cleaning:
 def clean(work: WorkFolder, keep: int, dry_run: bool) -> Cleaning:
     """Remove artifacts that the last `keep` runs don't use, their quarantine, and the folders of older runs.
 
-    The run that `runs/latest` shows is always kept.  The caller holds the lock.
+    The runs that `runs/latest` and `runs/latest-good` show are always kept.  The caller holds the lock.
     """
     runs = work.run_ids()
-    kept = {*runs[len(runs) - keep :], work.latest.resolve().name}
+    kept = {*runs[len(runs) - keep :], work.latest.resolve().name, work.latest_good.resolve().name}
     with Ledger(work) as ledger:
         used = ledger.keys_of_runs(kept) | _logged_keys(work, kept)
     doomed: list[Path] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,11 @@ from ..errors import ExitCode, WbflowError
 from ..task import Subject, Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
-from .layout import RunPaths, WorkFolder, cloud_name, run_id
+from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
 from .record import CloudRecord, RunRecord
+
+_SET_BACK_S = 2.0
+"""A newest run that lies further in the future than this was made before the clock was set back."""
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -51,7 +54,7 @@ class RunFolder:
 
     @staticmethod
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
-        """A run by id; "latest" is the newest that made a cloud, None the newest.
+        """A run by id; "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
 
         Raises
         ------
@@ -61,10 +64,13 @@ class RunFolder:
         known = work.run_ids()
         if not known:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
-        if name == work.latest.name:
-            if not work.latest.exists():
+        if name == work.latest_good.name:
+            newest_first = (RunFolder(work.run(run)) for run in reversed(known))
+            shown = work.led_to(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
+            if shown is None:
                 raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
-            return RunFolder(RunPaths(work.latest.resolve()))
+            return RunFolder(work.run(shown))
+        name = None if name == work.latest.name else name
         if name is not None and name not in known:
             raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(known[-3:])}")
         return RunFolder(work.run(name or known[-1]))
@@ -109,6 +115,16 @@ class RunFolder:
         """The file of one of the record's clouds."""
         return self.paths.folder / cloud.path
 
+    def is_good(self) -> bool:
+        """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
+        if not self.paths.cloud.is_file():
+            return False
+        try:
+            verdict = self.record().verdict
+        except NoSuchRun:
+            return False
+        return verdict is None or verdict.level != "failed"
+
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
         write_atomic(self.paths.log, self.paths.log.read_bytes() + _lines([event]))
@@ -134,7 +150,7 @@ class UnfinishedRun:
             write_atomic(self._paths.cameras, json.dumps(cameras, indent=1).encode())
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str) -> RunFolder:
-        """Add what is told of the run and give the folder its name; where there is a cloud, `latest` leads there.
+        """Add what is told of the run and give the folder its name; the links lead there.
 
         Raises OSError.
         """
@@ -142,15 +158,9 @@ class UnfinishedRun:
         write_atomic(self._paths.record, json.dumps(record.to_json(), indent=1).encode())
         write_atomic(self._paths.report, report.encode())
         final = self.work.run(self.name)
-        has_cloud = self._paths.cloud.is_file()
         self._paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
-        if has_cloud:
-            link = self.work.unfinished_run(self.work.latest.name).folder
-            link.unlink(missing_ok=True)
-            link.symlink_to(final.folder.name)
-            link.replace(self.work.latest)
-            sync_folder(self.work.runs)
+        turn_links(self.work)
         return RunFolder(final)
 
     @property
@@ -158,11 +168,34 @@ class UnfinishedRun:
         return self.work.unfinished_run(self.name)
 
 
+def turn_links(work: WorkFolder) -> None:
+    """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
+    killed in between.  Raises OSError."""
+    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
+    runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
+    for link, suits in may_show.items():
+        shown = work.led_to(link)
+        for run in runs:
+            if run.id == shown:
+                break
+            if suits(run):
+                work.turn(link, run.id)
+                break
+
+
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
-    """An id for a run that starts now, and that moment.  No id is used twice: a second run in the same second waits."""
+    """An id for a run that starts now, and that moment.
+
+    No id is used twice: a second run in the same second waits.  Ids sort as the runs did, even where the clock has been set back:
+    then one takes the second after the newest run's.
+    """
+    newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
     while True:
         moment = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-        if not work.run(run_id(moment)).folder.exists():
+        ahead = (newest - moment).total_seconds() if newest else -1.0
+        if newest and ahead > _SET_BACK_S:
+            return run_id(newest + datetime.timedelta(seconds=1)), moment
+        if ahead < 0 and not work.run(run_id(moment)).folder.exists():
             return run_id(moment), moment
         time.sleep(0.05)
 
