@@ -237,6 +237,8 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+        for damage in filter(None, (night.digests.damage, site.reader.damage)):
+            journal.repaired(damage)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
         _tell_ledger(finished, journal)
@@ -248,7 +250,7 @@ def _tell_ledger(run: FinishedRun, journal: Journal) -> None:
     """Index the run.  The ledger is made again from what it indexes, so a fault there costs nothing, but is told of."""
     told = len(journal.events)
     try:
-        with Ledger(run.work) as ledger:
+        with Ledger(run.work, writes=True) as ledger:
             fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
             ledger.record_run(run.record, run.tasks.values())

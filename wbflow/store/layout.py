@@ -121,6 +121,10 @@ class WorkFolder:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
 
+    def place(self, path: Path) -> str:
+        """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
+        return "/".join(path.parts[-3:])
+
     def of_key(self, task: Task, key: str) -> list[Path]:
         """All files of a task under a key, the receipt first."""
         first = self.receipt(task, key)

@@ -201,6 +201,10 @@ class RunRecord:
     code: str | None = None
     verdict: Verdict | None = None
     """What the night came to; None of a run of an earlier version."""
+    repaired: tuple[str, ...] = ()
+    """Damage on disk that the run found and put right, in words."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the products in its folder, by name."""
     later: Figures = field(default_factory=dict)
     """Keys of a later version."""
 
@@ -228,6 +232,8 @@ class RunRecord:
             "reason": self.reason,
             "code": self.code,
             "verdict": self.verdict and self.verdict.to_json(),
+            "repaired": list(self.repaired),
+            "files": dict(self.files),
             **self.later,
         }
 
@@ -245,7 +251,7 @@ class RunRecord:
         peak, reason, code = rest.get("peak_rss_mb", 0), rest.get("reason"), rest.get("code")
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
-        known |= {"reason", "code", "verdict"}
+        known |= {"reason", "code", "verdict", "repaired", "files"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -260,6 +266,8 @@ class RunRecord:
             reason=reason,
             code=code,
             verdict=verdict,
+            repaired=tuple(rest.get("repaired") or ()),
+            files=dict(rest.get("files") or {}),
             later=later,
         )
 
