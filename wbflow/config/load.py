@@ -83,6 +83,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         work,
         reader,
         survey,
+        model.keep.kept(),
         tuple(notes),
     )
 

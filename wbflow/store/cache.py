@@ -148,15 +148,16 @@ class Cache:
         DamagedArtifact
             They are missing, or not what the receipt promised; the file is in quarantine and its receipt is gone.
         """
-        try:
-            data = path.read_bytes()
-        except OSError:
-            data = b""
-        if artifact.digest(data) != digest:
-            gone = not path.exists()
-            self.quarantine(path)
-            raise DamagedArtifact(task, path, gone)
-        return data
+        for _ in range(2):  # a second look, since somebody else may just have made it again
+            try:
+                data = path.read_bytes()
+            except OSError:
+                data = b""
+            if artifact.digest(data) == digest:
+                return data
+        gone = not path.exists()
+        self.quarantine(path)
+        raise DamagedArtifact(task, path, gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""

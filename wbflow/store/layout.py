@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import datetime
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,6 +61,10 @@ class RunPaths:
     def report(self) -> Path:
         """The run for people."""
         return self.folder / "report.html"
+
+    def clouds(self) -> list[Path]:
+        """Every cloud in the folder, by name."""
+        return sorted(self.folder.glob("*.ply"))
 
     @property
     def cloud(self) -> Path:
@@ -134,6 +139,12 @@ class WorkFolder:
         """The receipts of a task under whatever key, or of all tasks, by name."""
         return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
 
+    def cached(self) -> Iterator[Path]:
+        """Every file of every task, whatever its key."""
+        for path in self.cache.glob("*/*/*"):
+            if not path.name.startswith("."):
+                yield path
+
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""
         return self.quarantine / "--".join(path.relative_to(self.cache).parts)
@@ -170,6 +181,10 @@ class WorkFolder:
     def latest(self) -> Path:
         """A link to the newest run that made a cloud."""
         return self.runs / "latest"
+
+    def links(self) -> list[Path]:
+        """Whatever leads to a run, now."""
+        return [path for path in self.runs.glob("*") if path.is_symlink()]
 
     def turn(self, link: Path, run: str) -> None:
         """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.

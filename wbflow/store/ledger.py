@@ -55,18 +55,6 @@ class LedgerRun:
     exit_code: int
 
 
-@dataclass(frozen=True)
-class Cost:
-    """What a stage's newest tasks have cost."""
-
-    bytes: float
-    """On disk, on average."""
-    wall: float
-    """Seconds, on average."""
-    longest: float
-    """Seconds."""
-
-
 class Ledger:
     """The ledger of one work folder; a context manager.  Whoever opens it can meet sqlite3.Error and OSError.
 
@@ -75,8 +63,8 @@ class Ledger:
     work : WorkFolder
         Whose.
     writes : bool
-        The caller holds the lock: what is damaged or missing is made again on disk.  A reader looks at an index in memory instead,
-        made for it alone.
+        The caller holds the lock: what is damaged or missing is made again on disk.  A reader looks at an index in memory
+        instead, made for it alone.
     """
 
     def __init__(self, work: WorkFolder, writes: bool = False) -> None:
@@ -123,14 +111,13 @@ class Ledger:
 
     def keys_of_runs(self, runs: Iterable[str]) -> set[str]:
         """Keys of all artifacts that these runs used."""
-        wanted = set(runs)
-        return {key for run, key in self._rows("select run, artifact from uses where artifact is not null") if run in wanted}
+        query = "select artifact from uses where run = ? and artifact is not null"
+        return {key for run in runs for (key,) in self._rows(query, run)}
 
-    def costs(self) -> dict[str, Cost]:
-        """What the newest tasks of each stage have cost, by the stage's name."""
+    def usual_bytes(self) -> dict[str, float]:
+        """What an artifact of each stage takes on disk, on average of the newest."""
         ranked = "select *, row_number() over (partition by stage order by finished desc) as age from artifacts"
-        query = f"select stage, avg(bytes), avg(wall), max(wall) from ({ranked}) where age <= {_RECENT} group by stage"
-        return {stage: Cost(*figures) for stage, *figures in self._rows(query)}
+        return dict(self._rows(f"select stage, avg(bytes) from ({ranked}) where age <= {_RECENT} group by stage"))
 
     def forget(self, runs: Iterable[str], keys: Iterable[str]) -> None:
         """Leave out what runs used and artifacts that have been removed; what the runs came to stays."""
@@ -209,8 +196,8 @@ class Ledger:
 
         self._safely(write)
 
-    def _rows(self, query: str) -> list[Any]:
-        return self._safely(lambda: self._db.execute(query).fetchall())
+    def _rows(self, query: str, *values: str) -> list[Any]:
+        return self._safely(lambda: self._db.execute(query, values).fetchall())
 
     def _safely(self, do: Callable[[], _T]) -> _T:
         """Do something; where pages turn out damaged, do it again with a ledger that is made anew."""

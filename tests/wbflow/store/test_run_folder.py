@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import json
 from pathlib import Path
@@ -27,7 +28,7 @@ EVENTS: list[Event] = [
 def publish(work: WorkFolder, name: str, cloud: bool = True) -> RunFolder:
     unfinished = UnfinishedRun(work, name)
     unfinished.write_products({(): b"ply", ("component-2",): b"more"} if cloud else {}, {"gate": {"K": []}} if cloud else None)
-    return unfinished.publish(some_record(), EVENTS, "<html>")
+    return unfinished.publish(dataclasses.replace(some_record(), run=name), EVENTS, "<html>")
 
 
 def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
