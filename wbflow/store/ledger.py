@@ -17,6 +17,9 @@ from .run_folder import NoSuchRun, RunFolder
 
 _FORM = 2
 """Written when a ledger is complete; one of another form, or cut short, is made again."""
+_NOTHING = """
+drop table if exists runs; drop table if exists uses; drop table if exists artifacts; drop table if exists unreadable;
+"""
 _SCHEMA = """
 create table if not exists runs (
     run text primary key, date text, started text, finished text, wall real, cpu real,
@@ -159,8 +162,7 @@ class Ledger:
 
     def _fill(self) -> None:
         """Make all of it from what it indexes."""
-        tables = ("runs", "uses", "artifacts", "unreadable")
-        self._db.executescript("".join(f"drop table if exists {name};" for name in tables) + _SCHEMA)
+        self._db.executescript(_NOTHING + _SCHEMA)
         self.record_artifacts(Cache(self._work).receipts())
         self._add_runs(self._work.run_ids())
         self._db.execute(f"pragma user_version = {_FORM}")
