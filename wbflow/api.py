@@ -213,7 +213,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     where : Site, str or Path
         The site, its file or folder, or the folder of the run itself.
     run_id : str, optional
-        Which of the site's runs; "latest" is the newest that made a cloud; the newest, if not given.
+        Which of the site's runs; "latest-good" is the newest with a cloud; the newest, if not given.
 
     Raises
     ------

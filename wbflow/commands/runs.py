@@ -82,7 +82,7 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
     from ..results.export import export as write
     from ..store.run_folder import RunFolder
 
-    folder = RunFolder.of(place, run_id or (place.latest.name if place.latest.exists() else None))
+    folder = RunFolder.of(place, run_id or place.latest_good.name)
     for file in write(FinishedRun.open(place, folder), out, forms):
         say(file)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 from typing import Annotated, Any
 
@@ -165,6 +166,22 @@ class KeepSection(Section):
         return Keep(nights=self.nights, bytes=self.bytes, clouds=self.clouds, reports=self.reports)
 
 
+class ExpectSection(Section):
+    """What a good night gives: shares of what is usual, or, above 1, least counts."""
+
+    points: float | None = Field(None, ge=0)
+    pairs: float | None = Field(None, ge=0)
+    coverage: float | None = Field(None, ge=0)
+    cameras: float | None = Field(None, ge=0)
+    brightness: float | None = Field(None, ge=0, le=1)
+    since: datetime.date | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """The limits that are given, by name."""
+        return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -178,5 +195,6 @@ class SiteSection(Section):
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
+    expect: ExpectSection = ExpectSection.model_validate({})
     keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

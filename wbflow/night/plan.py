@@ -32,7 +32,7 @@ from ..graph.pipeline import (
 from ..store.cache import Cache
 from ..store.pictures import is_drawn
 from ..task import Subject, Task, component_name
-from .captures import CaptureFile, expected
+from .captures import CaptureFile
 from .obstacles import Impossible, Waiting, because
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
 from .state import Cause, State, cached_state
@@ -377,17 +377,3 @@ class Plan:
 
     def _camera(self, camera: str) -> SiteCamera:
         return next(c for c in self.site.cameras if c.id == camera)
-
-
-def make_plan(
-    site: Site,
-    captures: dict[str, list[CaptureFile]],
-    date: Any,
-    cache: Cache,
-    masks: dict[str, CaptureFile],
-    until: str | None = None,
-    force: tuple[str, ...] = (),
-) -> Plan:
-    """A plan for one night, not yet refreshed."""
-    expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
-    return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))

@@ -22,13 +22,15 @@ from ..store.run_folder import UnfinishedRun
 from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .past import Past
 from .record import run_record
+from .verdict import judged
 
 
 def publish(
     run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
 ) -> FinishedRun:
-    """Write what a night left into the folder of its run; where there is a cloud, `latest` leads there.
+    """Write what a night left into the folder of its run; `latest` leads there.
 
     Parameters
     ----------
@@ -58,7 +60,8 @@ def publish(
     unfinished = UnfinishedRun(work, run)
     unfinished.write_products(clouds, cameras)
     seconds = costs.seconds(own_process)
-    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb, worked.interrupted)
+    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
+    record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(work, record, journal, cameras or {})
     folder = unfinished.publish(record, journal.events, page)

@@ -2,7 +2,8 @@
 
 cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
-runs/latest                          link to the newest run that made a cloud
+runs/latest                          link to the newest run, whatever came of it
+runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
 lock                                 held by the one run that may write
@@ -179,8 +180,13 @@ class WorkFolder:
 
     @property
     def latest(self) -> Path:
-        """A link to the newest run that made a cloud."""
+        """A link to the newest run, whatever came of it."""
         return self.runs / "latest"
+
+    @property
+    def latest_good(self) -> Path:
+        """A link to the newest run with a cloud whose verdict is good or degraded."""
+        return self.runs / "latest-good"
 
     def links(self) -> list[Path]:
         """Whatever leads to a run, now."""

@@ -6,7 +6,7 @@ import datetime
 import hashlib
 import json
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,7 @@ class RunFolder:
 
     @staticmethod
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
-        """A run by id; "latest" is the newest that made a cloud, None the newest.
+        """A run by id; "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
 
         Raises
         ------
@@ -70,10 +70,13 @@ class RunFolder:
         known = work.run_ids()
         if not known:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
-        if name == work.latest.name:
-            if not work.latest.exists():
+        if name == work.latest_good.name:
+            newest_first = (RunFolder(work.run(run)) for run in reversed(known))
+            shown = work.led_to(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
+            if shown is None:
                 raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
-            return RunFolder(RunPaths(work.latest.resolve()))
+            return RunFolder(work.run(shown))
+        name = None if name == work.latest.name else name
         if name is not None and name not in known:
             raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(known[-3:])}")
         return RunFolder(work.run(name or known[-1]))
@@ -128,9 +131,15 @@ class RunFolder:
         """The file of one of the record's clouds."""
         return self.paths.folder / cloud.path
 
-    def has_cloud(self) -> bool:
-        """Is there a main cloud?"""
-        return self.paths.cloud.is_file()
+    def is_good(self) -> bool:
+        """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
+        if not self.paths.cloud.is_file():
+            return False
+        try:
+            verdict = self.record().verdict
+        except NoSuchRun:
+            return False
+        return verdict is None or verdict.level != "failed"
 
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
@@ -165,7 +174,7 @@ class UnfinishedRun:
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str) -> RunFolder:
-        """Add what is told of the run and give the folder its name; where there is a cloud, `latest` leads there.
+        """Add what is told of the run and give the folder its name; the links lead there.
 
         Raises OSError.
         """
@@ -186,7 +195,7 @@ class UnfinishedRun:
 def turn_links(work: WorkFolder) -> None:
     """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
     killed in between.  Raises OSError."""
-    may_show = {work.latest: RunFolder.has_cloud}
+    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
     for link, suits in may_show.items():
         shown = work.led_to(link)
