@@ -84,6 +84,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         reader,
         survey,
         Expected(model.expect.stated, str(model.expect.since or "")),
+        model.keep.kept(),
         tuple(notes),
     )
 

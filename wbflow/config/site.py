@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..graph.functions import FunctionReader
+from ..store.keep import Keep
 from .positions import Document, Place, SiteProblem
 
 Matrix = list[list[float]]
@@ -135,6 +136,8 @@ class Site:
     reader: FunctionReader
     survey: StatedSurvey = field(default_factory=StatedSurvey)
     expected: Expected = Expected()
+    keep: Keep = field(default_factory=Keep)
+    """What stays on disk after a run."""
     notes: tuple[SiteProblem, ...] = ()
     """What still works, but should be written otherwise."""
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from ..config.site import Site
 from ..store.cache import Cache
+from ..store.digests import Digests
 from ..store.layout import WorkFolder
-from .captures import CaptureFile, Digests, expected, find_captures, night
+from .captures import CaptureFile, expected, find_captures, night
 from .plan import Plan
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import datetime
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +62,10 @@ class RunPaths:
     def report(self) -> Path:
         """The run for people."""
         return self.folder / "report.html"
+
+    def clouds(self) -> list[Path]:
+        """Every cloud in the folder, by name."""
+        return sorted(self.folder.glob("*.ply"))
 
     @property
     def cloud(self) -> Path:
@@ -122,6 +127,10 @@ class WorkFolder:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
 
+    def place(self, path: Path) -> str:
+        """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
+        return "/".join(path.parts[-3:])
+
     def of_key(self, task: Task, key: str) -> list[Path]:
         """All files of a task under a key, the receipt first."""
         first = self.receipt(task, key)
@@ -130,6 +139,12 @@ class WorkFolder:
     def receipts(self, task: Task | None = None) -> list[Path]:
         """The receipts of a task under whatever key, or of all tasks, by name."""
         return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
+
+    def cached(self) -> Iterator[Path]:
+        """Every file of every task, whatever its key."""
+        for path in self.cache.glob("*/*/*"):
+            if not path.name.startswith("."):
+                yield path
 
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""
@@ -172,6 +187,10 @@ class WorkFolder:
     def latest_good(self) -> Path:
         """A link to the newest run with a cloud whose verdict is good or degraded."""
         return self.runs / "latest-good"
+
+    def links(self) -> list[Path]:
+        """Whatever leads to a run, now."""
+        return [path for path in self.runs.glob("*") if path.is_symlink()]
 
     def turn(self, link: Path, run: str) -> None:
         """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.

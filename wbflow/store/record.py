@@ -209,6 +209,10 @@ class RunRecord:
     """What it was compared with; None where there was nothing."""
     settings: str = ""
     """Digest of all that the site file and the version decide: only nights with the same are compared."""
+    repaired: tuple[str, ...] = ()
+    """Damage on disk that the run found and put right, in words."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the products in its folder, by name."""
     later: Figures = field(default_factory=dict)
     """Keys of a later version."""
 
@@ -238,6 +242,8 @@ class RunRecord:
             "verdict": self.verdict and self.verdict.to_json(),
             "usual": self.usual and self.usual.to_json(),
             "settings": self.settings,
+            "repaired": list(self.repaired),
+            "files": dict(self.files),
             **self.later,
         }
 
@@ -256,7 +262,7 @@ class RunRecord:
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
         usual = Usual.from_json(rest["usual"]) if rest.get("usual") else None
-        known |= {"reason", "code", "verdict", "usual", "settings"}
+        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -273,6 +279,8 @@ class RunRecord:
             verdict=verdict,
             usual=usual,
             settings=str(rest.get("settings") or ""),
+            repaired=tuple(rest.get("repaired") or ()),
+            files=dict(rest.get("files") or {}),
             later=later,
         )
 
