@@ -26,6 +26,7 @@ from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
 from .night.night import open_night
 from .night.options import Options
+from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
 from .results.publish import publish
@@ -236,9 +237,12 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+        prepare(night, journal)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
         _tell_ledger(finished, journal)
+        if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
+            pin(place, finished.folder, automatic=True)
         place.done_writing()
     return Run(finished)
 

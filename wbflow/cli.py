@@ -8,7 +8,7 @@ import traceback
 import click
 
 from . import __version__
-from .commands import night, runs, start
+from .commands import night, reference, runs, start
 from .errors import ExitCode, WbflowError
 from .screen import stop
 
@@ -52,6 +52,7 @@ for _command in (
     runs.compare,
     runs.export,
     runs.clean,
+    reference.pin,
     start.demo,
     start.init,
     start.pair,

@@ -19,7 +19,8 @@ CONTRACTS = {
     "config/explain.py": {"pairs"},
     "results/pair.py": {"pairs"},
     "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
-    "store/record.py": {"pairs", "poses"},  # keys of run.json
+    "store/record.py": {"pairs", "poses", "health"},  # keys of run.json
+    "store/reference.py": {"pairs"},  # keys of reference.json
 }
 """Words of the site file, the command line and the files that a run leaves, which happen to be names of stages too."""
 

@@ -84,6 +84,8 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         reader,
         survey,
         tuple(notes),
+        model.pin,
+        model.health.model_dump(),
     )
 
 

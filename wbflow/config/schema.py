@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -133,6 +133,15 @@ class PairsSection(Section):
     exclude: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
 
 
+class HealthSection(Section):
+    """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
+
+    nudged_px: float = Field(1.5, gt=0)
+    moved_px: float = Field(8.0, gt=0)
+    flat: float = Field(0.9, gt=0, le=1)
+    dark: float = Field(6.0, ge=0, le=255)
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -145,5 +154,7 @@ class SiteSection(Section):
     resolution: int | None = Field(1600, ge=64)
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
+    pin: Literal["auto", "none"] = "auto"
+    health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     work: str | None = None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ..config.site import Site
 from ..store.cache import Cache
 from ..store.layout import WorkFolder
+from ..store.reference import BadReference, Reference, read_reference
 from .captures import CaptureFile, Digests, find_captures, night
 from .plan import Plan, make_plan
 
@@ -44,5 +45,13 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     date = night(site, date)
     captures = find_captures(site, date, digests)
     masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
-    plan = make_plan(site, captures, date, Cache(work), masks, until, force)
+    plan = make_plan(site, captures, date, Cache(work), masks, until, force, *_reference(site, work))
     return Night(site, date, captures, digests, plan)
+
+
+def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
+    """The reference, and why there is none where there should be."""
+    try:
+        return (read_reference(work) if site.pin != "none" else None), ""
+    except BadReference as error:
+        return None, error.what

@@ -9,6 +9,7 @@ from .cache import Cache
 from .events import TaskEvent
 from .layout import WorkFolder
 from .ledger import Ledger
+from .reference import BadReference, read_reference
 from .run_folder import NoSuchRun, RunFolder
 
 
@@ -23,14 +24,14 @@ class Cleaning:
 
 
 def clean(work: WorkFolder, keep: int, dry_run: bool) -> Cleaning:
-    """Remove artifacts that the last `keep` runs don't use, their quarantine, and the folders of older runs.
+    """Remove artifacts that neither the last `keep` runs nor the reference use, their quarantine, and the folders of older runs.
 
     The run that `runs/latest` shows is always kept.  The caller holds the lock.
     """
     runs = work.run_ids()
     kept = {*runs[len(runs) - keep :], work.latest.resolve().name}
     with Ledger(work) as ledger:
-        used = ledger.keys_of_runs(kept) | _logged_keys(work, kept)
+        used = ledger.keys_of_runs(kept) | _logged_keys(work, kept) | _pinned_keys(work)
     doomed: list[Path] = []
     for receipt in Cache(work).receipts():
         if receipt.key not in used:
@@ -47,6 +48,15 @@ def clean(work: WorkFolder, keep: int, dry_run: bool) -> Cleaning:
         for run in old:
             work.run(run).folder.rmdir()
     return Cleaning(len(doomed), size, old)
+
+
+def _pinned_keys(work: WorkFolder) -> set[str]:
+    """Keys of what the reference links to: it would take the same room on the disk without them."""
+    try:
+        reference = read_reference(work)
+    except BadReference:
+        return set()
+    return {pinned.key for pinned in reference.artifacts.values()} if reference else set()
 
 
 def _logged_keys(work: WorkFolder, runs: set[str]) -> set[str]:

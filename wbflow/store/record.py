@@ -201,6 +201,8 @@ class RunRecord:
     code: str | None = None
     verdict: Verdict | None = None
     """What the night came to; None of a run of an earlier version."""
+    reference: str | None = None
+    """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
     """Keys of a later version."""
 
@@ -228,6 +230,7 @@ class RunRecord:
             "reason": self.reason,
             "code": self.code,
             "verdict": self.verdict and self.verdict.to_json(),
+            "reference": self.reference,
             **self.later,
         }
 
@@ -245,7 +248,7 @@ class RunRecord:
         peak, reason, code = rest.get("peak_rss_mb", 0), rest.get("reason"), rest.get("code")
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
-        known |= {"reason", "code", "verdict"}
+        known |= {"reason", "code", "verdict", "reference"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -260,6 +263,7 @@ class RunRecord:
             reason=reason,
             code=code,
             verdict=verdict,
+            reference=rest.get("reference"),
             later=later,
         )
 
