@@ -14,6 +14,7 @@ from .schema import (
     CapturesSection,
     ExpectSection,
     IntrinsicsSection,
+    KeepSection,
     NotifySection,
     PairsSection,
     PoseSection,
@@ -35,6 +36,7 @@ _REMEDIES = {
     "degree": "give a whole number, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
+    "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
     "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
     "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
     "include": "give two camera ids: include: [[gate, roof]]",
@@ -59,7 +61,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern", "notify"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -93,6 +95,7 @@ def _fields_at(place: Place) -> list[str]:
         "pose": PoseSection,
         "pairs": PairsSection,
         "control_points": ControlPoint,
+        "keep": KeepSection,
         "expect": ExpectSection,
         "notify": NotifySection,
     }

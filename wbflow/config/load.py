@@ -85,7 +85,10 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         survey,
         Expected(model.expect.stated, str(model.expect.since or "")),
         _notify(model, path),
+        model.keep.kept(),
         tuple(notes),
+        model.pin,
+        model.health.model_dump(),
     )
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import datetime
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..store.keep import Keep
 from .geodesy import ControlPoint, Distance, Position
 from .rotations import look_at, yaw_pitch_roll
+from .sizes import bytes_of
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
@@ -134,6 +136,36 @@ class PairsSection(Section):
     exclude: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
 
 
+class KeepSection(Section):
+    """What stays on disk after a run."""
+
+    nights: int | None = None
+    bytes: int | None = None
+    clouds: int | None = None
+    reports: int | None = None
+
+    @field_validator("nights", "clouds", "reports", mode="before")
+    @classmethod
+    def _count(cls, value: Any) -> int | None:
+        if value is None or value == "all":
+            return None
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise PydanticCustomError("keep", f"give a count of nights, or all, not {value!r}")
+        return value
+
+    @field_validator("bytes", mode="before")
+    @classmethod
+    def _size(cls, value: Any) -> int | None:
+        try:
+            return None if value is None or value == "all" else bytes_of(str(value))
+        except ValueError as error:
+            raise PydanticCustomError("keep", str(error)) from None
+
+    def kept(self) -> Keep:
+        """The same for who cleans."""
+        return Keep(nights=self.nights, bytes=self.bytes, clouds=self.clouds, reports=self.reports)
+
+
 class ExpectSection(Section):
     """What a good night gives: shares of what is usual, or, above 1, least counts."""
 
@@ -166,6 +198,15 @@ class NotifySection(Section):
         return command
 
 
+class HealthSection(Section):
+    """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
+
+    nudged_px: float = Field(1.5, gt=0)
+    moved_px: float = Field(8.0, gt=0)
+    flat: float = Field(0.9, gt=0, le=1)
+    dark: float = Field(6.0, ge=0, le=255)
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -178,7 +219,10 @@ class SiteSection(Section):
     resolution: int | None = Field(1600, ge=64)
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
+    pin: Literal["auto", "none"] = "auto"
+    health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
     notify: NotifySection | None = None
+    keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

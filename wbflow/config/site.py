@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..graph.functions import FunctionReader
+from ..store.keep import Keep
 from .positions import Document, Place, SiteProblem
 
 Matrix = list[list[float]]
@@ -167,8 +168,14 @@ class Site:
     survey: StatedSurvey = field(default_factory=StatedSurvey)
     expected: Expected = Expected()
     notify: Notify | None = None
+    keep: Keep = field(default_factory=Keep)
+    """What stays on disk after a run."""
     notes: tuple[SiteProblem, ...] = ()
     """What still works, but should be written otherwise."""
+    pin: str = "auto"
+    """"auto": the first good run is what later ones are compared with; "none": nothing is."""
+    health: dict[str, Any] = field(default_factory=dict)
+    """Limits of what a camera may differ by, by name."""
 
     @property
     def file(self) -> Path:

@@ -1,8 +1,8 @@
 """Telling somebody: the command that the site file names, when the state of the site has changed.
 
 A night that is degraded or has failed is told once for each state (its level, and what its findings are about), a good night
-after such a one once; with `heartbeat`, every other night too.  A command that fails or hangs costs the night nothing, and what it
-was not told it is told the next night.
+after such a one once; with `heartbeat`, every other night too.  A command that fails or hangs costs the night nothing, and what
+it was not told it is told the next night.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
 runs/latest                          link to the newest run, whatever came of it
 runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
+reference/                           what nights are compared with: reference.json, and links to its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
 notified.json                        what somebody was told last
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import datetime
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +64,10 @@ class RunPaths:
     def report(self) -> Path:
         """The run for people."""
         return self.folder / "report.html"
+
+    def clouds(self) -> list[Path]:
+        """Every cloud in the folder, by name."""
+        return sorted(self.folder.glob("*.ply"))
 
     @property
     def metrics(self) -> Path:
@@ -128,6 +134,10 @@ class WorkFolder:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
 
+    def place(self, path: Path) -> str:
+        """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
+        return "/".join(path.parts[-3:])
+
     def of_key(self, task: Task, key: str) -> list[Path]:
         """All files of a task under a key, the receipt first."""
         first = self.receipt(task, key)
@@ -136,6 +146,12 @@ class WorkFolder:
     def receipts(self, task: Task | None = None) -> list[Path]:
         """The receipts of a task under whatever key, or of all tasks, by name."""
         return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
+
+    def cached(self) -> Iterator[Path]:
+        """Every file of every task, whatever its key."""
+        for path in self.cache.glob("*/*/*"):
+            if not path.name.startswith("."):
+                yield path
 
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""
@@ -179,6 +195,10 @@ class WorkFolder:
         """A link to the newest run with a cloud whose verdict is good or degraded."""
         return self.runs / "latest-good"
 
+    def links(self) -> list[Path]:
+        """Whatever leads to a run, now."""
+        return [path for path in self.runs.glob("*") if path.is_symlink()]
+
     def turn(self, link: Path, run: str) -> None:
         """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.
 
@@ -199,6 +219,20 @@ class WorkFolder:
         """Every published run, oldest first."""
         found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
         return sorted(p.name for p in found if not p.name.startswith("."))
+
+    @property
+    def reference(self) -> Path:
+        """The folder of the pinned reference."""
+        return self.root / "reference"
+
+    @property
+    def reference_record(self) -> Path:
+        """What is pinned; without it nothing is (see `store.reference`)."""
+        return self.reference / "reference.json"
+
+    def pinned(self, path: Path) -> Path:
+        """Where the reference keeps a file of the cache."""
+        return self.reference / path.relative_to(self.cache)
 
     @property
     def ledger(self) -> Path:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,12 @@ from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
 from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
 from .record import CloudRecord, RunRecord
+from .share import write_product
+from .signed import Unsigned, signed, unsigned
 
+_OF = "run"
+_LOOK_BACK = 7
+"""In so many runs before, the newest cloud is looked for (there are nights that make none)."""
 _SET_BACK_S = 2.0
 """A newest run that lies further in the future than this was made before the clock was set back."""
 
@@ -86,7 +92,7 @@ class RunFolder:
     def record(self) -> RunRecord:
         """run.json.  Raises NoSuchRun for one that cannot be read."""
         try:
-            return RunRecord.from_json(json.loads(self.paths.record.read_bytes()))
+            return RunRecord.from_json(_told(self.paths.record.read_bytes()))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -104,12 +110,22 @@ class RunFolder:
         return {event.task: event for event in self.events() if isinstance(event, TaskEvent)}
 
     def cameras(self) -> dict[str, Any]:
-        """Cameras by id in the form of a calibration (K, R, C, width, height, ...); empty where none were solved."""
+        """Cameras by id in the form of a calibration (K, R, C, width, height, ...); empty where none were solved.
+
+        Raises NoSuchRun for a file that cannot be read.
+        """
         try:
             found: dict[str, Any] = json.loads(self.paths.cameras.read_bytes())
         except FileNotFoundError:
             return {}
+        except (OSError, ValueError) as error:
+            raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
         return found
+
+    def damaged(self) -> list[Path]:
+        """Products of the run that are not as they were published, or are gone.  Raises NoSuchRun."""
+        files = {self.paths.folder / name: digest for name, digest in self.record().files.items()}
+        return [path for path, digest in files.items() if _sha256(path) != digest]
 
     def cloud(self, cloud: CloudRecord) -> Path:
         """The file of one of the record's clouds."""
@@ -141,13 +157,21 @@ class UnfinishedRun:
 
     work: WorkFolder
     name: str
+    files: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of the products that have been written, by name."""
 
     def write_products(self, clouds: Mapping[Subject, bytes], cameras: Mapping[str, Any] | None) -> None:
         """Clouds (PLY) by component, () being the main one, and cameras in the form of a calibration.  Raises OSError."""
         for component, data in clouds.items():
-            write_atomic(self._paths.folder / cloud_name(component), data)
+            self.write(cloud_name(component), data)
         if cameras is not None:
-            write_atomic(self._paths.cameras, json.dumps(cameras, indent=1).encode())
+            self.write(self._paths.cameras.name, json.dumps(cameras, indent=1).encode())
+
+    def write(self, name: str, data: bytes) -> None:
+        """A product that is not changed after the run; what the run before has just the same takes no room.  Raises OSError."""
+        earlier = (self.work.run(run).folder / name for run in reversed(self.work.run_ids()[-_LOOK_BACK:]))
+        write_product(self._paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
+        self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
         """Add what is told of the run and give the folder its name; the links lead there.
@@ -169,7 +193,7 @@ class UnfinishedRun:
             The disk is full, or there is no right to write.
         """
         write_atomic(self._paths.log, _lines(events))
-        write_atomic(self._paths.record, json.dumps(record.to_json(), indent=1).encode())
+        write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
         write_atomic(self._paths.report, report.encode())
         write_atomic(self._paths.metrics, metrics.encode())
         final = self.work.run(self.name)
@@ -213,6 +237,25 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
         if ahead < 0 and not work.run(run_id(moment)).folder.exists():
             return run_id(moment), moment
         time.sleep(0.05)
+
+
+def _told(data: bytes) -> dict[str, Any]:
+    """What run.json says; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
+    try:
+        return unsigned(data, _OF)
+    except Unsigned:
+        told: dict[str, Any] = json.loads(data)
+        if told.get("of") == _OF:
+            raise
+        return told
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
 
 
 def _lines(events: Iterable[Event]) -> bytes:

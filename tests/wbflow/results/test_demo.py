@@ -16,8 +16,9 @@ import pytest
 from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
 from wbflow.config.load import load_site
-from wbflow.night.captures import Digests, find_captures, night
+from wbflow.night.captures import find_captures, night
 from wbflow.results.demo import NotADemo, write_demo
+from wbflow.store.digests import Digests
 from wbflow.store.ply import read_ply
 from wbflow_stages.synthetic.shooting import DemoSite
 from wbflow_stages.synthetic.shots import Shots

@@ -30,7 +30,8 @@ EVENTS: list[Event] = [
 def publish(work: WorkFolder, name: str, cloud: bool = True, level: Level | None = "degraded") -> RunFolder:
     unfinished = UnfinishedRun(work, name)
     unfinished.write_products({(): b"ply", ("component-2",): b"more"} if cloud else {}, {"gate": {"K": []}} if cloud else None)
-    return unfinished.publish(replace(some_record(), verdict=Verdict(level) if level else None), EVENTS, "<html>")
+    record = replace(some_record(), run=name, verdict=Verdict(level) if level else None)
+    return unfinished.publish(record, EVENTS, "<html>")
 
 
 def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
