@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING
 import click
 
 from ..screen import findings, listener, say, summary
-from .common import date_option, day_of, force_option, jobs_option, load, site_argument, until_option, verbose_option, work_option
+from .common import (
+    date_option,
+    day_of,
+    force_option,
+    jobs_option,
+    json_option,
+    load,
+    site_argument,
+    until_option,
+    verbose_option,
+    work_option,
+)
 
 if TYPE_CHECKING:
     import datetime
@@ -79,9 +90,10 @@ def run(
 @date_option
 @work_option
 @until_option
-def status(site: Path, date: datetime.datetime | None, work: Path | None, until: str | None) -> None:
+@json_option
+def status(site: Path, date: datetime.datetime | None, work: Path | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why."""
-    _explain(load(site, work), date, until, ())
+    _explain(load(site, work), date, until, (), as_json)
 
 
 @click.command()
@@ -102,15 +114,28 @@ def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None
     sys.exit(exit_code(findings))
 
 
-def _explain(site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...]) -> None:
+def _explain(
+    site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...], as_json: bool = False
+) -> None:
+    from dataclasses import asdict
+
     from ..night.night import open_night
     from ..night.options import Options
-    from ..results.status import explain, pairs_to_come
+    from ..results.status import explain, pairs_to_come, seconds_to_come, totals
 
     Options(until=until, force=force).check()
     plan = open_night(site, day_of(date), until, force).plan
     plan.refresh()
-    for line in explain(plan):
+    lines = explain(plan)
+    seconds, counts = seconds_to_come(lines), totals(lines)
+    if as_json:
+        tasks = [asdict(line) for line in lines]
+        known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
+        say(json.dumps({"site": site.name, "night": plan.night, **known}, indent=1))
+        return
+    for line in lines:
         say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):
         say("(tasks of pairs are listed once the pair graph is known)")
+    about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
+    say(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in counts.items())}{about}")

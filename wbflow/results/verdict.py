@@ -190,7 +190,8 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
 
 
 def _fewer(name: str, value: float, base: float, text: str) -> Finding:
-    remedy = "wbflow compare  shows what differs; if this is usual from now on, say so: expect: {since: DATE} in the site file"
+    compare = "wbflow compare SITE.yaml  shows what differs"
+    remedy = f"{compare}; if this is usual from now on, say so in the site file: expect: {{since: DATE}}"
     return Finding(f"fewer-{name}", (), text, {name: round(value)}, {name: round(base)}, remedy)
 
 
