@@ -49,7 +49,8 @@ class _Lane:
 
     cache: Cache
     receipts: dict[Task, Receipt] = field(default_factory=dict)
-    results: dict[Task, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
+    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
 
 
 def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
@@ -122,7 +123,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
     lane.cache.write(receipt, data)
-    lane.results[spec.task] = result
+    lane.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
 
@@ -213,12 +214,12 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     if isinstance(value, Files):
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
-    result = lane.results.get(value.task)
+    result = lane.results.get(value.file_digest)
     if result is None:
         assert value.path is not None
         result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
-            lane.results[value.task] = result
+            lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 
