@@ -109,10 +109,10 @@ def hold_poses(
 
 def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses:
     """The held cameras, and those of the lost ones that could be solved in their world."""
-    theirs = {name: check for name, check in held.verdicts.items() if not set(name.split("--")) & set(lost)}
+    theirs = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(lost)}
     others = {name: reason for name, reason in held.unsolved.items() if name not in lost}
     if isinstance(found, Rejected):
-        return replace(held, verdicts=theirs, unsolved=others | dict.fromkeys(lost, f"moved, and not solved: {found.reason}"))
+        return replace(held, pair_checks=theirs, unsolved=others | dict.fromkeys(lost, f"moved, and not solved: {found.reason}"))
     solved = {name: found.cameras[name] for name in lost if name in found.cameras and found.cameras[name].component == 0}
     unsolved = {n: f"moved, and not solved: {found.unsolved.get(n, 'its pairs do not join it to the others')}" for n in lost}
     components = tuple(tuple(n for n in group if n not in lost) for group in held.components) or ((),)
@@ -120,7 +120,7 @@ def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses
         held,
         cameras={**held.cameras, **solved},
         unsolved=others | {name: why for name, why in unsolved.items() if name not in solved},
-        verdicts={**theirs, **{name: check for name, check in found.verdicts.items() if set(name.split("--")) & set(lost)}},
+        pair_checks={**theirs, **{name: check for name, check in found.pair_checks.items() if set(name.split("--")) & set(lost)}},
         components=((*components[0], *solved), *components[1:]),
         sources={**held.sources, **dict.fromkeys(solved, "solved")},
         source="mixed",

@@ -57,7 +57,7 @@ class ToySite:
 
     @property
     def cloud(self) -> bytes:
-        return (self.work / "runs" / "latest" / "cloud.ply").read_bytes()
+        return (self.work / "runs" / "latest-good" / "cloud.ply").read_bytes()
 
     def capture(self, camera: str, date: str = "2026-11-01") -> Path:
         return self.folder / "captures" / (f"{camera}-{date}.txt" if self.dated else f"{camera}.txt")

@@ -16,11 +16,11 @@ from ..config.site import Site
 from ..graph.binding import Binding, bind
 from ..graph.pipeline import STAGES, Rework, Role, Stage, ancestors, stage_named
 from ..store.cache import Cache, Receipt
-from ..store.pictures import read_drawing
+from ..store.pictures import is_drawn
 from ..store.record import Health
 from ..store.reference import Reference
 from ..task import Task, component_name
-from .captures import CaptureFile, expected
+from .captures import CaptureFile
 from .fit import misfit
 from .inputs import Inputs
 from .obstacles import Impossible, Waiting
@@ -150,13 +150,9 @@ class Plan:
             self.ready[task] = spec
             return
         self.states[task] = cached_state(receipt)
-        if spec.picture and receipt.file and not self._is_drawn(task, receipt, spec.picture):
+        picture = spec.picture if receipt.file else None
+        if picture and not is_drawn(self.cache, task, receipt.key, picture.digest(receipt.key)):
             self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
-
-    def _is_drawn(self, task: Task, receipt: Receipt, picture: PictureSpec) -> bool:
-        """Has the picture of a cached result been drawn (or tried) by the function that is here now?"""
-        drawing = read_drawing(self.cache.work, task, receipt.key)
-        return drawing is not None and drawing.digest == picture.digest(receipt.key)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, rework: Rework | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved.  rework: what takes the function's place."""
@@ -214,21 +210,3 @@ class Plan:
         known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
-
-
-def make_plan(
-    site: Site,
-    captures: dict[str, list[CaptureFile]],
-    date: Any,
-    cache: Cache,
-    masks: dict[str, CaptureFile],
-    until: str | None = None,
-    force: tuple[str, ...] = (),
-    reference: Reference | None = None,
-    misfit: str = "",
-) -> Plan:
-    """A plan for one night, not yet refreshed."""
-    expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
-    return Plan(
-        site, captures, str(date), cache, masks, expectations, until, frozenset(force), reference=reference, misfit=misfit
-    )

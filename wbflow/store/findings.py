@@ -107,3 +107,44 @@ class Health:
             raise ValueError(f"{data['state']!r} is no state of a camera")
         numbers = dict(data.get("figures") or {}), dict(data.get("expected") or {})
         return Health(data["state"], data.get("text") or "", *numbers, data.get("remedy") or "")
+
+
+@dataclass(frozen=True)
+class Down:
+    """Since when a camera gives nothing, or is not as it should be."""
+
+    since: str
+    """The first night, ISO 8601."""
+    nights: int = 1
+    """How many nights by now."""
+
+    def __str__(self) -> str:
+        return f"down since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
+
+    def to_json(self) -> dict[str, Any]:
+        return dict(vars(self))
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Down:
+        """Raises KeyError, TypeError or ValueError for what says nothing of the kind."""
+        return Down(str(data["since"]), int(data["nights"]))
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What the last good nights gave, each figure by its median: what tonight is compared with."""
+
+    nights: int
+    """How many there were."""
+    figures: Mapping[str, float]
+    """Of the whole site: points, pairs, ..."""
+    cameras: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Of each camera by id: brightness, ..."""
+
+    def to_json(self) -> dict[str, Any]:
+        return {"nights": self.nights, "figures": rounded(self.figures), "cameras": rounded(self.cameras)}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Usual:
+        """Raises KeyError, TypeError or ValueError for what says nothing of the kind."""
+        return Usual(int(data["nights"]), dict(data["figures"]), {c: dict(f) for c, f in data.get("cameras", {}).items()})

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from .findings import Down as Down
 from .findings import Figures as Figures
 from .findings import Finding as Finding
 from .findings import Health as Health
+from .findings import Usual as Usual
 from .findings import Verdict as Verdict
 from .findings import rounded
 
@@ -75,6 +77,8 @@ class CameraRecord:
     """What the stages report of it; None where they did not come so far."""
     health: Health | None = None
     """How it is, compared with what it has been; None where nobody knows."""
+    down: Down | None = None
+    """Since when it gives nothing or is not as it should be; None while all is well."""
 
     @property
     def ok(self) -> bool:
@@ -86,8 +90,8 @@ class CameraRecord:
 
     def to_json(self) -> dict[str, Any]:
         reason = {"reason": self.reason, "code": self.code, "notes": list(self.notes)}
-        health = self.health and self.health.to_json()
-        return {"id": self.id, "outcome": self.outcome, **rounded(self.figures), **reason, "health": health}
+        state = {"health": self.health and self.health.to_json(), "down": self.down and self.down.to_json()}
+        return {"id": self.id, "outcome": self.outcome, **rounded(self.figures), **reason, **state}
 
 
 @dataclass(frozen=True)
@@ -203,6 +207,14 @@ class RunRecord:
     """What the night came to; None of a run of an earlier version."""
     reference: str | None = None
     """Id of the run that it was compared with, if any (see `store.reference`)."""
+    usual: Usual | None = None
+    """What it was compared with; None where there was nothing."""
+    settings: str = ""
+    """Digest of all that the site file and the version decide: only nights with the same are compared."""
+    repaired: tuple[str, ...] = ()
+    """Damage on disk that the run found and put right, in words."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the products in its folder, by name."""
     later: Figures = field(default_factory=dict)
     """Keys of a later version."""
 
@@ -231,6 +243,10 @@ class RunRecord:
             "code": self.code,
             "verdict": self.verdict and self.verdict.to_json(),
             "reference": self.reference,
+            "usual": self.usual and self.usual.to_json(),
+            "settings": self.settings,
+            "repaired": list(self.repaired),
+            "files": dict(self.files),
             **self.later,
         }
 
@@ -248,7 +264,8 @@ class RunRecord:
         peak, reason, code = rest.get("peak_rss_mb", 0), rest.get("reason"), rest.get("code")
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
-        known |= {"reason", "code", "verdict", "reference"}
+        usual = Usual.from_json(rest["usual"]) if rest.get("usual") else None
+        known |= {"reason", "code", "verdict", "reference", "usual", "settings", "repaired", "files"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -264,6 +281,10 @@ class RunRecord:
             code=code,
             verdict=verdict,
             reference=rest.get("reference"),
+            usual=usual,
+            settings=str(rest.get("settings") or ""),
+            repaired=tuple(rest.get("repaired") or ()),
+            files=dict(rest.get("files") or {}),
             later=later,
         )
 
@@ -274,11 +295,12 @@ def _seconds(data: Mapping[str, Any]) -> Seconds:
 
 
 def _camera(data: Mapping[str, Any]) -> CameraRecord:
-    named = ("id", "outcome", "reason", "code", "notes", "health")
+    named = ("id", "outcome", "reason", "code", "notes", "health", "down")
     figures = {name: value for name, value in data.items() if name not in named}
     notes = tuple(data.get("notes") or ())
     health = Health.from_json(data["health"]) if data.get("health") else None
-    return CameraRecord(data["id"], data["outcome"], data.get("reason"), data.get("code"), notes, figures, health)
+    down = Down.from_json(data["down"]) if data.get("down") else None
+    return CameraRecord(data["id"], data["outcome"], data.get("reason"), data.get("code"), notes, figures, health, down)
 
 
 def _pair(data: Mapping[str, Any]) -> PairRecord:

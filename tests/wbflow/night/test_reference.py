@@ -97,7 +97,7 @@ def test_a_camera_that_shows_nothing_of_the_site_gives_nothing_and_costs_no_othe
 
 def test_nights_out_of_order_and_twice_do_not_change_the_reference_or_each_other(toy: ToySite) -> None:
     before = record_of(toy).read_bytes()
-    clouds = {}
+    clouds: dict[str, bytes] = {}
     for date in (THIRD, SECOND, FIRST, SECOND, THIRD):
         toy.night(date) if date != FIRST else None
         toy.run("--date", date)

@@ -12,6 +12,7 @@ from wbflow.errors import ExitCode
 from wbflow.store.record import (
     CameraRecord,
     CloudRecord,
+    Down,
     Finding,
     Health,
     PairRecord,
@@ -19,6 +20,7 @@ from wbflow.store.record import (
     Seconds,
     StageSeconds,
     TaskCounts,
+    Usual,
     Verdict,
     WorldRecord,
 )
@@ -58,6 +60,7 @@ def test_the_keys_of_the_contract() -> None:
         "code": None,
         "notes": [],
         "health": None,
+        "down": None,
     }
     assert data["cameras"][1]["code"] == "too-dark"
     assert data["pairs"][0]["epipolar_px"] == 0.4123
@@ -101,8 +104,10 @@ def with_verdict() -> RunRecord:
     figures, expected = {"shared": 0.0212345}, {"shared": 0.6}
     finding = Finding("camera-foreign", ("quay",), "shows another place", figures, expected, "look where it points")
     health = Health("foreign", "shows another place", figures, expected, "look where it points")
-    quay = CameraRecord("quay", "ok", health=health)
-    return replace(some_record(), verdict=Verdict("degraded", (finding,)), cameras=(quay,))
+    quay = CameraRecord("quay", "ok", health=health, down=Down("2026-11-17", 3))
+    usual = Usual(5, {"points": 1_900_000.0}, {"quay": {"brightness": 101.5}})
+    verdict = Verdict("degraded", (finding,))
+    return replace(some_record(), verdict=verdict, cameras=(quay,), usual=usual, settings="abc")
 
 
 def test_the_verdict_of_the_contract() -> None:
