@@ -106,7 +106,17 @@ def patch_radius(width: int) -> int:
 
 
 def find_again(image1: Uint8s, image2: Uint8s, points: Float64s, reach_px: int = REACH_PX) -> Found:
-    """Search the patches around points (n, 2) of one grey image in another of the same size: at half the size, then finely."""
+    """Search patches of one grey image in another: at half the size, then finely.
+
+    Parameters
+    ----------
+    image1, image2
+        (h, w) uint8, of one size.
+    points
+        (n, 2) middles of the patches, pixels of the first.
+    reach_px
+        They are searched so far from there.
+    """
     radius = patch_radius(image1.shape[1])
     reach = reach_px // 2
     half1, half2 = _padded(_halved(image1), radius), _padded(_halved(image2), radius + reach)

@@ -136,15 +136,6 @@ class PairsSection(Section):
     exclude: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
 
 
-class HealthSection(Section):
-    """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
-
-    nudged_px: float = Field(1.5, gt=0)
-    moved_px: float = Field(8.0, gt=0)
-    flat: float = Field(0.9, gt=0, le=1)
-    dark: float = Field(6.0, ge=0, le=255)
-
-
 class KeepSection(Section):
     """What stays on disk after a run."""
 
@@ -189,6 +180,15 @@ class ExpectSection(Section):
     def stated(self) -> dict[str, float]:
         """The limits that are given, by name."""
         return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
+
+
+class HealthSection(Section):
+    """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
+
+    nudged_px: float = Field(1.5, gt=0)
+    moved_px: float = Field(8.0, gt=0)
+    flat: float = Field(0.9, gt=0, le=1)
+    dark: float = Field(6.0, ge=0, le=255)
 
 
 class SiteSection(Section):

@@ -47,9 +47,19 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     captures = find_captures(site, date, digests)
     masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
     missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
-    reference, why_not = _reference(site, work)
-    given = site, captures, str(date), Cache(work), masks, missing, until, frozenset(force)
-    plan = Plan(*given, reference=reference, misfit=why_not)
+    reference, misfit = _reference(site, work)
+    plan = Plan(
+        site,
+        captures,
+        str(date),
+        Cache(work),
+        masks,
+        missing,
+        until,
+        frozenset(force),
+        reference=reference,
+        misfit=misfit,
+    )
     return Night(site, date, captures, digests, plan)
 
 

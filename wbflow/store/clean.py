@@ -107,13 +107,13 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) ->
         files[path.name.partition(".")[0]].append(path)
     used = {run: _keys(work, ledger, run) for run in sorted(nights.using(keep))}
     newest = {key: run for run in sorted(used) for key in used[run]}
-    pinned = _pinned(work)
+    pinned = _pinned_keys(work)
     gone = files.keys() - newest.keys() - pinned
     over = 0
     if keep.bytes is not None:
-        sizes = {key: _size(files[key]) for key in files.keys() - gone}
+        sizes = {key: _size(files[key]) for key in files.keys() & newest.keys() - pinned}
         over = sum(sizes.values()) - keep.bytes
-        for key in sorted(sizes.keys() - pinned, key=lambda key: (newest[key], -sizes[key])):
+        for key in sorted(sizes, key=lambda key: (newest[key], -sizes[key])):
             if over <= 0:
                 break
             if not any(key in used.get(run, ()) for run in nights.shown):
@@ -124,8 +124,8 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) ->
     return list(ordered), gone, max(over, 0)
 
 
-def _pinned(work: WorkFolder) -> set[str]:
-    """Keys of what the reference links to: without them it would take the same room on the disk."""
+def _pinned_keys(work: WorkFolder) -> set[str]:
+    """Keys of what the reference links to: it would take the same room on the disk without them."""
     try:
         reference = read_reference(work)
     except BadReference:
