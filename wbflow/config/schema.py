@@ -186,7 +186,7 @@ class HealthSection(Section):
     """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
 
     nudged_px: float = Field(1.5, gt=0)
-    moved_px: float = Field(8.0, gt=0)
+    moved_deg: float = Field(0.4, gt=0)
     flat: float = Field(0.9, gt=0, le=1)
     dark: float = Field(6.0, ge=0, le=255)
 
