@@ -30,6 +30,7 @@ from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
+from .results.notify import NotTold, notify
 from .results.publish import publish
 from .store.clean import clean
 from .store.events import Event, Listener
@@ -250,6 +251,8 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
             pin(place, finished.folder, automatic=True)
         _afterwards(finished, site.keep, journal)
+        if not options.until and not worked.interrupted:
+            _tell_people(site, finished, journal)
         place.done_writing()
     return Run(finished)
 
@@ -285,6 +288,17 @@ def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
         journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
     for event in journal.events[told:]:
         run.folder.add(event)
+
+
+def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, but is told of."""
+    if site.notify is None:
+        return
+    try:
+        notify(site.notify, run.work, run.folder.paths, run.record)
+    except (NotTold, OSError) as error:
+        journal.warn(str(error), remedy="the command is called again after the next run")
+        run.folder.add(journal.events[-1])
 
 
 def _quiet(event: Event) -> None:

@@ -182,6 +182,22 @@ class ExpectSection(Section):
         return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
 
 
+class NotifySection(Section):
+    """Who is told of a night."""
+
+    command: str | list[str]
+    heartbeat: bool = False
+    seconds: float = Field(60.0, gt=0, le=3600)
+
+    @field_validator("command", mode="before")
+    @classmethod
+    def _command(cls, command: object) -> object:
+        words = [command] if isinstance(command, str) else command
+        if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+            raise PydanticCustomError("notify", "a command is a text for the shell, or a list of program and arguments")
+        return command
+
+
 class HealthSection(Section):
     """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
 
@@ -207,5 +223,6 @@ class SiteSection(Section):
     health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
+    notify: NotifySection | None = None
     keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

@@ -22,6 +22,7 @@ from ..store.run_folder import UnfinishedRun
 from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .metrics import metrics
 from .past import Past
 from .record import run_record
 from .verdict import judged
@@ -64,7 +65,7 @@ def publish(
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(work, record, journal, cameras or {})
-    folder = unfinished.publish(record, journal.events, page)
+    folder = unfinished.publish(record, journal.events, page, metrics(record))
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
 
 

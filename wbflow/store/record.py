@@ -18,9 +18,14 @@ from .findings import rounded
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
-def stamp(moment: datetime.datetime) -> str:
+def stamp(at: datetime.datetime) -> str:
     """A time as run.json writes it (UTC)."""
-    return moment.strftime(_STAMP)
+    return at.strftime(_STAMP)
+
+
+def moment(text: str) -> datetime.datetime:
+    """A time that run.json has (UTC).  Raises ValueError."""
+    return datetime.datetime.strptime(text, _STAMP).replace(tzinfo=datetime.UTC)
 
 
 @dataclass(frozen=True)
