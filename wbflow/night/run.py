@@ -13,6 +13,7 @@ from typing import Any
 from ..graph.pipeline import Role, stage_with
 from ..store.cache import DamagedArtifact
 from ..task import Task
+from .changes import Changes
 from .executor import Executor
 from .journal import Costs, Journal
 from .night import Night
@@ -49,7 +50,7 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
     """
     executor = Executor(options.jobs, options.backend, options.scheduler, journal.warn)
     try:
-        return Worked(_until_settled(night.plan, executor, journal, costs))
+        return Worked(_until_settled(night, executor, journal, costs))
     except KeyboardInterrupt:
         executor.stop()
         return Worked(interrupted=True)
@@ -58,7 +59,8 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
         night.site.reader.save()
 
 
-def _until_settled(plan: Plan, executor: Executor, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+def _until_settled(night: Night, executor: Executor, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+    plan, changes = night.plan, Changes(night, journal)
     repairs: Counter[Task] = Counter()
     while True:
         plan.refresh()
@@ -76,6 +78,9 @@ def _until_settled(plan: Plan, executor: Executor, journal: Journal, costs: Cost
                     journal.warn(warning, task=done.task)
                 if done.outcome == "damaged" and done.damaged is not None:
                     _repair(plan, done.damaged, done.reason or "", repairs, journal)
+                    continue
+                if done.changed is not None:
+                    changes.look_again(done)
                     continue
                 costs.add(done)
                 outcome: Any = done.outcome
