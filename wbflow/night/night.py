@@ -26,6 +26,11 @@ class Night:
     """To be saved by a run."""
     plan: Plan
 
+    def remember(self) -> None:
+        """Keep what was learnt of files, for the next run.  Raises OSError."""
+        self.digests.save()
+        self.site.reader.save()
+
     def look_again(self, path: Path) -> None:
         """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
         self.digests.forget(path)

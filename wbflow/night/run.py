@@ -12,6 +12,8 @@ from typing import Any
 
 from ..graph.pipeline import Role, stage_with
 from ..store.cache import DamagedArtifact
+from ..store.disk import DiskFloor
+from ..store.room import REMEDY
 from ..task import Task
 from .changes import Changes
 from .executor import Executor
@@ -55,12 +57,14 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
         executor.stop()
         return Worked(interrupted=True)
     finally:
-        night.digests.save()
-        night.site.reader.save()
+        try:
+            night.remember()
+        except OSError as error:  # costs time only
+            journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 
 
 def _until_settled(night: Night, executor: Executor, journal: Journal, costs: Costs) -> dict[Task, bytes]:
-    plan, changes = night.plan, Changes(night, journal)
+    plan, changes, floor = night.plan, Changes(night, journal), DiskFloor(night.plan.cache.work)
     repairs: Counter[Task] = Counter()
     while True:
         plan.refresh()
@@ -72,6 +76,11 @@ def _until_settled(night: Night, executor: Executor, journal: Journal, costs: Co
             except DamagedArtifact as damage:
                 _repair(plan, damage.task, damage.what, repairs, journal)
                 continue
+        if lacks := floor.lacks(spec.task for lane in lanes for spec in lane):
+            full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
+            for first, *_ in lanes:
+                plan.settle(first.task, plan.states[first.task] if first.redraw else full)
+            continue
         for finished in executor.run(lanes, plan.cache):
             for done in finished:
                 for warning in done.warnings:

@@ -22,6 +22,7 @@ from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
+from ..store.room import FULL, REMEDY
 from ..task import Task
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause
@@ -102,6 +103,8 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         words = str(error) or type(error).__name__
         foreseen = isinstance(error, ValueError | OSError)
         why, code = (words, Cause.BAD_INPUT) if foreseen else (f"{type(error).__name__}: {words}", Cause.FAULT)
+        if isinstance(error, OSError) and error.errno in FULL:
+            return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
         return Done(spec.task, "failed", reason=why, code=code, trace=traceback.format_exc())
 
 
