@@ -30,6 +30,7 @@ from .night.options import Options
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
 from .results.publish import publish
+from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener
 from .store.keep import Keep
@@ -273,6 +274,7 @@ def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
+        share_pictures(run.work, run.folder.id)
         if not keep.everything:
             over = clean(run.work, keep, asked=False).over
             if over:
