@@ -16,7 +16,7 @@ from ..task import Subject, Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
 from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
-from .record import RunRecord
+from .record import CloudRecord, RunRecord
 from .share import write_product
 from .signed import Unsigned, signed, unsigned
 
