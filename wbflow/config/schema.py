@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from pydantic_core import PydanticCustomError
 
 from ..store.keep import Keep
+from ..store.sizes import bytes_of
 from .geodesy import ControlPoint, Distance, Position
 from .rotations import look_at, yaw_pitch_roll
-from .sizes import bytes_of
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""

@@ -34,6 +34,8 @@ class Cause(StrEnum):
     """A request for memory was refused."""
     WORKER_LOST = "worker-lost"
     """The worker's process was killed, or took too long, twice."""
+    DISK_FULL = "disk-full"
+    """There was no room for what it made, or would have made."""
     DAMAGED = "damaged"
     """What it had made was found damaged again and again."""
 
