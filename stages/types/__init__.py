@@ -4,6 +4,7 @@ from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s
 from .captured import Capture, Lens, Placement, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
+from .ground import Coverage, GroundGrid
 from .pairs import Geometry, Matches, Overlap, PairCheck
 from .site import PoseCheck, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
@@ -16,6 +17,7 @@ __all__ = [
     "Camera",
     "Capture",
     "Cloud",
+    "Coverage",
     "DepthMap",
     "Disparity",
     "Features",
@@ -23,6 +25,7 @@ __all__ = [
     "Float64s",
     "Frame",
     "Geometry",
+    "GroundGrid",
     "Int16s",
     "Int32s",
     "Int64s",

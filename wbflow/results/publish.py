@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import traceback
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
 
@@ -23,6 +23,7 @@ from ..store.record import RunRecord
 from ..store.run_folder import UnfinishedRun
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .beside import files_beside, told_beside
 from .record import run_record
 
 
@@ -58,8 +59,11 @@ def publish(
     cameras = told.calibration if told else None
     unfinished = UnfinishedRun(work, run)
     unfinished.write_products(clouds, cameras)
+    beside = files_beside(night.plan, journal.warn)
+    unfinished.write_files(content for files in beside.values() for content in files.items())
     seconds = costs.seconds(own_process)
     record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb, worked.interrupted)
+    record = replace(record, later=told_beside(night.plan, beside))
     page = _report(work, record, journal, cameras or {})
     folder = unfinished.publish(record, journal.events, page)
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})

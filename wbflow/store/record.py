@@ -194,7 +194,7 @@ class RunRecord:
     """Why there is no cloud."""
     code: str | None = None
     later: Figures = field(default_factory=dict)
-    """Keys of a later version."""
+    """What site-wide stages report, by stage; and keys of a later version."""
 
     def __repr__(self) -> str:
         points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not asked for'})"
@@ -219,7 +219,7 @@ class RunRecord:
             "poses": self.poses and self.poses.to_json(),
             "reason": self.reason,
             "code": self.code,
-            **self.later,
+            **_rounded(self.later),
         }
 
     @staticmethod

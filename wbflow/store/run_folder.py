@@ -133,6 +133,11 @@ class UnfinishedRun:
         if cameras is not None:
             write_atomic(self._paths.cameras, json.dumps(cameras, indent=1).encode())
 
+    def write_files(self, files: Iterable[tuple[str, bytes]]) -> None:
+        """Name and content of what else is published beside the clouds.  Raises OSError."""
+        for name, data in files:
+            write_atomic(self._paths.folder / name, data)
+
     def publish(self, record: RunRecord, events: Iterable[Event], report: str) -> RunFolder:
         """Add what is told of the run and give the folder its name; where there is a cloud, `latest` leads there.
 
