@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
 from ..graph.pipeline import STAGES, Stage
+from ..night.journal import Journal
 from ..night.plan import Plan
+from ..store import artifact
 from ..store.atomic import write_atomic
+from ..store.ply import ply_bytes
 from ..store.record import Figures
+from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import function
 
-Warn = Callable[[str], object]
 
-
-def files_beside(plan: Plan, warn: Warn) -> dict[str, dict[str, bytes]]:
+def files_beside(plan: Plan, journal: Journal) -> dict[str, dict[str, bytes]]:
     """Name and content of the files that stages make of their results, by stage.
 
     They are kept beside the artifact, so that nothing is made again of one that has not changed.  What cannot be made (a library
-    is not installed, no map has the place) is told to `warn`: the night is not lost for it.
+    is not installed, no map has the place) is told to the journal: the night is not lost for it.
     """
-    return {stage.name: dict(_files(plan, stage, warn)) for stage in STAGES if stage.files and _usable(plan, stage)}
+    return {stage.name: dict(_files(plan, stage, journal)) for stage in STAGES if stage.files and _usable(plan, stage)}
 
 
 def told_beside(plan: Plan, files: Mapping[str, Mapping[str, bytes]]) -> dict[str, Figures]:
@@ -44,30 +46,40 @@ def _usable(plan: Plan, stage: Stage) -> bool:
     return state is not None and state.usable and state.receipt is not None
 
 
-def _files(plan: Plan, stage: Stage, warn: Warn) -> Iterator[tuple[str, bytes]]:
+def _files(plan: Plan, stage: Stage, journal: Journal) -> Iterator[tuple[str, bytes]]:
     task = Task(stage.name)
     receipt = plan.states[task].receipt
     assert receipt is not None
     work, code = plan.cache.work, plan.site.reader.read(stage.files).code
     memo = work.published(task, receipt.key)
     try:
-        known = json.loads(memo.read_bytes())
-        if known["code"] == code:
-            yield from [(name, work.artifact(task, receipt.key, f".{name}").read_bytes()) for name in known["names"]]
+        known = read_signed(memo, work.place(memo)) or {}
+        if known.get("code") == code:
+            yield from [
+                (name, _intact(work.artifact(task, receipt.key, f".{name}{_KEPT}"), d)) for name, d in known["files"].items()
+            ]
             return
-    except (OSError, ValueError, KeyError, TypeError):  # never made, or by another version
-        pass
-    names = []
+    except (Damaged, OSError) as damage:
+        journal.repaired(f"{damage}: made again", task=task)
+    made = {}
     try:
         for name, content in function(stage.files)(plan.cache.load(task, receipt)):
-            write_atomic(work.artifact(task, receipt.key, f".{name}"), content)
-            names.append(name)
-            yield name, content
+            data = content if isinstance(content, bytes) else bytes(ply_bytes(content, comments=("made by wbflow",)))
+            write_atomic(work.artifact(task, receipt.key, f".{name}{_KEPT}"), data)
+            made[name] = artifact.digest(data)
+            yield name, data
     except (WbflowError, ValueError, ImportError) as error:
-        warn(f"{task}: not all of its files could be made: {error}")
+        journal.warn(f"not all of its files could be made: {error}", task=task)
         return  # tried again by the next run
-    write_atomic(memo, json.dumps({"code": code, "names": names}).encode())
+    write_signed(memo, work.place(memo), {"code": code, "files": made})
     plan.site.reader.save()
+
+
+def _intact(path: Path, digest: str) -> bytes:
+    data = path.read_bytes()
+    if artifact.digest(data) != digest:
+        raise Damaged(f"{path.name} is not as it was written")
+    return data
 
 
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
