@@ -18,6 +18,9 @@ from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import function
 
+_KEPT = ".beside"
+"""Ends the names of these files in the cache, where .json would be a receipt."""
+
 
 def files_beside(plan: Plan, journal: Journal) -> dict[str, dict[str, bytes]]:
     """Name and content of the files that stages make of their results, by stage.
@@ -55,9 +58,8 @@ def _files(plan: Plan, stage: Stage, journal: Journal) -> Iterator[tuple[str, by
     try:
         known = read_signed(memo, work.place(memo)) or {}
         if known.get("code") == code:
-            yield from [
-                (name, _intact(work.artifact(task, receipt.key, f".{name}{_KEPT}"), d)) for name, d in known["files"].items()
-            ]
+            kept = {name: work.artifact(task, receipt.key, f".{name}{_KEPT}") for name in known["files"]}
+            yield from [(name, _intact(path, known["files"][name])) for name, path in kept.items()]
             return
     except (Damaged, OSError) as damage:
         journal.repaired(f"{damage}: made again", task=task)

@@ -244,7 +244,7 @@ class RunRecord:
             "settings": self.settings,
             "repaired": list(self.repaired),
             "files": dict(self.files),
-            **_rounded(self.later),
+            **rounded(self.later),
         }
 
     @staticmethod
