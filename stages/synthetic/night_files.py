@@ -12,6 +12,7 @@ from .files import DemoFiles, Points, calibration_of, json_bytes, npz_bytes, ref
 from .nights import CameraNights, NightsSite, yard_nights
 from .scenes import SCENES
 from .script import FOREVER, Stay, date_of, event_of, hour_of, stays, weather_of
+from .shots import Shots
 from .things import Extent
 
 SMALL, LARGE = (320, 180), (640, 360)
@@ -40,7 +41,7 @@ def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: i
     """
     count = cameras or (SCENES["yard"].small_cameras if small else None) or 8
     size = SMALL if small else LARGE
-    site = yard_nights(nights, frames, count, size, seed)
+    site = yard_nights(nights, Shots(count, frames, size, seed))
     told = {"nights": nights, "frames": frames, "small": small, "cameras": count, "seed": seed}
     return DemoFiles(told, _files(site, nights))
 

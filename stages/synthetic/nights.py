@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..types import Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
-from .cameras import Viewpoint, camera_at, choose_mounts, viewpoint_of
+from .cameras import MOUNTS, Viewpoint, camera_at, choose_mounts, viewpoint_of
 from .depot import containers
 from .encode import jpeg
 from .layout import static_yard
@@ -25,6 +25,7 @@ from .scene import Scene, joined
 from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turn_of, weather_of
 from .sensor import burn_clock, clock_mask, develop, sensor_of
 from .shooting import DemoCamera, light_up, look_at_pixels, render_pixels, touched, true_depth, upright
+from .shots import Shots
 from .things import Extent, Things
 from .weather import rain_over
 
@@ -83,56 +84,39 @@ class _NightScene:
 @dataclass(frozen=True)
 class _Shoot:
     nights: tuple[_NightScene, ...]
-    size: tuple[int, int]
-    seed: int
+    shots: Shots
 
 
-def yard_nights(
-    nights: int, frames: int = 3, cameras: int = 8, size: tuple[int, int] = (640, 360), seed: int = 0, *, threads: int = 2
-) -> NightsSite:
-    """Render the yard of several nights.
+def yard_nights(nights: int, shots: Shots) -> NightsSite:
+    """Render the yard of several nights; `shots` says what is taken in each of them, `script` the light and what happens.
 
-    Parameters
-    ----------
-    nights : int
-        How many; what happens in each is in `script`.
-    frames : int
-        Of each camera and night.
-    cameras : int
-        How many neighbours of the half ring, 1 to 8.
-    size : tuple of int
-        Width and height, pixels.
-    seed : int
-        Of textures, movers, exposures and noise.
-    threads : int
-        Of rendering (the result does not depend on it).
-
-    Raises
-    ------
-    ValueError
-        Impossible arguments.
+    Raises ValueError for impossible shots.
     """
-    if nights < 1 or frames < 1 or min(size) < 16:
-        raise ValueError(f"nights need 1 frame of 16 x 16 pixels at least, not {nights} of {frames} of {size[0]} x {size[1]}")
-    mounts = choose_mounts(cameras)
-    texel_m = float(np.clip(0.0098 * 1280 / size[0], 0.0098, 0.1))
-    things = Things(np.random.default_rng([seed, 4]), texel_m)
-    shoot = _Shoot(tuple(_scenes(things, nights, frames, texel_m, seed)), size, seed)
-    with ThreadPoolExecutor(threads) as pool:
+    shots.check(len(MOUNTS))
+    if nights < 1:
+        raise ValueError(f"at least one night can be rendered, not {nights}")
+    mounts = choose_mounts(shots.cameras)
+    things = Things(shots.random(4), _texel_m(shots))
+    shoot = _Shoot(tuple(_scenes(things, nights, shots)), shots)
+    with ThreadPoolExecutor(shots.threads) as pool:
         done = list(pool.map(lambda mount: _camera_nights(shoot, viewpoint_of(mount)), mounts))
     rows = [each.camera for each in done]
     pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [upright(c) for c in rows]
-    voxel_m = float(np.clip(round(51.2 / size[0], 2), 0.02, 0.1))
+    voxel_m = shots.voxel_m(51.2)
     reference = reference_cloud(pinholes, depths, [each.normals for each in done], colors, voxel_m)
     names = dict.fromkeys(name for night in range(1, nights + 1) for name in stays(night))
     return NightsSite(tuple(done), reference, voxel_m, {name: things.extent(name) for name in names})
 
 
-def _scenes(things: Things, nights: int, frames: int, texel_m: float, seed: int) -> Iterator[_NightScene]:
+def _texel_m(shots: Shots) -> float:
+    return shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
+
+
+def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """The yard of each night, empty and at each frame; all share textures and sky."""
-    yard = static_yard(np.random.default_rng([seed, 1]), texel_m, choose_mounts(8))
-    rng = np.random.default_rng([seed, 2])
-    moving = movers(rng, max(texel_m, 0.02), nights * frames, people=PEOPLE, vehicles=VEHICLES)
+    texel_m, frames = _texel_m(shots), shots.captures
+    yard = static_yard(shots.random(1), texel_m, choose_mounts(len(MOUNTS)))
+    moving = movers(shots.random(2), max(texel_m, 0.02), nights * frames, people=PEOPLE, vehicles=VEHICLES)
     whole = joined(joined(yard, things.scene(stays(1))), moving[0])
     atlas = build_atlas(whole.textures)
     sky = PreparedScene(yard, hour_of("noon").light, atlas).sky
@@ -150,7 +134,7 @@ def _scenes(things: Things, nights: int, frames: int, texel_m: float, seed: int)
 
 def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
     """All nights of one camera, and its truth."""
-    camera, lens = camera_at(viewpoint, shoot.size)
+    camera, lens = camera_at(viewpoint, shoot.shots.size)
     done: list[NightOfCamera] = []
     depths: dict[int, Float32s] = {}
     first: tuple[Uint8s, ...] = ()
@@ -171,7 +155,7 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
         if event.what in ("turned", "nudged"):
             images = list(_photographed(shoot, night, replace(camera, R=turn @ camera.R), lens, viewpoint.name, None))
         elif event.what == "foreign":
-            images = list(containers(1, shoot.size, len(times), shoot.seed, "day", threads=1).cameras[0].captures)
+            images = list(containers(replace(shoot.shots, cameras=1, threads=1)).cameras[0].captures)
         elif event.what == "covered":
             images = [_covered(shoot, night, viewpoint.name, k) for k in range(len(times))]
         else:
@@ -183,17 +167,29 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
         done.append(NightOfCamera(tuple((time, jpeg(p)) for time, p in zip(times, pictures, strict=True)), turn))
     placement = Placement(R=camera.R, C=camera.C)
     taken = tuple(time for time, _ in done[0].frames)
-    demo = DemoCamera(viewpoint.name, first, taken, clock_mask(shoot.size), depths[1], camera, lens, placement)
+    demo = DemoCamera(viewpoint.name, first, taken, clock_mask(shoot.shots.size), depths[1], camera, lens, placement)
     return CameraNights(demo, normals, tuple(done), depths)
 
 
 def _photographed(
     shoot: _Shoot, night: _NightScene, camera: Camera, lens: Lens, name: str, seen: Seen | None
 ) -> Iterator[Uint8s]:
-    """The frames of a camera that sees the yard; seen: what its rays meet in the empty yard, where that is known."""
+    """The frames of a camera that sees the yard.
+
+    Parameters
+    ----------
+    shoot, night : _Shoot, _NightScene
+        What is asked for, and what stands there.
+    camera, lens : Camera, Lens
+        As they are in this night.
+    name : str
+        Of the camera.
+    seen : Seen, optional
+        What its rays meet in the empty yard, where that is known.
+    """
     if seen is None:
         seen = look_at_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
-    sensor = sensor_of(np.random.default_rng([shoot.seed, 3, sum(name.encode())]), night.hour.sensor)
+    sensor = sensor_of(np.random.default_rng([shoot.shots.seed, 3, sum(name.encode())]), night.hour.sensor)
     if night.hour.rain:
         sensor = replace(sensor, gain=1.4 * sensor.gain, full_well=sensor.full_well / 4)
     still = light_up(night.still, seen).reshape(camera.height, camera.width, 3)
@@ -209,8 +205,8 @@ def _photographed(
 
 def _covered(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> Uint8s:
     """A tarpaulin before the lens: light from one side, no detail; it flaps a little."""
-    width, height = shoot.size
-    folds = np.random.default_rng([shoot.seed, 5, night.number]).uniform(0.035, 0.14, (4, 6, 1))
+    width, height = shoot.shots.size
+    folds = np.random.default_rng([shoot.shots.seed, 5, night.number]).uniform(0.035, 0.14, (4, 6, 1))
     rng = _rng(shoot, night, name, frame)
     folds = (folds + rng.normal(0, 0.004, folds.shape)) * np.array([0.8, 0.95, 1.0])
     radiance = np.asarray(cv2.resize(folds.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC))
@@ -218,4 +214,4 @@ def _covered(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> Uint8s
 
 
 def _rng(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> np.random.Generator:
-    return np.random.default_rng([shoot.seed, 3, sum(name.encode()), night.number, frame])
+    return np.random.default_rng([shoot.shots.seed, 3, sum(name.encode()), night.number, frame])

@@ -16,7 +16,7 @@ import open3d as o3d
 from ..core.jit import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
 from .paint import Texture
-from .scene import GLOWING, STATIC, WATER, Scene
+from .scene import GLOWING, STATIC, Scene
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 
@@ -187,7 +187,16 @@ class Seen:
 def look(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Seen:
     """What n rays from one point meet.
 
-    directions: (n, 3) float32 unit vectors; spread: radians between neighbouring rays.
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    centre : ndarray
+        (3,) where all rays start, metres.
+    directions : ndarray
+        (n, 3) float32 unit vectors.
+    spread : float
+        Radians between neighbouring rays.
     """
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
@@ -388,8 +397,3 @@ def _sky_light(
         up = 0.5 + 0.5 * normals[k, 2]
         for c in range(3):
             received[k, c] = seen * (sky[c] * (0.35 + 0.65 * up) + ground[c] * (1 - up))
-
-
-def truth_mask(scene: Scene, facet: Int32s) -> Uint8s:
-    """1 where a facet is part of the truth (not sky, not water), else 0."""
-    return np.where((facet >= 0) & (scene.kinds[np.maximum(facet, 0)] != WATER), 1, 0).astype(np.uint8)

@@ -20,10 +20,17 @@ class Journal:
 
     listen: Listener
     events: list[Event] = field(default_factory=list)
+    repairs: dict[str, None] = field(default_factory=dict)
+    """Damage on disk that was found and put right, in words."""
     _told: set[Task] = field(default_factory=set)
 
     def tell(self, plan: Plan, done: Done | None = None) -> None:
-        """Tell of every task that has been settled since the last time, once.  done: the one that a worker has just finished."""
+        """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache.
+
+        done: the one that a worker has just finished.
+        """
+        for damage in (*plan.cache.damages(), *(done.damages if done else ())):
+            self.repaired(f"{damage.what}: made again", task=damage.task)
         for task, state in plan.states.items():
             if task not in self._told:
                 self._told.add(task)
@@ -48,6 +55,12 @@ class Journal:
             Traceback of a fault that nobody foresaw.
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
+
+    def repaired(self, what: str, *, task: Task | None = None) -> None:
+        """Tell, once, of damage on disk that is put right.  task: whose file it was."""
+        if what not in self.repairs:
+            self.repairs[what] = None
+            self._add(WarningEvent(what, now(), task, repaired=True))
 
     def _add(self, event: Event) -> None:
         self.events.append(event)

@@ -95,13 +95,15 @@ def _products(plan: Plan) -> dict[Task, bytes]:
 
 
 def _repair(plan: Plan, task: Task, reason: str, repairs: Counter[Task], journal: Journal) -> None:
-    """Have a damaged artifact made again."""
+    """Have a damaged artifact made again, once for all tasks of a wave that found it damaged."""
+    if task not in plan.states:
+        return
     journal.retract(task)
     repairs[task] += 1
     if repairs[task] > MOST_REPAIRS:
         plan.settle(task, State("failed", f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?", Cause.DAMAGED))
     else:
-        journal.warn(f"{reason}; made again", task=task)
+        journal.repaired(f"{reason}; made again", task=task)
         plan.forget(task)
 
 

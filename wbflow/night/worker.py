@@ -17,7 +17,7 @@ from typing import Any
 from ..graph.pipeline import REJECTED
 from ..graph.plugins import load, offer
 from ..store import artifact
-from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
+from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..task import Task
@@ -41,6 +41,8 @@ class Done:
     """What has to be made again before this."""
     warnings: tuple[str, ...] = ()
     """What went wrong without costing the result, in words."""
+    damages: tuple[Damage, ...] = ()
+    """What was found damaged on the way."""
 
 
 @dataclass
@@ -63,7 +65,7 @@ def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
     lane = _Lane(cache)
     finished: list[Done] = []
     for spec in specs:
-        done = _attempt(spec, lane)
+        done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
         finished.append(done)
         if done.receipt is None or done.receipt.outcome == "rejected":
             break

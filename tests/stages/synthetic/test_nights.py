@@ -114,7 +114,7 @@ def test_changes_are_where_the_depth_has_changed() -> None:
 
 
 def test_impossible_nights_are_refused() -> None:
-    with pytest.raises(ValueError, match="1 frame"):
+    with pytest.raises(ValueError, match="at least one night"):
         night_files.demo_nights(0, small=True)
     with pytest.raises(ValueError, match="1 to 8 cameras"):
         night_files.demo_nights(2, small=True, cameras=9)
