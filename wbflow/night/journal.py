@@ -22,12 +22,16 @@ class Journal:
     events: list[Event] = field(default_factory=list)
     _told: set[Task] = field(default_factory=set)
 
-    def tell(self, plan: Plan, done: Done | None = None) -> None:
-        """Tell of every task that has been settled since the last time, once.  done: the one that a worker has just finished."""
+    def tell(self, plan: Plan) -> None:
+        """Tell of every task that has been settled since the last time, once."""
         for task, state in plan.states.items():
-            if task not in self._told:
-                self._told.add(task)
-                self._add(_event(task, state, done if done and done.task == task else None))
+            self.finished(task, state)
+
+    def finished(self, task: Task, state: State, done: Done | None = None) -> None:
+        """Tell of a task, unless it has been told of.  done: what the worker said that has just finished it."""
+        if task not in self._told:
+            self._told.add(task)
+            self._add(_event(task, state, done))
 
     def retract(self, task: Task) -> None:
         """A task has to be done again, and will be told of again."""
