@@ -24,7 +24,7 @@ from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_e
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:
-    from wbflow_stages.synthetic.shooting import Daytime
+    from wbflow_stages.synthetic.shots import Daytime
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 CORRECT_PX = 3.0
@@ -126,14 +126,14 @@ def _photograph(scene: str, name: str, file: Path, c: dict[str, list[float]], wi
 
 def rendered(light: Daytime, cache: Path, width: int = 1280) -> dict[str, TrueView]:
     """The demo yard by "day", "dusk" or "night"; rendered once (about 40 s) into `cache`."""
-    from wbflow_stages.synthetic.yard import yard
+    from wbflow_stages.synthetic.scenes import render
 
     cache.mkdir(parents=True, exist_ok=True)
     views = {}
     file = cache / f"yard-{light}-{width}.npz"
     if not file.exists():
         arrays: dict[str, npt.NDArray[Any]] = {}
-        for c in yard(light=light, size=(width, width * 9 // 16)).cameras:
+        for c in render("yard", light=light, size=(width, width * 9 // 16)).cameras:
             frame = clean_frame([_png(i) for i in c.captures], c.lens, _png(c.mask.astype(np.uint8) * 255), resolution=None)
             arrays |= {
                 f"{c.name} image": frame.image, f"{c.name} mask": frame.mask, f"{c.name} K": np.asarray(frame.view.K),

@@ -230,3 +230,24 @@ def test_functions_have_at_most_70_lines() -> None:
                 if lines > 70:
                     long[f"{file.relative_to(ROOT)}:{node.name}"] = lines
     assert not long
+
+
+def public_functions(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Functions, and methods of classes, that have a name for others."""
+    for node in body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from public_functions(node.body, f"{node.name}.")
+        elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            yield f"{owner}{node.name}", node
+
+
+def test_functions_with_more_than_three_parameters_explain_them() -> None:
+    """But kernels, whose file does it once, and commands, whose options do."""
+    silent = []
+    for file in SOURCES:
+        for name, node in public_functions(parsed(file).body):
+            arguments = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            decorators = [ast.unparse(d) for d in node.decorator_list]
+            if len({*arguments} - {"self", "cls"}) > 3 and not any(d == "kernel" or d.startswith("click.") for d in decorators):
+                silent += [] if "Parameters\n" in (ast.get_docstring(node) or "") else [f"{file.relative_to(ROOT)}: {name}"]
+    assert silent == []

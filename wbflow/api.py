@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from .config.load import load_site as _load_site
 from .config.site import Site
+from .config.sizes import in_words
 from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
@@ -30,12 +31,14 @@ from .night.options import Options
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
 from .results.publish import publish
+from .store.clean import clean
 from .store.events import Event, Listener
+from .store.keep import Keep
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
-from .store.run_folder import RunFolder, new_run
+from .store.run_folder import RunFolder, new_run, turn_links
 from .task import Task
 
 if TYPE_CHECKING:
@@ -218,7 +221,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     where : Site, str or Path
         The site, its file or folder, or the folder of the run itself.
     run_id : str, optional
-        Which of the site's runs; "latest" is the newest that made a cloud; the newest, if not given.
+        Which of the site's runs; "latest-good" is the newest with a cloud; the newest, if not given.
 
     Raises
     ------
@@ -239,30 +242,51 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
     with hold(place.lock, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        place.start_writing()
+        if place.start_writing():
+            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+        for damage in filter(None, (night.digests.damage, site.reader.damage)):
+            journal.repaired(damage)
+        _mend_ledger(place, journal)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
-        _tell_ledger(finished, journal)
+        _afterwards(finished, site.keep, journal)
         place.done_writing()
     return Run(finished)
 
 
-def _tell_ledger(run: FinishedRun, journal: Journal) -> None:
-    """Index the run.  The ledger is made again from what it indexes, so a fault there costs nothing, but is told of."""
+def _mend_ledger(place: WorkFolder, journal: Journal) -> None:
+    """Have the ledger made again where it is damaged, before anybody asks it for anything."""
+    try:
+        with Ledger(place, writes=True) as ledger:
+            for fault in ledger.faults:
+                journal.repaired(fault)
+    except (OSError, sqlite3.Error) as error:
+        journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
+
+
+def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
+    """Index the run, and remove what need not stay.  The night is published: a fault here costs nothing, but is told of."""
     told = len(journal.events)
     try:
-        with Ledger(run.work) as ledger:
+        with Ledger(run.work, writes=True) as ledger:
             fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
-    except (OSError, sqlite3.Error, WbflowError) as error:
-        journal.warn(f"the ledger was not written: {error}", remedy="delete it: the next run makes it again")
+        if not keep.everything:
+            over = clean(run.work, keep, asked=False).over
+            if over:
+                what = f"the cache holds {in_words(over)} more than keep.bytes allows"
+                journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
+    except sqlite3.Error as error:
+        journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
+    except (OSError, WbflowError) as error:
+        journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
     for event in journal.events[told:]:
         run.folder.add(event)
 

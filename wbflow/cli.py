@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import traceback
 
 import click
 
@@ -25,6 +24,8 @@ class _Plain(click.Group):
             sys.exit(ExitCode.INTERRUPTED)
         except WbflowError as error:
             if _tracebacks_wanted() and error.__cause__:
+                import traceback
+
                 traceback.print_exception(error.__cause__)
             stop(error.exit_code, str(error))
         except Exception as error:

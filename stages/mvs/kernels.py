@@ -7,6 +7,11 @@ surface unhidden and alike is proof; the mean over several would punish surfaces
 
 Pieces of a row are judged at once, so that the compiler can do many columns with one instruction: a pixel reads finished rows,
 and its own row as it stands before each step.
+
+Arguments of all kernels: `image` (h + 2 reach, w + 2 reach) grey levels of the view with a margin, `usable` of the same shape, 1
+where a pixel may be used; `pairs` neighbouring grey levels of the sources, two in one number, `height` and `width` of a source;
+`M` (sources, 3, 3) and `b` (sources, 3) as above; `taps` (n, 2) offsets x, y of a patch, none beyond `reach`; `planes` (3, h, w)
+q, A, B and `cost` (h, w), improved in place.
 """
 
 from __future__ import annotations
@@ -333,6 +338,8 @@ def judge(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
     reach: int, limit: Scalar, planes: Float32s, first: Float32s, second: Float32s, support: Uint32s, parallax: Float32s,
 ) -> None:  # fmt: skip
+    """The least (`first`) and second least cost of each plane over the sources, `support`: a bit for each source below `limit`,
+    and `parallax`: the sum over these of squared pixels a unit of inverse depth.  All are (h, w), and written."""
     h, w = first.shape
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)

@@ -173,8 +173,20 @@ def render_rays(
 ) -> tuple[Float32s, Float32s, Int32s]:
     """What n rays from one point see.
 
-    directions: (n, 3) float32 unit vectors; spread: radians between neighbouring rays; jitter: (n, 2) float32 in -1..1, the point
-    of the sun's disc that each sample asks.  Returns radiance (n, 3), distance (n,) and facet (n,), -1 for sky.
+    Returns radiance (n, 3), distance (n,) and facet (n,), -1 for sky.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    centre : ndarray
+        (3,) where all rays start, metres.
+    directions : ndarray
+        (n, 3) float32 unit vectors.
+    spread : float
+        Radians between neighbouring rays.
+    jitter : ndarray
+        (n, 2) float32 in -1..1, the point of the sun's disc that each sample asks.
     """
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +20,7 @@ from .reference import reference_cloud
 from .renderer import Light, PreparedScene, SkyGrid, build_atlas, render_rays, truth_mask
 from .scene import Scene, joined
 from .sensor import burn_clock, clock_mask, develop, sensor_of
-
-Daytime = Literal["day", "dusk", "night", "dark"]
-"""dark: night with the lamps off."""
+from .shots import Daytime, Shots
 
 FIRST_CAPTURE = {
     "day": datetime(2026, 11, 19, 14, 2, 11),
@@ -95,39 +92,15 @@ class _Shoot:
     seed: int
 
 
-def check_arguments(size: tuple[int, int], captures: int, cameras: int, there_are: int) -> None:
-    """Raises ValueError for pictures that are too small, or none, and for cameras that are not there."""
-    if not 1 <= cameras <= there_are:
-        raise ValueError(f"this scene has 1 to {there_are} cameras, not {cameras}")
-    if captures < 1 or min(size) < 16:
-        raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {captures} of {size[0]} x {size[1]}")
-
-
-def photograph(night: Night, size: tuple[int, int], seed: int, light: Daytime, voxel_m: float, threads: int) -> DemoSite:
-    """Let every camera work, several at a time.
-
-    Parameters
-    ----------
-    night : Night
-        What stands before the cameras.
-    size : tuple of int
-        Width and height of the pictures, pixels.
-    seed : int
-        Of exposures and noise.
-    light : Daytime
-        What the sensors expect, and the hour of the captures.
-    voxel_m : float
-        Cell of the reference cloud, metres.
-    threads : int
-        Of rendering; the result does not depend on it.
-    """
+def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
+    """Let every camera work, several at a time; `voxel_m`: cell of the reference cloud."""
     scenes = [joined(night.still, each) for each in night.traffic]
     atlas = build_atlas(scenes[0].textures)
     empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
     busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
-    shoot = _Shoot(empty, busy, night.traffic, light, seed)
-    with ThreadPoolExecutor(threads) as pool:
-        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, size), night.viewpoints))
+    shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
+    with ThreadPoolExecutor(shots.threads) as pool:
+        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, shots.size), night.viewpoints))
     rows = [camera for camera, _ in done]
     pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [_upright(c) for c in rows]
     return DemoSite(tuple(rows), reference_cloud(pinholes, depths, [n for _, n in done], colors, voxel_m), voxel_m)
@@ -163,7 +136,21 @@ def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> F
 def render_pixels(
     prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
 ) -> Float32s:
-    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
+    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    pixels : ndarray
+        (n,) indices in the image, row by row.
+    batch : int
+        Pixels at once.
+    """
     out = np.empty((len(pixels), 3), np.float32)
     spread = 1.0 / (SAMPLES * camera.K[0, 0])
     sub_y, sub_x = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
@@ -192,7 +179,21 @@ def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float
 
 
 def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
-    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
+    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is added.
+    light : Light
+        For the shadows.
+    camera : Camera
+        Pose and size.
+    lens : Lens
+        Distortion.
+    tile : int
+        Side of a tile, pixels.
+    """
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)

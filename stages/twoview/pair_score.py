@@ -82,6 +82,17 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
     """The same for points that are no keypoints, in which the matcher's word stands for what descriptors tell.
 
     A match of probability 0.5 and more counts as distinctive, and so do those `before` geometry as clear.
+
+    Parameters
+    ----------
+    before : Matches
+        All matches that the geometry was estimated from.
+    inliers : Matches
+        Those that agree with it.
+    found : TwoView
+        The geometry.
+    seed : int
+        Of the samples.
     """
     x1, x2 = inliers.x1, inliers.x2
     distinct = inliers.probability >= LIKELY

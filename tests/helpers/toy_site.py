@@ -51,7 +51,7 @@ class ToySite:
 
     @property
     def cloud(self) -> bytes:
-        return (self.work / "runs" / "latest" / "cloud.ply").read_bytes()
+        return (self.work / "runs" / "latest-good" / "cloud.ply").read_bytes()
 
     def capture(self, camera: str) -> Path:
         return self.folder / "captures" / f"{camera}.txt"

@@ -108,7 +108,7 @@ def rectify(
     geometry: Geometry,
     left: Camera | None,
     right: Camera | None,
-    verdict: PairCheck | None,
+    check: PairCheck | None,
     *,
     margin: float = 0.0,
     reject: bool = False,

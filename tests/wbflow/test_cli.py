@@ -102,7 +102,7 @@ def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
     process.stdout.close()  # as `| head` does after its lines
     assert process.stderr.read() == ""
     assert process.wait(timeout=60) == 0
-    assert (toy.work / "runs" / "latest" / "cloud.ply").exists()
+    assert (toy.work / "runs" / "latest-good" / "cloud.ply").exists()
 
 
 def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToySite) -> None:

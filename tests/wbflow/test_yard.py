@@ -38,7 +38,7 @@ def run(folder: Path, *arguments: str, code: int = 0, **environment: str) -> dic
 
 
 def cloud(folder: Path, work: str = ".wbflow/yard") -> Path:
-    return folder / work / "runs" / "latest" / "cloud.ply"
+    return folder / work / "runs" / "latest-good" / "cloud.ply"
 
 
 def test_the_cloud_is_near_the_truth_and_the_next_run_does_nothing(yard: Path) -> None:

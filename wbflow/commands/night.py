@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..screen import listener, say, summary
+from ..screen import findings, listener, say, summary
 from .common import (
     BACKENDS,
     date_option,
@@ -86,8 +86,8 @@ def run(
         say(json.dumps(finished.record.to_json(), indent=1))
     elif not quiet:
         summary(finished)
-    if finished.record.reason:
-        say(f"no cloud: {finished.record.reason}", err=True)
+    if finished.record.exit_code or not (quiet or as_json):
+        findings(finished.record)
     sys.exit(finished.record.exit_code)
 
 

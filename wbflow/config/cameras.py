@@ -40,6 +40,19 @@ def is_name(name: str) -> bool:
 def read_cameras(
     model: SiteSection, frame: LocalFrame | None, document: Document, problems: list[SiteProblem]
 ) -> list[SiteCamera]:
+    """The cameras of the site; what is wrong with them is added to `problems`.
+
+    Parameters
+    ----------
+    model : SiteSection
+        The validated site file.
+    frame : LocalFrame or None
+        Where positions by latitude and longitude are counted from; None without such.
+    document : Document
+        For the places of problems.
+    problems : list of SiteProblem
+        What is wrong is added here.
+    """
     calibrated: dict[str, Calibrated] = {}
     if model.calibration:
         try:

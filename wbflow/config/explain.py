@@ -9,7 +9,16 @@ from pydantic import ValidationError
 
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .positions import Document, Place, SiteProblem
-from .schema import CameraSection, CapturesSection, IntrinsicsSection, PairsSection, PoseSection, SiteSection
+from .schema import (
+    CameraSection,
+    CapturesSection,
+    ExpectSection,
+    IntrinsicsSection,
+    KeepSection,
+    PairsSection,
+    PoseSection,
+    SiteSection,
+)
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
@@ -26,6 +35,8 @@ _REMEDIES = {
     "degree": "give a whole number, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
+    "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
+    "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
@@ -48,7 +59,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -83,6 +94,8 @@ def _fields_at(place: Place) -> list[str]:
         "pose": PoseSection,
         "pairs": PairsSection,
         "control_points": ControlPoint,
+        "keep": KeepSection,
+        "expect": ExpectSection,
     }
     for step in place:
         model = sections.get(str(step), model)

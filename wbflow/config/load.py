@@ -17,7 +17,7 @@ from .explain import explained, without_faults
 from .geodesy import Position, local_frame
 from .positions import Document, Place, SiteError, SiteProblem, load_yaml
 from .schema import SiteSection
-from .site import Site, SiteCamera, StageSettings
+from .site import Expected, Site, SiteCamera, StageSettings
 from .stages import read_stages
 from .survey import read_survey
 
@@ -84,6 +84,8 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         work,
         reader,
         survey,
+        Expected(model.expect.stated, str(model.expect.since or "")),
+        model.keep.kept(),
         tuple(notes),
     )
 

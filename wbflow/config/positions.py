@@ -79,7 +79,19 @@ class Document:
     """Scalars as written."""
 
     def problem(self, place: Place, what: str, remedy: str = "", key: bool = False) -> SiteProblem:
-        """A problem at a place; where that place is not in the file, at the nearest one around it."""
+        """A problem at a place; where that place is not in the file, at the nearest one around it.
+
+        Parameters
+        ----------
+        place : Place
+            Keys and indices that lead there.
+        what : str
+            What is wrong.
+        remedy : str
+            What to do.
+        key : bool
+            Point at the key and not at its value?
+        """
         marks = self.key_marks if key else self.marks
         at = place
         while at and at not in marks:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..store.keep import Keep
 from .geodesy import ControlPoint, Distance, Position
 from .rotations import look_at, yaw_pitch_roll
+from .sizes import bytes_of
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
@@ -133,6 +136,52 @@ class PairsSection(Section):
     exclude: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
 
 
+class KeepSection(Section):
+    """What stays on disk after a run."""
+
+    nights: int | None = None
+    bytes: int | None = None
+    clouds: int | None = None
+    reports: int | None = None
+
+    @field_validator("nights", "clouds", "reports", mode="before")
+    @classmethod
+    def _count(cls, value: Any) -> int | None:
+        if value is None or value == "all":
+            return None
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise PydanticCustomError("keep", f"give a count of nights, or all, not {value!r}")
+        return value
+
+    @field_validator("bytes", mode="before")
+    @classmethod
+    def _size(cls, value: Any) -> int | None:
+        try:
+            return None if value is None or value == "all" else bytes_of(str(value))
+        except ValueError as error:
+            raise PydanticCustomError("keep", str(error)) from None
+
+    def kept(self) -> Keep:
+        """The same for who cleans."""
+        return Keep(nights=self.nights, bytes=self.bytes, clouds=self.clouds, reports=self.reports)
+
+
+class ExpectSection(Section):
+    """What a good night gives: shares of what is usual, or, above 1, least counts."""
+
+    points: float | None = Field(None, ge=0)
+    pairs: float | None = Field(None, ge=0)
+    coverage: float | None = Field(None, ge=0)
+    cameras: float | None = Field(None, ge=0)
+    brightness: float | None = Field(None, ge=0, le=1)
+    since: datetime.date | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """The limits that are given, by name."""
+        return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -146,4 +195,6 @@ class SiteSection(Section):
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
+    expect: ExpectSection = ExpectSection.model_validate({})
+    keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

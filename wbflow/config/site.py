@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..graph.functions import FunctionReader
+from ..store.keep import Keep
 from .positions import Document, Place, SiteProblem
 
 Matrix = list[list[float]]
@@ -90,6 +92,23 @@ class SiteCamera:
         return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
+_LIMITS = {"points": 0.7, "pairs": 0.7, "coverage": 0.7, "cameras": 1.0, "brightness": 0.35}
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a good night gives: shares of what is usual, or, above 1, least counts."""
+
+    stated: Mapping[str, float] = field(default_factory=dict)
+    """As the site file says, by name."""
+    since: str = ""
+    """Earlier nights (ISO 8601) don't say what is usual; "" where all do."""
+
+    def limit(self, name: str) -> float:
+        """The least share, or count, of a figure that a good night has."""
+        return self.stated.get(name, _LIMITS.get(name, 0.0))
+
+
 @dataclass(frozen=True)
 class StageSettings:
     """What the site file says of one stage: another function for it (`use`), parameters, or that it is off."""
@@ -116,6 +135,9 @@ class Site:
     work: Path
     reader: FunctionReader
     survey: StatedSurvey = field(default_factory=StatedSurvey)
+    expected: Expected = Expected()
+    keep: Keep = field(default_factory=Keep)
+    """What stays on disk after a run."""
     notes: tuple[SiteProblem, ...] = ()
     """What still works, but should be written otherwise."""
 

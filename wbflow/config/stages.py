@@ -17,7 +17,19 @@ from .site import StageSettings
 def read_stages(
     sections: dict[str, Any], document: Document, reader: FunctionReader, problems: list[SiteProblem]
 ) -> tuple[dict[str, StageSettings], list[SiteProblem]]:
-    """Settings by stage; what is wrong with them is added to `problems`.  Also what still works but is called otherwise now."""
+    """Settings by stage; what is wrong with them is added to `problems`.  Also what still works but is called otherwise now.
+
+    Parameters
+    ----------
+    sections : dict
+        The section `stages` of the site file.
+    document : Document
+        For the places of problems.
+    reader : FunctionReader
+        Knows the signatures of stage functions.
+    problems : list of SiteProblem
+        What is wrong is added here.
+    """
     found: dict[str, StageSettings] = {}
     notes: list[SiteProblem] = []
     known = {stage.name: stage for stage in STAGES}

@@ -18,7 +18,23 @@ def read_survey(
     document: Document,
     problems: list[SiteProblem],
 ) -> StatedSurvey:
-    """Distances and control points; what is wrong with them is added to `problems`."""
+    """Distances and control points; what is wrong with them is added to `problems`.
+
+    Parameters
+    ----------
+    cameras : list of str
+        Ids.
+    distances : list of list[Any]
+        Rows of two ids and metres.
+    points : list of ControlPoint
+        Control points.
+    frame : LocalFrame or None
+        Where positions by latitude and longitude are counted from; None without such.
+    document : Document
+        For the places of problems.
+    problems : list of SiteProblem
+        What is wrong is added here.
+    """
     number = {camera: k for k, camera in enumerate(cameras)}
 
     def camera_at(place: Place, camera: Any) -> int:

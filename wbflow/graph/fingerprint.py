@@ -59,7 +59,18 @@ def module_code(modules: Modules, module: str, path: Path) -> ModuleCode:
 def function_digest(modules: Modules, module: str, path: Path, name: str, table: str = "") -> str:
     """Digest of a module as one of its functions sees it: the function has no name of its own.
 
-    table: name of a dictionary of methods in the same module, which is left out; the chosen method has its own fingerprint.
+    Parameters
+    ----------
+    modules : Modules
+        Sources, read once.
+    module : str
+        Dotted name.
+    path : Path
+        Its file.
+    name : str
+        The function.
+    table : str
+        Name of a dictionary of methods in the same module, which is left out; the chosen method has its own fingerprint.
     """
     tree = _bare(modules, module, path)
     for node in ast.walk(tree):

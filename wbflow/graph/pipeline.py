@@ -84,7 +84,7 @@ STAGES: tuple[Stage, ...] = (
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        reports=Reports(notes="notes"),
+        reports=Reports({name: name for name in ("brightness", "contrast", "saturated", "sharpness")}, notes="notes"),
     ),
     Stage(
         "features",
@@ -160,8 +160,8 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         lists="components",
         world_reports=WorldReports(
-            cameras={"pose": Entry("checks"), "verified": Entry("checks", "verified"), "pose_from": Entry("sources")},
-            pairs={"poses_px": Entry("verdicts", "adjusted_px"), "known": Entry("verdicts", "known")},
+            cameras={"pose": Entry("pose_checks"), "verified": Entry("pose_checks", "verified"), "pose_from": Entry("sources")},
+            pairs={"poses_px": Entry("pair_checks", "adjusted_px"), "known": Entry("pair_checks", "known")},
             camera_notes="suspects",
             lost_cameras="unsolved",
         ),
@@ -187,7 +187,7 @@ STAGES: tuple[Stage, ...] = (
             "geometry": FromStage("geometry", unless=("left", "right")),
             "left": FromStage("poses", Which.LEFT, Part("cameras"), optional=True),
             "right": FromStage("poses", Which.RIGHT, Part("cameras"), optional=True),
-            "verdict": FromStage("poses", part=Part("verdicts"), optional=True),
+            "check": FromStage("poses", part=Part("pair_checks"), optional=True),
             **_FRAMES_TOO,
             "scene": FromStage("scene", optional=True),
         },

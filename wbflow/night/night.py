@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from ..config.site import Site
 from ..store.cache import Cache
+from ..store.digests import Digests
 from ..store.layout import WorkFolder
-from .captures import CaptureFile, Digests, find_captures, night
-from .plan import Plan, make_plan
+from .captures import CaptureFile, expected, find_captures, night
+from .plan import Plan
 
 
 @dataclass
@@ -44,5 +45,6 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     date = night(site, date)
     captures = find_captures(site, date, digests)
     masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
-    plan = make_plan(site, captures, date, Cache(work), masks, until, force)
+    missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
+    plan = Plan(site, captures, str(date), Cache(work), masks, missing, until, frozenset(force))
     return Night(site, date, captures, digests, plan)

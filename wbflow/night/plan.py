@@ -29,10 +29,10 @@ from ..graph.pipeline import (
     stage_named,
     stage_with,
 )
-from ..store.cache import Cache, Receipt
-from ..store.pictures import read_drawing
+from ..store.cache import Cache
+from ..store.pictures import is_drawn
 from ..task import Subject, Task, component_name
-from .captures import CaptureFile, expected
+from .captures import CaptureFile
 from .obstacles import Impossible, Waiting, because
 from .spec import Absent, Files, Input, Joined, PictureSpec, Stored, TaskSpec, Value
 from .state import Cause, State, cached_state
@@ -168,13 +168,9 @@ class Plan:
             self.ready[task] = spec
             return
         self.states[task] = cached_state(receipt)
-        if spec.picture and receipt.file and not self._is_drawn(task, receipt, spec.picture):
+        picture = spec.picture if receipt.file else None
+        if picture and not is_drawn(self.cache, task, receipt.key, picture.digest(receipt.key)):
             self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
-
-    def _is_drawn(self, task: Task, receipt: Receipt, picture: PictureSpec) -> bool:
-        """Has the picture of a cached result been drawn (or tried) by the function that is here now?"""
-        drawing = read_drawing(self.cache.work, task, receipt.key)
-        return drawing is not None and drawing.digest == picture.digest(receipt.key)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved."""
@@ -383,17 +379,3 @@ class Plan:
 
     def _camera(self, camera: str) -> SiteCamera:
         return next(c for c in self.site.cameras if c.id == camera)
-
-
-def make_plan(
-    site: Site,
-    captures: dict[str, list[CaptureFile]],
-    date: Any,
-    cache: Cache,
-    masks: dict[str, CaptureFile],
-    until: str | None = None,
-    force: tuple[str, ...] = (),
-) -> Plan:
-    """A plan for one night, not yet refreshed."""
-    expectations = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
-    return Plan(site, captures, str(date), cache, masks, expectations, until, frozenset(force))

@@ -159,7 +159,7 @@ class _Repairs:
             why = f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?"
             self.plan.settle(task, State("failed", why, Cause.DAMAGED))
         else:
-            self.journal.warn(f"{reason}; made again", task=task)
+            self.journal.repaired(f"{reason}; made again", task=task)
             self.plan.forget(task)
 
 

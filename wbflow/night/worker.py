@@ -15,7 +15,7 @@ from ..errors import LONGEST_TRACE, printable
 from ..graph.pipeline import REJECTED
 from ..graph.plugins import load, offer
 from ..store import artifact
-from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
+from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..task import Task
@@ -39,6 +39,8 @@ class Done:
     """What has to be made again before this."""
     warnings: tuple[str, ...] = ()
     """What went wrong without costing the result, in words."""
+    damages: tuple[Damage, ...] = ()
+    """What was found damaged on the way."""
 
 
 @dataclass
@@ -58,7 +60,7 @@ def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt
     offer(specs[0].folder)
     lane = _Lane(cache, dict(receipts))
     for spec in specs:
-        done = _attempt(spec, lane)
+        done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
         yield done
         if done.receipt is None or done.receipt.outcome == "rejected":
             return

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from wbflow.config.load import Site, load_site
-from wbflow.night.captures import Digests, find_captures, night
+from wbflow.night.captures import find_captures, night
+from wbflow.store.digests import Digests
 
 
 def site(folder: Path, pattern: str, files: list[str], cameras: str = "[gate, roof]") -> Site:
