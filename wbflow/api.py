@@ -28,6 +28,7 @@ from .night.journal import Costs, Journal
 from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
+from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
 from .results.publish import publish
@@ -251,8 +252,11 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         for damage in filter(None, (night.digests.damage, site.reader.damage)):
             journal.repaired(damage)
         _mend_ledger(place, journal)
+        prepare(night, journal)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
+        if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
+            pin(place, finished.folder, automatic=True)
         _afterwards(finished, site.keep, journal)
         place.done_writing()
     return Run(finished)

@@ -4,6 +4,7 @@ from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s
 from .captured import Capture, Lens, Placement, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
+from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
 from .site import PoseCheck, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
@@ -14,6 +15,7 @@ __all__ = [
     "TILTED",
     "Bools",
     "Camera",
+    "CameraHealth",
     "Capture",
     "Cloud",
     "DepthMap",
@@ -43,5 +45,6 @@ __all__ = [
     "Uint8s",
     "Uint16s",
     "Uint32s",
+    "Usual",
     "View",
 ]

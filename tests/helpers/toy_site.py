@@ -63,7 +63,7 @@ class ToySite:
         stages: dict[str, Any] = {
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
-        stages["scene"] = stages["refine"] = False
+        stages["scene"] = stages["refine"] = stages["health"] = False
         site = {
             "site": "toy",
             "captures": {"root": "captures", "pattern": "{camera}.txt"},

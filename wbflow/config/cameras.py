@@ -20,7 +20,19 @@ ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 
 
 def beside(path: str, place: Place, document: Document, problems: list[SiteProblem]) -> Path:
-    """A path as a site file states it: relative to the file.  One that can be none is told of, and taken as it is written."""
+    """A path as a site file states it: relative to the file.
+
+    Parameters
+    ----------
+    path : str
+        As it is written.
+    place : Place
+        Where that stands in the site file.
+    document : Document
+        The site file.
+    problems : list of SiteProblem
+        To which is added what is wrong: then the path is taken as it is written.
+    """
     try:
         if "\0" in path:
             raise ValueError("a path holds no zero byte")

@@ -87,6 +87,8 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         Expected(model.expect.stated, str(model.expect.since or "")),
         model.keep.kept(),
         tuple(notes),
+        model.pin,
+        model.health.model_dump(),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -182,6 +182,15 @@ class ExpectSection(Section):
         return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
 
 
+class HealthSection(Section):
+    """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
+
+    nudged_px: float = Field(1.5, gt=0)
+    moved_px: float = Field(8.0, gt=0)
+    flat: float = Field(0.9, gt=0, le=1)
+    dark: float = Field(6.0, ge=0, le=255)
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -194,6 +203,8 @@ class SiteSection(Section):
     resolution: int | None = Field(1600, ge=64)
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
+    pin: Literal["auto", "none"] = "auto"
+    health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
     keep: KeepSection = KeepSection.model_validate({})

@@ -140,6 +140,10 @@ class Site:
     """What stays on disk after a run."""
     notes: tuple[SiteProblem, ...] = ()
     """What still works, but should be written otherwise."""
+    pin: str = "auto"
+    """"auto": the first good run is what later ones are compared with; "none": nothing is."""
+    health: dict[str, Any] = field(default_factory=dict)
+    """Limits of what a camera may differ by, by name."""
 
     @property
     def file(self) -> Path:

@@ -9,6 +9,7 @@ from ..config.site import Site
 from ..store.cache import Cache
 from ..store.digests import Digests
 from ..store.layout import WorkFolder
+from ..store.reference import BadReference, Reference, read_reference
 from .captures import CaptureFile, expected, find_captures, night
 from .plan import Plan
 
@@ -46,5 +47,25 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     captures = find_captures(site, date, digests)
     masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
     missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
-    plan = Plan(site, captures, str(date), Cache(work), masks, missing, until, frozenset(force))
+    reference, misfit = _reference(site, work)
+    plan = Plan(
+        site,
+        captures,
+        str(date),
+        Cache(work),
+        masks,
+        missing,
+        until,
+        frozenset(force),
+        reference=reference,
+        misfit=misfit,
+    )
     return Night(site, date, captures, digests, plan)
+
+
+def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
+    """The reference, and why there is none where there should be."""
+    try:
+        return (read_reference(work) if site.pin != "none" else None), ""
+    except BadReference as error:
+        return None, error.what

@@ -24,6 +24,8 @@ class Cause(StrEnum):
     """A task that it needs left nothing, and gave no code of its own."""
     UNSOLVED = "unsolved"
     """The camera could not be placed."""
+    UNFIT = "camera-unfit"
+    """The camera shows nothing of the site tonight, or another place."""
     BAD_INPUT = "bad-input"
     """The function refused what it was given, or a file could not be read or written."""
     FAULT = "fault"

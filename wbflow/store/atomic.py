@@ -27,6 +27,20 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) ->
         sync_folder(path.parent)
 
 
+def link_atomic(path: Path, name: Path) -> None:
+    """Give a file a second name, in the place of what bears it; a copy, where the file system has no links.  Raises OSError."""
+    if name.exists() and name.samefile(path):
+        return
+    name.parent.mkdir(parents=True, exist_ok=True)
+    temporary = name.with_name(f".{name.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
+    try:
+        os.link(path, temporary)
+    except OSError:
+        write_atomic(name, path.read_bytes())
+        return
+    temporary.replace(name)
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames in a folder last through a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)

@@ -4,6 +4,7 @@ cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
 runs/latest                          link to the newest run, whatever came of it
 runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
+reference/                           what nights are compared with: reference.json, and links to its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
 lock                                 held by the one run that may write
@@ -212,6 +213,20 @@ class WorkFolder:
         """Every published run, oldest first."""
         found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
         return sorted(p.name for p in found if not p.name.startswith("."))
+
+    @property
+    def reference(self) -> Path:
+        """The folder of the pinned reference."""
+        return self.root / "reference"
+
+    @property
+    def reference_record(self) -> Path:
+        """What is pinned; without it nothing is (see `store.reference`)."""
+        return self.reference / "reference.json"
+
+    def pinned(self, path: Path) -> Path:
+        """Where the reference keeps a file of the cache."""
+        return self.reference / path.relative_to(self.cache)
 
     @property
     def ledger(self) -> Path:

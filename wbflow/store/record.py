@@ -213,6 +213,8 @@ class RunRecord:
     """Damage on disk that the run found and put right, in words."""
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the products in its folder, by name."""
+    reference: str | None = None
+    """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
     """Keys of a later version."""
 
@@ -244,6 +246,7 @@ class RunRecord:
             "settings": self.settings,
             "repaired": list(self.repaired),
             "files": dict(self.files),
+            "reference": self.reference,
             **self.later,
         }
 
@@ -262,7 +265,7 @@ class RunRecord:
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
         usual = Usual.from_json(rest["usual"]) if rest.get("usual") else None
-        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files"}
+        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files", "reference"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -281,6 +284,7 @@ class RunRecord:
             settings=str(rest.get("settings") or ""),
             repaired=tuple(rest.get("repaired") or ()),
             files=dict(rest.get("files") or {}),
+            reference=rest.get("reference"),
             later=later,
         )
 
