@@ -62,6 +62,10 @@ class Reason(StrEnum):
     UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOPS
     LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOPS
     AMBIGUOUS = "ambiguous", "ambiguous: another pose fits as well" + _LOOPS
+    SAME_FROM_OTHER_SIDES = (
+        "same-from-other-sides",
+        "ambiguous: the scene looks the same from other sides, and nothing distinct decides" + _LOOPS,
+    )
     NOT_BELIEVED = "not-believed", "wrong" + _LOOPS
     TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees against the pairs that are believed most"
     CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is {off_deg:.0f} degrees off"

@@ -7,17 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.pair_score import probability
+from ..twoview.rivals import shows_another_side
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .rotation_averaging import rotations_along_tree
 
-STANDS_ALONE = 1.0
-"""Log odds that a pair needs which no third camera can confirm."""
+STANDS_ALONE = log(19)
+"""Log odds that a pair needs which no third camera confirms: one such in twenty may be wrong.  One that others do confirm needs
+only be more likely right than wrong."""
+STANDS_ALONE_BARE = 1.0
+"""The same without a relative pose, where no rival was looked for and the score is another."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,10 @@ LOOP_ROTATION_DEG, LOOP_DIRECTION_DEG = 3.0, 10.0
 P_CLOSED_GOOD, P_CLOSED_BAD = 0.95, 0.05
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
 """Triangles share pairs, so each counts half; all together they move the log odds by at most 6."""
+P_SYMMETRIC = 0.2
+"""Of a site whose cameras see a building that looks the same from other sides."""
+P_TURNED_SYMMETRIC, P_TURNED = 0.7, 0.15
+"""Of a pair to have a rival turned by far, there and elsewhere (rendered halls: .76; all other scenes: .15)."""
 PRIOR_SHIFT = 0.5
 TREE_DEG = 4.0
 
@@ -61,9 +70,15 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
     count = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
     why = {pair: _refusal(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
+    for pair, code in _unsupported({p for p in posed if why[p] is None}, geometries, triangles, closed).items():
+        k = index[pair]
+        why[pair] = Rejected(code, _figures(geometries[pair], int(count[k]), int(closing[k])))
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
     for pair, degrees in _against_tree(posed, believed).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
+    if _looks_alike_turned(posed):
+        for pair in posed:
+            why[pair] = why[pair] or Rejected(Reason.SAME_FROM_OTHER_SIDES, _figures(geometries[pair], 0, 0))
     checks = {}
     for k, pair in enumerate(pairs):
         p = probability(float(belief[k]))
@@ -73,14 +88,56 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
 
 def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> Rejected | None:
     """None for a pair to be believed."""
-    figures = {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
-    if triangles == 0 and 0 < geometry.score <= STANDS_ALONE:
+    figures = _figures(geometry, triangles, closed)
+    alone = STANDS_ALONE if geometry.cam2_R_cam1 is not None else STANDS_ALONE_BARE
+    if triangles == 0 and 0 < geometry.score <= alone:
         return Rejected(Reason.UNCONFIRMED, figures)
     if belief > 0:
         return None
     if geometry.score > 0:
         return Rejected(Reason.LOOK_ALIKE, figures)
     return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
+
+
+def _looks_alike_turned(posed: Mapping[Pair, Geometry]) -> bool:
+    """Is the scene more likely than not the same from several sides?  Then what is wrong may close all loops.
+
+    A single pair of any site may have a rival of another side by chance; where the building itself repeats, most have.
+    """
+    odds = log(P_SYMMETRIC / (1 - P_SYMMETRIC))
+    for g in posed.values():
+        turned = shows_another_side(g.inliers, g.rival_elsewhere, g.rival_turned_deg)
+        ours, usual = (P_TURNED_SYMMETRIC, P_TURNED) if turned else (1 - P_TURNED_SYMMETRIC, 1 - P_TURNED)
+        odds += log(ours / usual)
+    return odds > 0
+
+
+def _figures(geometry: Geometry, triangles: int, closed: int) -> dict[str, float]:
+    return {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
+
+
+def _unsupported(
+    believed: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
+) -> dict[Pair, Reason]:
+    """Believed pairs that no camera may be hung on.
+
+    Where a triangle of three believed pairs does not close, one of them is wrong, and nothing says which: copies of a building
+    contradict each other, with scores like those of right pairs.  So a pair needs at least as many of its triangles of believed
+    pairs closed as open; and where none of them is closed, a score that stands alone.
+    """
+    agree, object_ = dict.fromkeys(believed, 0), dict.fromkeys(believed, 0)
+    for (a, b, c), closes in zip(triangles, closed.tolist(), strict=True):
+        sides = ((a, b), (b, c), (a, c))
+        if believed.issuperset(sides):
+            for side in sides:
+                (agree if closes else object_)[side] += 1
+    found = {}
+    for pair in believed:
+        if object_[pair] > agree[pair]:
+            found[pair] = Reason.LOOK_ALIKE
+        elif agree[pair] == 0 and geometries[pair].score <= STANDS_ALONE:
+            found[pair] = Reason.UNCONFIRMED
+    return found
 
 
 def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:

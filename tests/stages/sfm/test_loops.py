@@ -1,5 +1,7 @@
 """Loops of a site confirm right pairs and expose those that only look right."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,7 +84,7 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
 
 def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:
     pair = next(iter(site(2).values()))
-    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 2.5))
+    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 3.5))
     assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
     assert sure.rejected is None
 
@@ -106,3 +108,27 @@ def test_the_check_does_not_depend_on_the_order_of_the_pairs() -> None:
     there, back = check_loops(pairs), check_loops(dict(reversed(pairs.items())))
     assert {p: v.rejected is None for p, v in there.items()} == {p: v.rejected is None for p, v in back.items()}
     assert all(there[p].good_probability == pytest.approx(back[p].good_probability) for p in pairs)
+
+
+def test_three_pairs_that_contradict_each_other_are_all_left_out() -> None:
+    checks = check_loops(site(3, score=6.0, wrong={("c0", "c2"): 6.0}))
+    assert all(v.rejected is not None and v.rejected.code == "look-alike" for v in checks.values())
+
+
+def test_a_camera_joins_by_two_consistent_pairs_or_by_one_that_is_sure() -> None:
+    pairs = site(4, score=2.0)
+    for other in ("c1", "c2"):
+        del pairs[other, "c3"]
+    modest = check_loops(pairs)["c0", "c3"]
+    assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
+    pairs["c0", "c3"] = geometry(*pose(pairs["c0", "c3"]), score=4.0)
+    assert check_loops(pairs)["c0", "c3"].rejected is None
+
+
+@pytest.mark.parametrize(("share", "believed"), [(0.2, False), (0.02, True)])
+def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share: float, believed: bool) -> None:
+    """Its copies close all loops; what tells is that most pairs have a rival turned by far."""
+    turned = {p: replace(g, rival_elsewhere=int(share * g.inliers), rival_turned_deg=90.0) for p, g in site(4, score=5.0).items()}
+    checks = check_loops(turned)
+    assert all((v.rejected is None) == believed for v in checks.values())
+    assert believed or {v.rejected.code for v in checks.values() if v.rejected} == {"same-from-other-sides"}
