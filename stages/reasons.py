@@ -46,6 +46,16 @@ class Reason(StrEnum):
     NO_POSED_CAMERA = "no-posed-camera", "no camera has a pose and intrinsics"
     NO_GEOMETRY = "no-geometry", "no two cameras could be placed: no pair has a geometry"
     PAIRS_CONTRADICT = "pairs-contradict", "no two cameras could be placed: the pairs contradict each other"
+    NOTHING_CONFIRMED = (
+        "nothing-confirmed",
+        "no two cameras could be placed: {unconfirmed:.0f} of {pairs:.0f} pairs may show look-alikes, and no third camera "
+        "confirms them",
+    )
+    NOTHING_DISTINCT = (
+        "nothing-distinct",
+        "no two cameras could be placed: {ambiguous:.0f} of {pairs:.0f} pairs fit as well in another way, as where a scene "
+        "repeats or looks the same from other sides",
+    )
     TOO_FEW_POINTS = "too-few-points", "no two cameras could be placed: too few points are seen at an angle"
 
     NO_USABLE_BASELINE = (

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import log
+from math import isfinite, log
 
 import numpy as np
 
@@ -22,7 +22,7 @@ STANDS_ALONE = log(19)
 """Log odds that a pair needs which no third camera confirms: one such in twenty may be wrong.  One that others do confirm needs
 only be more likely right than wrong."""
 STANDS_ALONE_BARE = 1.0
-"""The same without a relative pose, where no rival was looked for and the score is another."""
+"""The same of the other score, where no rival was looked for."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,11 @@ PRIOR_SHIFT = 0.5
 TREE_DEG = 4.0
 
 
-def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
+def check_loops(geometries: Mapping[Pair, Geometry], unsure_deg: Mapping[Pair, float] | None = None) -> dict[Pair, LoopCheck]:
     """Judge all pairs of a site together; for each pair whether it may enter the poses.
+
+    unsure_deg: by how much rotations may be off besides the noise, where lenses are only guessed: a triangle that a wrong focal
+    length may hold open says nothing against its pairs.
 
     Mean-field beliefs over the triangles of cameras, then a maximum spanning tree of the believed pairs: what disagrees with the
     rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and a pair that stands in no
@@ -61,7 +64,8 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
     """
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
     triangles = _triangles(posed)
-    closed = np.array([_closes(posed, *triangle) for triangle in triangles], dtype=bool)
+    unsure = unsure_deg or {}
+    closed = np.array([_closes(posed, *triangle, slack_deg=_slack(unsure, *triangle)) for triangle in triangles], dtype=bool)
     pairs = list(geometries)
     index = {pair: k for k, pair in enumerate(pairs)}
     members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
@@ -74,7 +78,7 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
         k = index[pair]
         why[pair] = Rejected(code, _figures(geometries[pair], int(count[k]), int(closing[k])))
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
-    for pair, degrees in _against_tree(posed, believed).items():
+    for pair, degrees in _against_tree(posed, believed, unsure).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
     if _looks_alike_turned(posed):
         for pair in posed:
@@ -89,8 +93,7 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
 def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> Rejected | None:
     """None for a pair to be believed."""
     figures = _figures(geometry, triangles, closed)
-    alone = STANDS_ALONE if geometry.cam2_R_cam1 is not None else STANDS_ALONE_BARE
-    if triangles == 0 and 0 < geometry.score <= alone:
+    if triangles == 0 and 0 < geometry.score <= _alone(geometry):
         return Rejected(Reason.UNCONFIRMED, figures)
     if belief > 0:
         return None
@@ -99,13 +102,18 @@ def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> 
     return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
 
 
+def _alone(geometry: Geometry) -> float:
+    """The score that this pair needs where no other confirms it."""
+    return STANDS_ALONE if isfinite(geometry.rival_turned_deg) else STANDS_ALONE_BARE
+
+
 def _looks_alike_turned(posed: Mapping[Pair, Geometry]) -> bool:
     """Is the scene more likely than not the same from several sides?  Then what is wrong may close all loops.
 
     A single pair of any site may have a rival of another side by chance; where the building itself repeats, most have.
     """
     odds = log(P_SYMMETRIC / (1 - P_SYMMETRIC))
-    for g in posed.values():
+    for g in (g for g in posed.values() if isfinite(g.rival_turned_deg)):
         turned = shows_another_side(g.inliers, g.rival_elsewhere, g.rival_turned_deg)
         ours, usual = (P_TURNED_SYMMETRIC, P_TURNED) if turned else (1 - P_TURNED_SYMMETRIC, 1 - P_TURNED)
         odds += log(ours / usual)
@@ -135,7 +143,7 @@ def _unsupported(
     for pair in believed:
         if object_[pair] > agree[pair]:
             found[pair] = Reason.LOOK_ALIKE
-        elif agree[pair] == 0 and geometries[pair].score <= STANDS_ALONE:
+        elif agree[pair] == 0 and geometries[pair].score <= _alone(geometries[pair]):
             found[pair] = Reason.UNCONFIRMED
     return found
 
@@ -148,10 +156,15 @@ def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
     return [(a, b, c) for a, b in posed for c in sorted(after.get(b, set()) & after[a])]
 
 
-def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str) -> bool:
+def _slack(unsure_deg: Mapping[Pair, float], a: str, b: str, c: str) -> float:
+    """What the least certain side of a triangle may be off by."""
+    return max(unsure_deg.get(pair, 0.0) for pair in ((a, b), (b, c), (a, c)))
+
+
+def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, *, slack_deg: float) -> bool:
     """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?"""
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
-    if angle_between_deg(R_ac, R_bc @ R_ab) > LOOP_ROTATION_DEG:
+    if angle_between_deg(R_ac, R_bc @ R_ab) > LOOP_ROTATION_DEG + slack_deg:
         return False
     to_b, onward, to_c = -R_ab.T @ t_ab, -R_ab.T @ (R_bc.T @ t_bc), -R_ac.T @ t_ac  # directions in the axes of a
     normal = np.cross(to_b, onward)
@@ -160,9 +173,9 @@ def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str) -> bool:
         flat = to_c - (to_c @ normal) * normal
         weights = np.linalg.lstsq(np.column_stack([to_b, onward]), flat, rcond=None)[0]
         if (weights >= 0).all():
-            return bool(abs(to_c @ normal) < np.sin(np.radians(LOOP_DIRECTION_DEG)))
+            return bool(abs(to_c @ normal) < np.sin(np.radians(LOOP_DIRECTION_DEG + slack_deg)))
     nearest = max(to_c @ to_b, to_c @ onward)
-    return bool(nearest > np.cos(np.radians(LOOP_DIRECTION_DEG)))
+    return bool(nearest > np.cos(np.radians(LOOP_DIRECTION_DEG + slack_deg)))
 
 
 def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
@@ -187,9 +200,11 @@ def _beliefs(prior: Float64s, members: Int64s, closed: Bools) -> Float64s:
     return belief
 
 
-def _against_tree(posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float]) -> dict[Pair, float]:
+def _against_tree(
+    posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float], unsure_deg: Mapping[Pair, float]
+) -> dict[Pair, float]:
     """Believed pairs whose rotation is off by more than `TREE_DEG` from that along the maximum spanning tree, and by how much."""
     relative = {pair: _pose(posed[pair])[0] for pair in believed}
     world = rotations_along_tree(relative, believed)
     off = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}
-    return {pair: degrees for pair, degrees in off.items() if degrees > TREE_DEG}
+    return {pair: degrees for pair, degrees in off.items() if degrees > TREE_DEG + unsure_deg.get(pair, 0.0)}

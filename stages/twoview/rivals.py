@@ -19,7 +19,7 @@ from ..matching.initial import Correspondences, confirmations
 from ..matching.structural import solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .epipolar import symmetric_epipolar_distance
-from .robust import estimate_essential
+from .robust import estimate_essential, estimate_fundamental
 
 EXPLAINED_PX = 12.0
 """A candidate this near to where the accepted matches put its keypoint is no rival."""
@@ -44,7 +44,7 @@ class Rival:
     elsewhere: int = 0
     """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, not another pose."""
     turned_deg: float = 0.0
-    """Between the accepted rotation and that of the matches off the lines."""
+    """Between the accepted rotation and that of the matches off the lines; nan without K."""
 
     def ambiguous(self, inliers: int) -> bool:
         """Nothing decides between this and a geometry with so many inliers.
@@ -87,7 +87,7 @@ def find_rival(
     others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
     found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
     if found is None or len(found.i1) < FEWEST:
-        return Rival()
+        return Rival() if R is not None else Rival(turned_deg=float("nan"))
     x1, x2 = left.xy[found.i1], right.xy[found.i2]
     inliers, _ = _one_pose(x1, x2, left.view, right.view, R, seed)
     off = symmetric_epipolar_distance(F, x1, x2) > OFF_LINES_PX
@@ -96,9 +96,12 @@ def find_rival(
 
 
 def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None, seed: int) -> tuple[int, float]:
-    """How many matches agree with one pose, and by how much it is turned against R."""
-    if R is None or len(x1) < FEWEST:
-        return 0, 0.0
+    """How many matches agree with one pose, or without K with one F, and by how much it is turned against R."""
+    if len(x1) < FEWEST:
+        return 0, 0.0 if R is not None else float("nan")
+    if R is None:
+        bare = estimate_fundamental(x1, x2, 1.0, seed)
+        return (0 if bare is None else int(bare.inliers.sum())), float("nan")
     pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
     if pose is None or pose.R is None:
         return 0, 0.0

@@ -36,7 +36,7 @@ def geometry(R: np.ndarray, t: np.ndarray, score: float) -> Geometry:
     return Geometry(
         F=np.eye(3), x1=nothing, x2=nothing, i1=none, i2=none, probability=np.zeros(0, np.float32), view1=VIEW, view2=VIEW,
         cam2_R_cam1=R, cam2_t_cam1=t / np.linalg.norm(t), matches=100, inliers=100, model="E", epipolar_px=0.3, angle_deg=15.0,
-        homography_share=0.3, score=score, good_probability=probability(score), distinct_cells=20,
+        homography_share=0.3, score=score, good_probability=probability(score), distinct_cells=20, rival_turned_deg=0.0,
     )  # fmt: skip
 
 
@@ -97,7 +97,7 @@ def test_what_two_poses_explain_is_ambiguous() -> None:
 
 def test_pairs_without_pose_are_judged_by_their_score() -> None:
     some = site(3)
-    bare = {p: Geometry(**{**vars(g), "cam2_R_cam1": None, "cam2_t_cam1": None}) for p, g in some.items()}
+    bare = {p: replace(g, cam2_R_cam1=None, cam2_t_cam1=None, rival_turned_deg=np.nan) for p, g in some.items()}
     checks = check_loops(bare)
     assert all(v.rejected is None and v.triangles == 0 for v in checks.values())
     assert check_loops({}) == {}
@@ -132,3 +132,16 @@ def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share:
     checks = check_loops(turned)
     assert all((v.rejected is None) == believed for v in checks.values())
     assert believed or {v.rejected.code for v in checks.values() if v.rejected} == {"same-from-other-sides"}
+
+
+def test_a_triangle_that_a_guessed_lens_holds_open_contradicts_nothing() -> None:
+    """A focal length off by a fifth turns the rotations by degrees, and so does a wrong pair by tens."""
+    pairs = site(4, score=4.0)
+    for k, pair in enumerate(pairs):
+        R, t = pose(pairs[pair])
+        pairs[pair] = geometry(turn((4.0, -5.0)[k % 2], axis=k % 3) @ R, t, score=4.0)
+    known, guessed = check_loops(pairs), check_loops(pairs, dict.fromkeys(pairs, 6.0))
+    assert all(check.rejected is not None for check in known.values())
+    assert all(check.rejected is None for check in guessed.values())
+    pairs["c0", "c2"] = geometry(turn(40.0, 0) @ pose(pairs["c0", "c2"])[0], pose(pairs["c0", "c2"])[1], score=4.0)
+    assert check_loops(pairs, dict.fromkeys(pairs, 6.0))["c0", "c2"].rejected is not None
