@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, terms
+from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
 from wbflow_stages.types import Bools, Float64s
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)
@@ -51,6 +51,11 @@ class LabelledPair:
         return rival is not None and rival.ambiguous(self.evidence.inliers)
 
     @property
+    def score(self) -> float:
+        """As the product has it."""
+        return pair_score(self.evidence, self.contradicted)
+
+    @property
     def usable(self) -> bool:
         return is_usable(self.error_deg)
 
@@ -75,23 +80,21 @@ class Weights:
     offset: float
 
     def scores(self, pairs: list[LabelledPair]) -> Float64s:
-        raw = table(pairs) @ self.terms + self.offset
-        return np.where([pair.contradicted or pair.ambiguous for pair in pairs], np.minimum(raw, 0), raw)
+        """(n,) log odds of the pairs; of those that these weights are not for (`fitted`), as the product has them."""
+        own = [np.array(terms(p.evidence)) @ self.terms + self.offset if fitted(p) else p.score for p in pairs]
+        return np.array([min(s, 0.0) if p.ambiguous else s for s, p in zip(own, pairs, strict=True)], np.float64)
 
 
-def table(pairs: list[LabelledPair]) -> Float64s:
-    """(n, terms) of the pairs; far below zero for those whose rivals nobody knows."""
-    nothing = (0.0,) * (len(TERMS) - 1) + (1e3,)
-    rows = [terms(pair.evidence) if pair.evidence.rival is not None else nothing for pair in pairs]
-    return np.array(rows, np.float64).reshape(-1, len(TERMS))
+def fitted(pair: LabelledPair) -> bool:
+    """Is the pair one that the weights are for: with an essential matrix, of which rivals were looked for?"""
+    return pair.evidence.rival is not None and not pair.contradicted
 
 
 def fit(pairs: list[LabelledPair], penalty: float = PENALTY) -> Weights:
     """Weights from the pairs that are plainly usable or wrong; copies count as right, since no pair tells them apart."""
-    plain = [
-        p for p in pairs if (is_usable(p.error_of_copy_deg) or is_wrong(p.error_of_copy_deg)) and p.evidence.rival is not None
-    ]
-    x, right = table(plain), np.array([is_usable(pair.error_of_copy_deg) for pair in plain])
+    plain = [p for p in pairs if fitted(p) and (is_usable(p.error_of_copy_deg) or is_wrong(p.error_of_copy_deg))]
+    x = np.array([terms(p.evidence) for p in plain], np.float64)
+    right = np.array([is_usable(p.error_of_copy_deg) for p in plain])
     mean, spread = x.mean(axis=0), x.std(axis=0) + 1e-9
     z, weight, sign = (x - mean) / spread, balance(plain, right), np.array([term.sign for term in TERMS])
 

@@ -1,20 +1,21 @@
-"""Tables of `bench_verdict.py`: each scene left out of the fit in turn, reliability, and random small sites."""
+"""Tables of `bench_verdict.py`: each scene left out of all fits in turn, reliability, and random small sites."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from verdict_fit import LabelledPair, fit, is_usable
-from verdict_scenes import SETS, labelled, scene_of
+from verdict_fit import LabelledPair, Weights, fit, is_usable
+from verdict_scenes import SETS, labelled, scene_of, symmetry, true_rotations
+from verdict_site import LEAST_SCORE, believed, count_habits, worst_turn_deg
 
-from wbflow_stages.sfm.loops import check_loops
-from wbflow_stages.twoview.pair_score import TERMS, pair_score, probability
-from wbflow_stages.twoview.rivals import Rival
-from wbflow_stages.types import Bools, Float64s, Geometry, View
+from wbflow_stages.sfm.loops import Habits
+from wbflow_stages.twoview.pair_score import TERMS, probability
+from wbflow_stages.types import Float64s
 
 MOST_WRONG, LEAST_KEPT = 0.01, 0.9
 """Promised of every scene: share of wrong pairs among the accepted, and of usable ones that are kept."""
@@ -22,13 +23,19 @@ RELIABLE, BIN_OF = 0.05, 30
 """Promised of p: so near to the share that is right, in bins with so many pairs."""
 TURNED_DEG = 3.0
 DRAWS, SITE_SIZES = 20, (2, 3, 4, 6)
-LEAST_SCORE = -4.0
-"""Pairs below do not reach the site (`estimate_geometry`)."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """All that is fitted or counted on the scenes that are not judged by it."""
+
+    weights: Weights
+    usual: Habits
 
 
 @dataclass(frozen=True)
 class Row:
-    """One set: kept and accepted by the score of the pair, fitted on other scenes; site_*: after the site's check."""
+    """One set: kept and accepted by the score of the pair; site_*: after the site's check."""
 
     name: str
     pairs: int
@@ -48,29 +55,27 @@ class Row:
 def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: bool) -> int:
     """Print all tables; 1 if `check` is asked for and a promise is broken."""
     sets = {name: labelled(name, cache) for name in SETS}
-    rows, every, scores = [], [], []
+    others = {scene: fitted({n: p for n, p in sets.items() if scene_of(n) != scene}) for scene in {scene_of(n) for n in sets}}
+    rows, said = [], []
     print("set               pairs usable  kept  wrong accepted(wrong)  site: kept accepted(wrong)")
     for name, pairs in sets.items():
-        others = [p for other, some in sets.items() if scene_of(other) != scene_of(name) for p in some]
-        own = fit(others).scores(pairs)
-        row = _row(name, pairs, own)
+        row = _row(name, pairs, others[scene_of(name)])
         rows.append(row)
-        every += pairs
-        scores.append(own)
+        said += [probability(s) for s in others[scene_of(name)].weights.scores(pairs)]
         print(
             f"{row.name:18}{row.pairs:5}{row.usable:7}{row.kept:6}{row.wrong:7}{row.accepted:9} ({row.wrong_accepted:2})"
             f"{row.site_kept:16}{row.site_accepted:9} ({row.site_wrong:2})", flush=True,
         )  # fmt: skip
-    said = np.array([probability(s) for s in np.concatenate(scores)])
-    bins = reliability(said, every)
+    bins = reliability(np.array(said), [pair for pairs in sets.values() for pair in pairs])
     print("\np         pairs  said  right  (with copies of a building counted as right)")
     for b in bins:
         print(f"{b.begins:.1f} to {b.begins + 0.1:.1f}{b.pairs:6}{b.said:6.2f}{b.right:7.2f}{b.right_or_copy:7.2f}")
-    print(f"\n{DRAWS} random sites of some cameras: with a pair turned by over {TURNED_DEG:g} degrees, and without any pair")
-    turned = {name: small_sites(name, pairs) for name, pairs in sets.items() if name != "nothing"}
-    weights = fit(every)
-    print("\nweights of a fit on all:", *(f"{t.name}: {w:.2f}" for t, w in zip(TERMS, weights.terms, strict=True)), sep="\n  ")
-    print(f"  offset: {weights.offset:.2f}")
+    print(
+        f"\n{DRAWS} random sites of some cameras: with a camera turned by over {TURNED_DEG:g} degrees (of them: where each camera"
+    )
+    print("is an exact copy of the true one, so that the images are those of a right site), and without any camera")
+    turned = {name: small_sites(name, sets[name], others[scene_of(name)], cache) for name in sets if name != "nothing"}
+    _print_fit(fitted(sets))
     if to_json:
         to_json.write_text(json.dumps([vars(row) for row in rows], indent=1))
     if plot:
@@ -84,50 +89,45 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
     return int(check and bool(broken))
 
 
-def _row(name: str, pairs: list[LabelledPair], scores: Float64s) -> Row:
-    usable, wrong = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs])
-    believed = np.zeros(len(pairs), bool) if name == "nothing" else site(pairs)
-    accepted = scores > 0
-    counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & believed, believed, wrong & believed)
+def fitted(sets: Mapping[str, list[LabelledPair]]) -> Fitted:
+    """What these sets tell."""
+    weights = fit([pair for pairs in sets.values() for pair in pairs])
+    return Fitted(weights, count_habits(sets))
+
+
+def _print_fit(found: Fitted) -> None:
+    print("\nfitted on all:", *(f"{t.name}: {w:.2f}" for t, w in zip(TERMS, found.weights.terms, strict=True)), sep="\n  ")
+    print(f"  offset: {found.weights.offset:.2f}\n  {found.usual}")
+
+
+def _row(name: str, pairs: list[LabelledPair], by: Fitted) -> Row:
+    scores = by.weights.scores(pairs)
+    usable, wrong, accepted = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs]), scores > 0
+    kept = np.zeros(len(pairs), bool) if name == "nothing" else believed(pairs, scores, by.usual)
+    counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, wrong & kept)
     return Row(name, len(pairs), *(int(c.sum()) for c in counts))
 
 
-def site(pairs: list[LabelledPair]) -> Bools:
-    """(n,) which pairs of a site the site believes, by the weights of the product."""
-    geometries = {(p.left, p.right): g for p in pairs if (g := _geometry(p)).score >= LEAST_SCORE}
-    checks = check_loops(geometries)
-    return np.array([(p.left, p.right) in checks and checks[p.left, p.right].rejected is None for p in pairs], bool)
-
-
-def _geometry(pair: LabelledPair) -> Geometry:
-    """What the check of a site looks at."""
-    e, nothing, bare = pair.evidence, np.zeros((0, 2)), View(1, 1)
-    score = pair_score(e, pair.contradicted)
-    rival = e.rival or Rival(0, 0, float("nan"))
-    return Geometry(
-        F=np.eye(3), x1=nothing, x2=nothing, i1=None, i2=None, probability=np.zeros(0, np.float32), view1=bare, view2=bare,
-        cam2_R_cam1=pair.R, cam2_t_cam1=pair.t, matches=e.inliers, inliers=e.inliers, model="E", epipolar_px=0.0,
-        angle_deg=e.angle_deg, homography_share=0.0, score=score, good_probability=probability(score),
-        distinct_cells=e.distinct_cells, rival_elsewhere=rival.elsewhere, rival_turned_deg=rival.turned_deg,
-    )  # fmt: skip
-
-
-def small_sites(name: str, pairs: list[LabelledPair]) -> int:
-    """Random subsets of the cameras: how many sites end with a turned camera; any believed pair may be what one is hung on."""
+def small_sites(name: str, pairs: list[LabelledPair], by: Fitted, cache: Path) -> int:
+    """Random subsets of the cameras: how many sites end with a turned camera, the rotations of the believed pairs averaged."""
     rng = np.random.default_rng(0)
+    truth, turns = true_rotations(name, cache), symmetry(name)
     cameras = sorted({camera for p in pairs for camera in (p.left, p.right)})
     total, words = 0, []
     for size in (s for s in SITE_SIZES if s <= len(cameras)):
-        turned = empty = 0
+        turned = copies = empty = 0
         for _ in range(DRAWS):
             chosen = set(rng.choice(cameras, size, replace=False).tolist())
             mine = [p for p in pairs if {p.left, p.right} <= chosen]
-            believed = [p for p, yes in zip(mine, site(mine), strict=True) if yes]
-            turned += any(p.error_deg[0] > TURNED_DEG for p in believed)
-            empty += not believed
+            kept = believed(mine, by.weights.scores(mine), by.usual)
+            some = [p for p, yes in zip(mine, kept, strict=True) if yes]
+            if worst_turn_deg(some, truth, turns[:1]) > TURNED_DEG:
+                turned += 1
+                copies += worst_turn_deg(some, truth, turns) <= TURNED_DEG
+            empty += not some
         total += turned
-        words.append(f"{size} cameras {turned:2} and {empty:2}")
-    print(f"{name:18}" + "; ".join(words))
+        words.append(f"{size} cameras {turned:2} ({copies:2}) and {empty:2}")
+    print(f"{name:18}" + "; ".join(words), flush=True)
     return total
 
 
@@ -146,12 +146,13 @@ class Bin:
 
 
 def reliability(said: Float64s, pairs: list[LabelledPair]) -> list[Bin]:
-    """The tenths of p that have pairs."""
+    """The tenths of p that have pairs; without those that no site gets to see."""
     tenth = np.minimum((said * 10).astype(int), 9)
     right = np.array([[p.usable, is_usable(p.error_of_copy_deg)] for p in pairs])
+    seen = said >= probability(LEAST_SCORE)
     found = []
-    for k in np.unique(tenth).tolist():
-        mine = tenth == k
+    for k in np.unique(tenth[seen]).tolist():
+        mine = seen & (tenth == k)
         strict, copies = right[mine].mean(axis=0).tolist()
         found.append(Bin(k / 10, int(mine.sum()), float(said[mine].mean()), strict, copies))
     return found

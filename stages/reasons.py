@@ -76,6 +76,10 @@ class Reason(StrEnum):
         "same-from-other-sides",
         "ambiguous: the scene looks the same from other sides, and nothing distinct decides" + _LOOPS,
     )
+    SAME_ALONG_A_ROW = (
+        "same-along-a-row",
+        "ambiguous: the scene repeats along a row, and nothing distinct decides" + _LOOPS,
+    )
     NOT_BELIEVED = "not-believed", "wrong" + _LOOPS
     TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees against the pairs that are believed most"
     CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is {off_deg:.0f} degrees off"

@@ -14,6 +14,8 @@ from .loops import check_loops
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
 
+_AMBIGUOUS = (Reason.AMBIGUOUS, Reason.SAME_FROM_OTHER_SIDES, Reason.SAME_ALONG_A_ROW)
+
 
 @dataclass(frozen=True)
 class ViewGraph:
@@ -83,7 +85,7 @@ class ViewGraph:
             return Rejected(Reason.TOO_FEW_POINTS, figures)
         codes = [why.why for why in dropped.values()]
         figures["unconfirmed"] = float(codes.count(Reason.UNCONFIRMED))
-        figures["ambiguous"] = float(codes.count(Reason.AMBIGUOUS) + codes.count(Reason.SAME_FROM_OTHER_SIDES))
+        figures["ambiguous"] = float(sum(code in _AMBIGUOUS for code in codes))
         if figures["ambiguous"] > 0.5 * len(codes):
             return Rejected(Reason.NOTHING_DISTINCT, figures)
         if figures["unconfirmed"] > 0.5 * len(codes):

@@ -51,12 +51,8 @@ class Rival:
 
         A quarter of the support is much for a second pose; a twelfth is if that is turned by far: the view of another side.
         """
-        return self.elsewhere >= MUCH * inliers or shows_another_side(inliers, self.elsewhere, self.turned_deg)
-
-
-def shows_another_side(inliers: int, elsewhere: int, turned_deg: float) -> bool:
-    """A pose that is turned by far has support too: the scene may look the same from another side."""
-    return elsewhere >= MUCH_TURNED * inliers and turned_deg > TURNED_DEG
+        another_side = self.elsewhere >= MUCH_TURNED * inliers and self.turned_deg > TURNED_DEG
+        return another_side or self.elsewhere >= MUCH * inliers
 
 
 def find_rival(

@@ -139,9 +139,9 @@ def test_a_triangle_that_a_guessed_lens_holds_open_contradicts_nothing() -> None
     pairs = site(4, score=4.0)
     for k, pair in enumerate(pairs):
         R, t = pose(pairs[pair])
-        pairs[pair] = geometry(turn((4.0, -5.0)[k % 2], axis=k % 3) @ R, t, score=4.0)
-    known, guessed = check_loops(pairs), check_loops(pairs, dict.fromkeys(pairs, 6.0))
+        pairs[pair] = geometry(turn((8.0, -9.0)[k % 2], axis=k % 3) @ R, t, score=4.0)
+    known, guessed = check_loops(pairs), check_loops(pairs, dict.fromkeys(pairs, 12.0))
     assert all(check.rejected is not None for check in known.values())
     assert all(check.rejected is None for check in guessed.values())
     pairs["c0", "c2"] = geometry(turn(40.0, 0) @ pose(pairs["c0", "c2"])[0], pose(pairs["c0", "c2"])[1], score=4.0)
-    assert check_loops(pairs, dict.fromkeys(pairs, 6.0))["c0", "c2"].rejected is not None
+    assert check_loops(pairs, dict.fromkeys(pairs, 12.0))["c0", "c2"].rejected is not None
