@@ -70,10 +70,8 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
     print("\np         pairs  said  right  (with copies of a building counted as right)")
     for b in bins:
         print(f"{b.begins:.1f} to {b.begins + 0.1:.1f}{b.pairs:6}{b.said:6.2f}{b.right:7.2f}{b.right_or_copy:7.2f}")
-    print(
-        f"\n{DRAWS} random sites of some cameras: with a camera turned by over {TURNED_DEG:g} degrees (of them: where each camera"
-    )
-    print("is an exact copy of the true one, so that the images are those of a right site), and without any camera")
+    print(f"\n{DRAWS} random sites of some cameras: with a camera turned by over {TURNED_DEG:g} degrees (of them: where each")
+    print("camera is an exact copy of the true one, so that the images are those of a right site), and without any camera")
     turned = {name: small_sites(name, sets[name], others[scene_of(name)], cache) for name in sets if name != "nothing"}
     _print_fit(fitted(sets))
     if to_json:

@@ -14,8 +14,8 @@ from wbflow_stages.types import Geometry, View
 
 NOTHING = np.zeros((0, 2))
 PLAIN = Geometry(
-    F=np.eye(3), x1=NOTHING, x2=NOTHING, i1=None, i2=None, probability=np.zeros(0, np.float32),
-    view1=View(1, 1), view2=View(1, 1), cam2_R_cam1=None, cam2_t_cam1=None, matches=200, inliers=200, model="E", epipolar_px=0.3, angle_deg=20.0,
+    F=np.eye(3), x1=NOTHING, x2=NOTHING, i1=None, i2=None, probability=np.zeros(0, np.float32), view1=View(1, 1),
+    view2=View(1, 1), cam2_R_cam1=None, cam2_t_cam1=None, matches=200, inliers=200, model="E", epipolar_px=0.3, angle_deg=20.0,
     homography_share=0.3, score=5.0, good_probability=0.99, rival_turned_deg=0.0,
 )  # fmt: skip
 
