@@ -172,17 +172,18 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
         return
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
+    units: dict[str, str] = {Measure.COVERAGE: "m² seen by two cameras"}
     for name, value in figures.items():
-        limit = expected.limit(name)
+        limit, unit = expected.limit(name), units.get(name, name)
         base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)
         if limit > 1:
             if value < limit:
-                yield _fewer(name, value, limit, f"{value:,.0f} {name}, at least {limit:,.0f} are expected")
+                yield _fewer(name, value, limit, f"{value:,.0f} {unit}, at least {limit:,.0f} are expected")
         elif name == Measure.CAMERAS:
             continue  # each one that is lost is a finding of its own
         elif base is not None and value < limit * base:
             whose = "the reference's" if usual.reference else "the usual"
-            yield _fewer(name, value, base, f"{value:,.0f} {name}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
+            yield _fewer(name, value, base, f"{value:,.0f} {unit}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
         elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
             why = _most_common([pair for pair in record.pairs if not pair.ok])
             planned = float(len(record.pairs))

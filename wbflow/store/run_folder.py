@@ -122,10 +122,18 @@ class RunFolder:
             raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
         return found
 
-    def damaged(self) -> list[Path]:
-        """Products of the run that are not as they were published, or are gone.  Raises NoSuchRun."""
-        files = {self.paths.folder / name: digest for name, digest in self.record().files.items()}
-        return [path for path, digest in files.items() if _sha256(path) != digest]
+    def damaged(self, missing: bool) -> list[Path]:
+        """Products of the run that are not as they were published.
+
+        missing: count those, too, that are not there any more.
+
+        Raises
+        ------
+        NoSuchRun
+            run.json itself is damaged.
+        """
+        files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
+        return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
 
     def cloud(self, cloud: CloudRecord) -> Path:
         """The file of one of the record's clouds."""

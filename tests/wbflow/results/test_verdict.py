@@ -240,6 +240,15 @@ def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
     assert Past((record,)).usual("as ever") is None
 
 
+def test_less_of_the_ground_than_usual() -> None:
+    seen = [
+        replace(night(date), poses=WorldRecord({"metric": True}), later={"coverage": {"area_m2": 400.0, "seen_by_two": share}})
+        for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
+    ]
+    record = judge(replace(seen[1], usual=Past((seen[0],)).usual("as ever")), Facts(), Past(), Expected())
+    assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
+
+
 def test_usual_is_the_median() -> None:
     usual = usual_of([night(points=points) for points in (90_000, 100_000, 250_000)])
     assert (usual.nights, usual.figures) == (3, {"points": 100_000, "pairs": 6})
