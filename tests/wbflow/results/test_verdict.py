@@ -210,6 +210,21 @@ def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
     assert only(record).remedy == "look at its recorder"
 
 
+def test_a_camera_that_is_left_out_for_its_health_is_called_by_it() -> None:
+    blind = replace(lost("roof"), outcome="skipped", health=Health("blind", "98 % of the picture show nothing"))
+    finding = verdict_of(night(cameras=[*map(camera, NAMES[:3]), blind], pairs=without("roof"))).findings[0]
+    assert (finding.kind, finding.text) == ("camera-blind", "98 % of the picture show nothing; left out tonight")
+
+
+def test_a_reason_that_names_every_file_is_cut() -> None:
+    reason = "; ".join(f"roof_{number}.jpg is empty (0 bytes)" for number in range(99))
+    cameras = [*map(camera, NAMES[:3]), replace(lost("roof"), reason=reason)]
+    record = night(cameras=cameras, pairs=without("roof"))
+    assert verdict_of(record).findings[0].text.endswith("...; left out tonight")
+    assert len(verdict_of(record).findings[0].text) < 250
+    assert record.cameras[3].reason == reason
+
+
 def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
     world = WorldRecord({"suspects": {"mast": "seems to be turned by 3.1 degrees. Has it been moved?"}})
     record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
