@@ -168,13 +168,8 @@ def _of_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         task, state = tasks[0]
         more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
         remedy = "wbflow run -v SITE.yaml  shows where" if code == Cause.FAULT else ""
-        yield Finding(
-            "task-failed",
-            task.subject,
-            f"{task} failed: {shortened(state.reason or '')}{more}",
-            {"tasks": len(tasks)},
-            remedy=remedy,
-        )
+        text = f"{task} failed: {shortened(state.reason or '')}{more}"
+        yield Finding("task-failed", task.subject, text, {"tasks": len(tasks)}, remedy=remedy)
 
 
 def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator[Finding]:
