@@ -241,7 +241,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        for damage in filter(None, (night.digests.damage, site.reader.damage)):
+        for damage in filter(None, (night.digests.damage, night.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         _mend_ledger(place, journal)
         prepare(night, journal)
@@ -249,6 +249,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
         if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
             pin(place, finished.folder, automatic=True)
+        night.seen.save()
         _afterwards(finished, site.keep, journal)
         place.done_writing()
     return Run(finished)
