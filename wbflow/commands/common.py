@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 else:
     _Type = click.ParamType
 
+BACKENDS = ("processes", "loky", "threading", "dask")
 PATH = click.Path(path_type=Path)
 site_argument = click.argument("site", metavar="SITE.yaml", type=PATH)
 run_argument = click.argument("run_id", metavar="[RUN]", required=False)

@@ -11,7 +11,18 @@ import click
 
 from ..errors import ExitCode, UsageError, worst
 from ..screen import findings, listener, say, summary
-from .common import Day, date_option, force_option, jobs_option, load, site_argument, until_option, verbose_option, work_option
+from .common import (
+    BACKENDS,
+    Day,
+    date_option,
+    force_option,
+    jobs_option,
+    load,
+    site_argument,
+    until_option,
+    verbose_option,
+    work_option,
+)
 
 if TYPE_CHECKING:
     import datetime
@@ -30,8 +41,10 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="Say what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
-@click.option("--backend", type=click.Choice(["loky", "threading", "dask"]), default="loky", help="Where tasks run.")
+@click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
+@click.option("--memory", metavar="SIZE", help="What all workers together may hold: 4GB (default: 80 % of what there is).")
+@click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")
 @verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Only what went wrong.")
 def run(

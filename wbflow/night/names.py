@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..store.outside import find_outside
+
 _DIRECTIVES = {
     "Y": r"\d{4}",
     "m": r"\d{2}",
@@ -39,7 +41,7 @@ class Pattern:
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
-        found = [path for path in map(Path, glob.iglob(self._wild(camera, date), recursive=True)) if path.is_file()]
+        found = [path for path in map(Path, find_outside(self._wild(camera, date))) if path.is_file()]
         moment = self._reader(camera)
         return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
@@ -52,7 +54,7 @@ class Pattern:
     def dates(self, camera: str) -> Iterator[datetime.date]:
         """Every night for which a camera has a file, as often as it has one."""
         moment = self._reader(camera)
-        for name in glob.iglob(self._wild(camera), recursive=True):
+        for name in find_outside(self._wild(camera)):
             if found := moment(name):
                 yield found.date()
 
