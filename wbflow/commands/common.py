@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from ..store.layout import WorkFolder
 
     _Type = click.ParamType[datetime.date]
+    _Moment = click.ParamType[datetime.datetime]
 else:
-    _Type = click.ParamType
+    _Type = _Moment = click.ParamType
 
 BACKENDS = ("processes", "loky", "threading", "dask")
 PATH = click.Path(path_type=Path)
@@ -49,6 +50,25 @@ class Day(_Type):
             return datetime.date.fromisoformat(value)
         except ValueError:
             self.fail(f"{value!r} is no day; write 2026-11-19, yesterday, or -1", param, ctx)
+
+
+class Clock(_Moment):
+    """A time of day, the next that comes: 06:00."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime.datetime:
+        import datetime
+
+        if isinstance(value, datetime.datetime):
+            return value
+        try:
+            at = datetime.time.fromisoformat(value)
+        except ValueError:
+            self.fail(f"{value!r} is no time of day; write 06:00", param, ctx)
+        now = datetime.datetime.now()
+        moment = datetime.datetime.combine(now.date(), at)
+        return moment if moment > now else moment + datetime.timedelta(days=1)
 
 
 date_option = click.option(

@@ -13,6 +13,7 @@ from ..errors import ExitCode, UsageError, worst
 from ..screen import findings, listener, say, summary
 from .common import (
     BACKENDS,
+    Clock,
     Day,
     date_option,
     force_option,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 @force_option
 @click.option("--dry-run", is_flag=True, help="Say what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
+@click.option("--stop-at", type=Clock(), metavar="HH:MM", help="Then put together and publish what there is, and end.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
@@ -71,8 +73,14 @@ def run(
         return
     from ..api import run as work_through
 
-    codes, records = [], []
-    for day in _nights(loaded, date, since):
+    codes: list[int] = []
+    records = []
+    nights = _nights(loaded, date, since)
+    for day in nights:
+        if codes and (at := asked["stop_at"]) and at <= type(at).now():
+            say(f"{len(nights) - len(codes)} nights were not begun: the run was to stop at {at:%H:%M}", err=True)
+            codes.append(ExitCode.DEGRADED)
+            break
         finished = work_through(loaded, date=day, listen=listener(loaded, verbose, quiet or as_json), **asked)
         record = finished.record
         codes.append(record.exit_code)

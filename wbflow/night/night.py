@@ -36,6 +36,7 @@ class Night:
     def remember(self) -> None:
         """Keep what was learnt of files, for the next run.  Raises OSError."""
         self.digests.save()
+        self.seen.save()
         self.site.reader.save()
 
     def look_again(self, path: Path) -> None:
