@@ -26,6 +26,13 @@ _SAME_COLOUR = 0.05
 """...and its colour, as shares of red and green, within this."""
 
 
+_SOLID = 0.55
+"""What covers so much of its convex hull fills it: of most things only the sides that face the cameras are seen."""
+
+_FOOT = 0.25
+"""Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
+
+
 @dataclass(frozen=True)
 class Blob:
     """A change, and which core points of a night's evidence it consists of."""
@@ -119,7 +126,7 @@ def _measured(
     side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, other_points: Float64s, spacing: float
 ) -> Change | None:
     """Place, size and volume of what changed points make; None where nothing is known of what was below."""
-    footprint = ndimage.binary_fill_holes(footprint)
+    footprint = _filled_out(ndimage.binary_fill_holes(footprint))
     points, up = side.core[rows], grid.axes[2]
     levels = points @ up
     count = grid.rows * grid.columns
@@ -142,12 +149,11 @@ def _measured(
     area = float(weight.sum() * grid.cell**2)
     noise = float(np.median(side.sigma[rows]))
     sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
-    row, column = np.nonzero(footprint)
-    share = (weight * height)[row, column]
-    middle = np.array([np.average(v, weights=share) for v in (column, row, (base + 0.5 * height)[row, column])])
-    place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, middle[2]]) @ grid.axes
-    corners = np.column_stack([column, row]).astype(np.float32)
-    sides = sorted(float((v + 1) * grid.cell) for v in cv2.minAreaRect(corners)[1])
+    row, column = np.nonzero(footprint & (height > _FOOT * tall))
+    middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
+    level = float(np.median(base[footprint])) + 0.5 * tall
+    place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
+    sides = sorted(float((v + 1) * grid.cell) for v in sides)
     likeness = side.likeness[rows]
     known = likeness[np.isfinite(likeness)]
     return Change(
@@ -166,6 +172,14 @@ def _measured(
         points=len(rows),
         cameras="",
     )
+
+
+def _filled_out(footprint: Bools) -> Bools:
+    """The convex hull of cells that cover most of it, else the cells themselves."""
+    row, column = np.nonzero(footprint)
+    hull = np.zeros(footprint.shape, np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
+    return np.asarray(hull > 0) if footprint.sum() >= _SOLID * hull.sum() else footprint
 
 
 def _filled(values: Float64s, within: Bools) -> Float64s:
