@@ -32,8 +32,9 @@ FLOORS = [
 LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api", "screen", "commands", "cli")
 """Who may import whom: each only what stands before it."""
 PATHS = r"""(?x)^(
-    cache | runs | latest | latest-good | quarantine | lock | \.writing | \.wbflow
-    | run\.json | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
+    cache | runs | latest | latest-good | reference\.json | quarantine | lock | \.writing | \.wbflow
+    | run\.json | metrics\.prom | notified\.json
+    | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
     | cloud.*\.ply | .*\.tmp | \.?jpg | \.drawn | \.published)$"""
 LAYOUT = ENGINE / "store" / "layout.py"
 OTHERS = {
@@ -46,9 +47,11 @@ OTHERS = {
 CONTRACTS = {
     "config/load.py": {"pairs"},  # the section of the site file
     "config/explain.py": {"pairs"},
+    "config/site.py": {"pairs"},  # in the section `expect`
     "results/pair.py": {"pairs"},
     "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
-    "store/record.py": {"pairs", "poses"},  # keys of run.json
+    "store/record.py": {"pairs", "poses", "health"},  # keys of run.json
+    "store/reference.py": {"pairs"},  # keys of reference.json
 }
 """Words of the site file, the command line and the files that a run leaves, which happen to be names of stages too."""
 

@@ -7,7 +7,7 @@ import sys
 import click
 
 from . import __version__
-from .commands import night, runs, start
+from .commands import night, reference, runs, start
 from .errors import ExitCode, WbflowError
 from .screen import stop
 
@@ -53,6 +53,7 @@ for _command in (
     runs.compare,
     runs.export,
     runs.clean,
+    reference.pin,
     start.demo,
     start.init,
     start.pair,

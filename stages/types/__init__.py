@@ -5,6 +5,7 @@ from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uin
 from .captured import Capture, Lens, Placement, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
+from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
 from .site import PoseCheck, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
@@ -19,6 +20,7 @@ __all__ = [
     "VANISHED",
     "Bools",
     "Camera",
+    "CameraHealth",
     "Capture",
     "Change",
     "Changes",
@@ -52,5 +54,6 @@ __all__ = [
     "Uint8s",
     "Uint16s",
     "Uint32s",
+    "Usual",
     "View",
 ]

@@ -113,7 +113,7 @@ class _Section:
 
     def _fed(self, bound: Binding) -> set[str]:
         """Parameters that are set elsewhere in the site file, or by the plan."""
-        if self.stage.pair_settings:
+        if self.stage.section:
             return set(bound.parameters)
         return {*self.stage.site_parameters, self.stage.component_parameter} - {""}
 
@@ -122,7 +122,7 @@ class _Section:
         fed = self._fed(bound)
         parameter = bound.parameters.get(key)
         if key in fed and parameter:
-            where = "in the section pairs" if self.stage.pair_settings else "at the top of the file"
+            where = f"in the section {self.stage.section}" if self.stage.section else "at the top of the file"
             remedy = (
                 f"set {key} {where}" if key != self.stage.component_parameter else "leave it out: each component has its turn"
             )

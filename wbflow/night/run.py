@@ -12,7 +12,10 @@ from typing import Any
 
 from ..graph.pipeline import Role, stage_with
 from ..store.cache import DamagedArtifact
+from ..store.disk import DiskFloor
+from ..store.room import REMEDY
 from ..task import Task
+from .changes import Changes
 from .executor import Executor
 from .journal import Costs, Journal
 from .night import Night
@@ -49,16 +52,19 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
     """
     executor = Executor(options.jobs, options.backend, options.scheduler, journal.warn)
     try:
-        return Worked(_until_settled(night.plan, executor, journal, costs))
+        return Worked(_until_settled(night, executor, journal, costs))
     except KeyboardInterrupt:
         executor.stop()
         return Worked(interrupted=True)
     finally:
-        night.digests.save()
-        night.site.reader.save()
+        try:
+            night.remember()
+        except OSError as error:  # costs time only
+            journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 
 
-def _until_settled(plan: Plan, executor: Executor, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+def _until_settled(night: Night, executor: Executor, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+    plan, changes, floor = night.plan, Changes(night, journal), DiskFloor(night.plan.cache.work)
     repairs: Counter[Task] = Counter()
     while True:
         plan.refresh()
@@ -70,12 +76,20 @@ def _until_settled(plan: Plan, executor: Executor, journal: Journal, costs: Cost
             except DamagedArtifact as damage:
                 _repair(plan, damage.task, damage.what, repairs, journal)
                 continue
+        if lacks := floor.lacks(spec.task for lane in lanes for spec in lane):
+            full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
+            for first, *_ in lanes:
+                plan.settle(first.task, plan.states[first.task] if first.redraw else full)
+            continue
         for finished in executor.run(lanes, plan.cache):
             for done in finished:
                 for warning in done.warnings:
                     journal.warn(warning, task=done.task)
                 if done.outcome == "damaged" and done.damaged is not None:
                     _repair(plan, done.damaged, done.reason or "", repairs, journal)
+                    continue
+                if done.changed is not None:
+                    changes.look_again(done)
                     continue
                 costs.add(done)
                 outcome: Any = done.outcome

@@ -24,6 +24,8 @@ class Cause(StrEnum):
     """A task that it needs left nothing, and gave no code of its own."""
     UNSOLVED = "unsolved"
     """The camera could not be placed."""
+    UNFIT = "camera-unfit"
+    """The camera shows nothing of the site tonight, or another place."""
     BAD_INPUT = "bad-input"
     """The function refused what it was given, or a file could not be read or written."""
     FAULT = "fault"
@@ -32,6 +34,8 @@ class Cause(StrEnum):
     """A request for memory was refused."""
     WORKER_LOST = "worker-lost"
     """The worker's process was killed, or took too long, twice."""
+    DISK_FULL = "disk-full"
+    """There was no room for what it made, or would have made."""
     DAMAGED = "damaged"
     """What it had made was found damaged again and again."""
 

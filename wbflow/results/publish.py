@@ -23,6 +23,7 @@ from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import FinishedRun, function
 from .beside import files_beside, told_beside
+from .metrics import metrics
 from .past import Past
 from .record import run_record
 from .verdict import judged
@@ -69,7 +70,7 @@ def publish(
     told_too = told_beside(night.plan, beside)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files, later=told_too)
     page = _report(work, record, journal, cameras or {})
-    folder = unfinished.publish(record, journal.events, page)
+    folder = unfinished.publish(record, journal.events, page, metrics(record))
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
 
 

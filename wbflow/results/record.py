@@ -57,6 +57,7 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         poses=_world(plan),
         reason=root_cause(plan, Task(product)) if main and not main.usable else None,
         code=main.code if main and not main.usable else None,
+        reference=plan.reference.run if plan.reference else None,
     )
 
 
@@ -111,7 +112,7 @@ def reported(scope: str) -> list[str]:
 
 
 def _camera(plan: Plan, camera: str) -> CameraRecord:
-    record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")))
+    record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")), health=plan.health(camera))
     for stage, reports in _reporting("camera"):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state is None:

@@ -14,6 +14,7 @@ from .events import TaskEvent
 from .keep import Keep
 from .layout import WorkFolder
 from .ledger import Ledger
+from .reference import BadReference, read_reference
 from .run_folder import NoSuchRun, RunFolder
 
 _QUARANTINED = 20
@@ -106,10 +107,11 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) ->
         files[path.name.partition(".")[0]].append(path)
     used = {run: _keys(work, ledger, run) for run in sorted(nights.using(keep))}
     newest = {key: run for run in sorted(used) for key in used[run]}
-    gone = files.keys() - newest.keys()
+    pinned = _pinned_keys(work)
+    gone = files.keys() - newest.keys() - pinned
     over = 0
     if keep.bytes is not None:
-        sizes = {key: _size(files[key]) for key in files.keys() - gone}
+        sizes = {key: _size(files[key]) for key in files.keys() & newest.keys() - pinned}
         over = sum(sizes.values()) - keep.bytes
         for key in sorted(sizes, key=lambda key: (newest[key], -sizes[key])):
             if over <= 0:
@@ -120,6 +122,15 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) ->
     # the receipt goes first: what is left without one is not believed
     ordered = (path for key in sorted(gone) for path in sorted(files[key], key=lambda path: path != work.receipt_beside(path)))
     return list(ordered), gone, max(over, 0)
+
+
+def _pinned_keys(work: WorkFolder) -> set[str]:
+    """Keys of what the reference links to: it would take the same room on the disk without them."""
+    try:
+        reference = read_reference(work)
+    except BadReference:
+        return set()
+    return {pinned.key for pinned in reference.artifacts.values()} if reference else set()
 
 
 def _keys(work: WorkFolder, ledger: Ledger, run: str) -> set[str]:

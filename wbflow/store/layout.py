@@ -4,8 +4,10 @@ cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
 runs/latest                          link to the newest run, whatever came of it
 runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
+reference/                           what nights are compared with: reference.json, and links to its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
+notified.json                        what somebody was told last
 lock                                 held by the one run that may write
 """
 
@@ -66,6 +68,11 @@ class RunPaths:
     def clouds(self) -> list[Path]:
         """Every cloud in the folder, by name."""
         return sorted(self.folder.glob("*.ply"))
+
+    @property
+    def metrics(self) -> Path:
+        """The run for Prometheus."""
+        return self.folder / "metrics.prom"
 
     @property
     def cloud(self) -> Path:
@@ -214,6 +221,20 @@ class WorkFolder:
         return sorted(p.name for p in found if not p.name.startswith("."))
 
     @property
+    def reference(self) -> Path:
+        """The folder of the pinned reference."""
+        return self.root / "reference"
+
+    @property
+    def reference_record(self) -> Path:
+        """What is pinned; without it nothing is (see `store.reference`)."""
+        return self.reference / "reference.json"
+
+    def pinned(self, path: Path) -> Path:
+        """Where the reference keeps a file of the cache."""
+        return self.reference / path.relative_to(self.cache)
+
+    @property
     def ledger(self) -> Path:
         """The index of runs and artifacts."""
         return self.root / "ledger.sqlite"
@@ -221,6 +242,11 @@ class WorkFolder:
     def ledger_files(self) -> list[Path]:
         """The ledger and what SQLite keeps beside it."""
         return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
+
+    @property
+    def notified(self) -> Path:
+        """The state of the site that somebody was told of last."""
+        return self.root / "notified.json"
 
     @property
     def lock(self) -> Path:

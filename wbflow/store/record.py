@@ -18,9 +18,14 @@ from .findings import rounded
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
-def stamp(moment: datetime.datetime) -> str:
+def stamp(at: datetime.datetime) -> str:
     """A time as run.json writes it (UTC)."""
-    return moment.strftime(_STAMP)
+    return at.strftime(_STAMP)
+
+
+def moment(text: str) -> datetime.datetime:
+    """A time that run.json has (UTC).  Raises ValueError."""
+    return datetime.datetime.strptime(text, _STAMP).replace(tzinfo=datetime.UTC)
 
 
 @dataclass(frozen=True)
@@ -213,6 +218,8 @@ class RunRecord:
     """Damage on disk that the run found and put right, in words."""
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the products in its folder, by name."""
+    reference: str | None = None
+    """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
     """What site-wide stages report, by stage; and keys of a later version."""
 
@@ -244,6 +251,7 @@ class RunRecord:
             "settings": self.settings,
             "repaired": list(self.repaired),
             "files": dict(self.files),
+            "reference": self.reference,
             **rounded(self.later),
         }
 
@@ -262,7 +270,7 @@ class RunRecord:
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
         usual = Usual.from_json(rest["usual"]) if rest.get("usual") else None
-        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files"}
+        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files", "reference"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -281,6 +289,7 @@ class RunRecord:
             settings=str(rest.get("settings") or ""),
             repaired=tuple(rest.get("repaired") or ()),
             files=dict(rest.get("files") or {}),
+            reference=rest.get("reference"),
             later=later,
         )
 
