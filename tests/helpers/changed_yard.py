@@ -110,7 +110,7 @@ def box_night(
 
 
 def _hit(camera: Camera, boxes: Sequence[Box]) -> tuple[Float64s, Float64s, Float64s]:
-    """(n, 3) the first surface along the ray of every pixel, nan beyond FARTHEST, its normals, and a number (n,) that differs from thing to thing."""
+    """(n, 3) the first surface along the ray of every pixel, nan beyond FARTHEST; its normals; a number (n,) for each thing."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1).astype(np.float64)
     d = rays(camera, np.column_stack([x, y])).T
     with np.errstate(divide="ignore", invalid="ignore"):
