@@ -26,8 +26,8 @@ _SAME_COLOUR = 0.05
 """...and its colour, as shares of red and green, within this."""
 
 
-_SOLID = 0.55
-"""What covers so much of its convex hull fills it: of most things only the sides that face the cameras are seen."""
+_SOLID, _WHOLE = 0.5, 0.8
+"""What covers a share of its convex hull between these fills it: of most things only the sides that face the cameras are seen."""
 
 _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
@@ -126,7 +126,7 @@ def _measured(
     side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, other_points: Float64s, spacing: float
 ) -> Change | None:
     """Place, size and volume of what changed points make; None where nothing is known of what was below."""
-    footprint = _filled_out(ndimage.binary_fill_holes(footprint))
+    footprint = ndimage.binary_fill_holes(footprint)
     points, up = side.core[rows], grid.axes[2]
     levels = points @ up
     count = grid.rows * grid.columns
@@ -139,8 +139,11 @@ def _measured(
         return None
     base = quantile_by_cell(there[below], other_points[below] @ up, count, _TOP).reshape(footprint.shape)
     top, base = _filled(top, footprint), _filled(base, near)
+    footprint = _filled_out(footprint & (top - base > _FOOT * np.quantile((top - base)[footprint], 0.9)))
     weight = np.where(ndimage.binary_erosion(footprint), 1.0, 0.5) * footprint
     height = np.where(footprint, np.maximum(top - base, 0.0), 0.0)
+    if not footprint.any():
+        return None
     volume = float((weight * height).sum() * grid.cell**2)
     if volume <= 0:
         return None
@@ -149,11 +152,11 @@ def _measured(
     area = float(weight.sum() * grid.cell**2)
     noise = float(np.median(side.sigma[rows]))
     sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
-    row, column = np.nonzero(footprint & (height > _FOOT * tall))
+    row, column = np.nonzero(footprint)
     middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
     level = float(np.median(base[footprint])) + 0.5 * tall
     place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
-    sides = sorted(float((v + 1) * grid.cell) for v in sides)
+    sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are covered by half
     likeness = side.likeness[rows]
     known = likeness[np.isfinite(likeness)]
     return Change(
@@ -175,11 +178,13 @@ def _measured(
 
 
 def _filled_out(footprint: Bools) -> Bools:
-    """The convex hull of cells that cover most of it, else the cells themselves."""
+    """The convex hull of cells that cover much of it, but not nearly all; else the cells themselves."""
+    if not footprint.any():
+        return footprint
     row, column = np.nonzero(footprint)
     hull = np.zeros(footprint.shape, np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
-    return np.asarray(hull > 0) if footprint.sum() >= _SOLID * hull.sum() else footprint
+    return np.asarray(hull > 0) if _SOLID <= footprint.sum() / hull.sum() <= _WHOLE else footprint
 
 
 def _filled(values: Float64s, within: Bools) -> Float64s:

@@ -26,6 +26,9 @@ RADIUS, REACH, CORE = 3.0, 15.0, 2.0
 _THROUGH = 2.0
 """So many cameras must see through a point for each that sees a surface there."""
 
+_UNCHANGED, _NORMAL = 0.9, 1.645
+"""Share of the surface that is as it was, and how many standard deviations this share of normal errors keeps within."""
+
 _APART_PX = 2.0
 """A surface that has moved by so many pixels no longer looks the same at its old place."""
 
@@ -96,9 +99,12 @@ def gather(own: Epoch, other: Epoch, spacing: float, registration: float) -> Evi
 
 
 def noise_of(*sides: Evidence) -> float:
-    """By how much distances exceed their standard deviations where nothing has changed: nearly everywhere; at least 1."""
+    """By how much distances exceed their standard deviations where nothing has changed; at least 1.
+
+    By the 90th percentile: so much of a site is taken to be as it was, and other light errs in the tails (shadows, façades).
+    """
     ratios = np.concatenate([side.distance[side.measured] / side.sigma[side.measured] for side in sides])
-    return max(1.0, 1.4826 * float(np.median(np.abs(ratios)))) if len(ratios) else 1.0
+    return max(1.0, float(np.quantile(np.abs(ratios), _UNCHANGED)) / _NORMAL) if len(ratios) else 1.0
 
 
 def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float) -> Evidence:
@@ -125,9 +131,11 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
     told = sight.through.astype(int) + sight.agreeing + sight.hidden
     needed = np.minimum(2, np.maximum(told, 1))
     free = (sight.through >= needed) & (sight.through > _THROUGH * sight.agreeing) & ~same
+    with np.errstate(invalid="ignore"):
+        free &= sight.gap > sigmas * noise * sight.doubt
     by_sight = free & ~nearer
     distance = np.where(by_sight, sight.gap, side.distance)
-    sigma = np.where(by_sight, sight.doubt, sigma)
+    sigma = np.where(by_sight, noise * sight.doubt, sigma)
     changed = _with_neighbours(side.core, nearer | free, spacing)
     like = np.full(len(side.core), np.nan, np.float32)
     rows = np.flatnonzero(changed)

@@ -131,4 +131,4 @@ def _hit(camera: Camera, boxes: Sequence[Box]) -> tuple[Float64s, Float64s, Floa
 def _paint(X: Float64s) -> Float64s:
     """(n,) grey of surfaces: waves of several lengths, fixed in space; the sky is white."""
     waves = [np.sin(X @ np.array(k) + p) for k, p in (((9, 5, 11), 0), ((-13, 8, 5), 1), ((4, -17, 9), 2), ((21, 19, -16), 3))]
-    return np.nan_to_num(128 + 28 * np.sum(waves, axis=0), nan=250.0)
+    return np.asarray(np.nan_to_num(128 + 28 * np.sum(waves, axis=0), nan=250.0), dtype=np.float64)
