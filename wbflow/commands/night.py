@@ -134,9 +134,7 @@ def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
     sys.exit(exit_code(findings))
 
 
-def _explain(
-    site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...], as_json: bool = False
-) -> None:
+def _explain(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...], as_json: bool = False) -> None:
     from dataclasses import asdict
 
     from ..night.night import open_night

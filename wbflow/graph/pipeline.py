@@ -86,6 +86,26 @@ _PLACEMENTS = FromSite(SiteValue.PLACEMENT, Which.ALL)
 _VIEWS = FromStage("frames", Which.ALL, Part("view"))
 _HEALTHS: dict[str, Need] = {"left": FromStage("health", Which.LEFT), "right": FromStage("health", Which.RIGHT)}
 
+_SURFACE: dict[str, Need] = {
+    "frames": FromStage("frames", Which.ALL),
+    "depths": FromStage("depth", Which.ALL),
+    "refined": FromStage("refine", Which.ALL, optional=True),
+    "scene": FromStage("scene", optional=True),
+}
+_SURFACE_THEN: dict[str, Need] = {
+    "then_poses": FromReference("poses"),
+    "then_cloud": FromReference("fuse"),
+    "then_frames": FromReference("frames", Which.ALL),
+    "then_depths": FromReference("depth", Which.ALL),
+    "then_refined": FromReference("refine", Which.ALL),
+}
+
+
+def _told(*figures: str) -> Reports:
+    """Figures that run.json has by the names that they have in the result."""
+    return Reports({name: name for name in figures})
+
+
 _STILL = Held(nudged="kept", moved="kept")
 """Of results that do not depend on where single cameras look."""
 
@@ -329,13 +349,7 @@ STAGES: tuple[Stage, ...] = (
         "coverage",
         scope="site",
         function="wbflow_stages.coverage:find_coverage",
-        needs={
-            "poses": FromStage("poses"),
-            "frames": FromStage("frames", Which.ALL),
-            "depths": FromStage("depth", Which.ALL),
-            "refined": FromStage("refine", Which.ALL, optional=True),
-            "scene": FromStage("scene", optional=True),
-        },
+        needs={"poses": FromStage("poses"), **_SURFACE},
         optional=True,
         picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
         reports=Reports(
@@ -351,6 +365,20 @@ STAGES: tuple[Stage, ...] = (
         ),
         files="wbflow_stages.exports.ground:coverage_files",
         title="What the cameras see of the ground",
+        kept=False,
+    ),
+    Stage(
+        "changes",
+        scope="site",
+        function="wbflow_stages.changes:find_changes",
+        needs={"poses": FromStage("poses"), "cloud": FromStage("fuse"), **_SURFACE, **_SURFACE_THEN},
+        optional=True,
+        site_parameters=("zones",),
+        picture=Picture("wbflow_stages.exports.changed:changes_preview"),
+        reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
+        files="wbflow_stages.exports.changed:changes_files",
+        title="What has changed",
+        kept=False,
     ),
 )
 
