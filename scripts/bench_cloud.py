@@ -152,7 +152,7 @@ def run(mode: str, cameras: str, size: int, poses: str, reference: Float64s) -> 
         if done.returncode not in (0, 3):
             raise SystemExit(f"{mode} {cameras} {size} {poses}: {done.stderr or done.stdout}")
         record = json.loads(done.stdout)
-        latest = Path(folder) / ".wbflow" / "fountain" / "runs" / "latest"
+        latest = Path(folder) / ".wbflow" / "fountain" / "runs" / "latest-good"
         cloud = read_ply(latest / "cloud.ply")
         solved = json.loads((latest / "cameras.json").read_text())
     points = np.column_stack([cloud[axis] for axis in "xyz"]).astype(np.float64)

@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    cloud = arguments.folder / ".wbflow" / "yard" / "runs" / "latest" / "cloud.ply"
+    cloud = arguments.folder / ".wbflow" / "yard" / "runs" / "latest-good" / "cloud.ply"
     truth = arguments.folder / "truth" / "reference.ply"
     points, reference = (np.stack([table[axis] for axis in "xyz"], axis=1) for table in (read_ply(cloud), read_ply(truth)))
     score = compare_clouds(points, reference, taus=(0.02, 0.05, 0.10, 0.20))

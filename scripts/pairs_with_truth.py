@@ -24,7 +24,7 @@ from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_e
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:
-    from wbflow_stages.synthetic.shooting import Daytime
+    from wbflow_stages.synthetic.shots import Daytime
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 CORRECT_PX = 3.0

@@ -96,7 +96,8 @@ def clean_frame(
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     height, width = merged.shape[:2]
-    return Frame(merged, _usable(camera, mask, width, height), camera.view(width, height), tuple(notes))
+    usable = _usable(camera, mask, width, height)
+    return Frame(merged, usable, camera.view(width, height), tuple(notes), **_looks(merged, usable))
 
 
 def working_size(width: int, height: int, resolution: int | None) -> tuple[int, int]:
@@ -247,6 +248,21 @@ def _refuse_featureless(name: str, image: Uint8s) -> None:
         return
     look = "black" if high < 24 else "white" if low > 231 else "uniform"
     raise FeaturelessImage(f"{name} is {look}: nothing can be seen in it; look at the camera, its lens and its light")
+
+
+def _looks(image: Uint8s, usable: Bools) -> dict[str, float]:
+    """How a frame looks, in the figures of `Frame`, by which nights are compared."""
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # the sensor's noise is no sharpness
+    edges = cv2.Laplacian(smooth, cv2.CV_32F)[usable]
+    levels = grey[usable]
+    contrast = float(levels.std())
+    return {
+        "brightness": float(levels.mean()),
+        "contrast": contrast,
+        "saturated": float(np.mean((levels <= 2) | (levels >= 253))),
+        "sharpness": float(edges.std() / max(contrast, 1.0)),
+    }
 
 
 def _resize(image: Uint8s, resolution: int | None) -> Uint8s:

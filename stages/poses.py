@@ -85,12 +85,12 @@ def solve_poses(
     unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
-    verdicts = _verdicts(found, _fit(cameras, seen, max_epipolar_px))
+    pair_checks = _pair_checks(found, _fit(cameras, seen, max_epipolar_px))
     return replace(
         found,
-        dropped={pair: check.reason for pair, check in verdicts.items() if not check.kept},
-        verdicts=verdicts,
-        checks=checks | off,
+        dropped={pair: check.reason for pair, check in pair_checks.items() if not check.kept},
+        pair_checks=pair_checks,
+        pose_checks=checks | off,
         source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
@@ -130,10 +130,10 @@ def _solved(
     return found
 
 
-def _verdicts(found: Poses, fit: Mapping[str, PairCheck]) -> dict[str, PairCheck]:
+def _pair_checks(found: Poses, fit: Mapping[str, PairCheck]) -> dict[str, PairCheck]:
     """What is said of each pair: by known cameras where both are known and don't agree with it, else by all cameras."""
-    kept = {pair: found.verdicts[pair] for pair, check in fit.items() if check.kept and pair in found.verdicts}
-    return {**found.verdicts, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
+    kept = {pair: found.pair_checks[pair] for pair, check in fit.items() if check.kept and pair in found.pair_checks}
+    return {**found.pair_checks, **fit, **{pair: replace(check, known="stated") for pair, check in kept.items()}}
 
 
 def _source(name: str, known: Mapping[str, Camera], trusted: Mapping[str, Camera], found: Poses) -> str:

@@ -54,7 +54,7 @@ def rectify(
     geometry: Geometry | None = None,
     left: Camera | None = None,
     right: Camera | None = None,
-    verdict: PairCheck | None = None,
+    check: PairCheck | None = None,
     left_frame: Frame | None = None,
     right_frame: Frame | None = None,
     scene: Scene | None = None,
@@ -77,7 +77,7 @@ def rectify(
     ----------
     geometry
         Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no cameras.
-    left, right, verdict
+    left, right, check
         Solved or known cameras, which then give F; and whether the pair's matches agree with those of the whole site.
     left_frame, right_frame, scene
         The frames of the pair, and what is known of where things are: looked at where the matches are too few.
@@ -113,7 +113,7 @@ def rectify(
     """
     fitted = partial(_fitted, (geometry, left, right), method, fallback, options)
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
-    by_matches, matches = _by_matches(geometry, left, right, verdict, fitted, limits)
+    by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
     enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
     if enough or left is None or right is None or left_frame is None or right_frame is None:
         return by_matches
@@ -125,7 +125,7 @@ def _by_matches(
     geometry: Geometry | None,
     left: Camera | None,
     right: Camera | None,
-    verdict: PairCheck | None,
+    check: PairCheck | None,
     fitted: Callable[[MatchedPair], Placed | Rejected],
     limits: tuple[int, float, float, float],
 ) -> tuple[Rectification | Rejected, int]:
@@ -135,7 +135,7 @@ def _by_matches(
         return Rejected(Reason.NOTHING_KNOWN), 0
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _obeying(geometry, left, right)
-    refusal = _contradicted(verdict) or _unbelievable(geometry, pair)
+    refusal = _contradicted(check) or _unbelievable(geometry, pair)
     found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
     if isinstance(found, Rejected):
         return found, len(pair.x1)
@@ -207,8 +207,8 @@ def _ground(left: Camera | None, right: Camera | None, scene: Scene | None) -> F
     return ground_homography(left, right, scene.ground)
 
 
-def _contradicted(verdict: PairCheck | None) -> Rejected | None:
-    return None if verdict is None or verdict.kept else Rejected(Reason(verdict.code), words=verdict.reason)
+def _contradicted(check: PairCheck | None) -> Rejected | None:
+    return None if check is None or check.kept else Rejected(Reason(check.code), words=check.reason)
 
 
 def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:

@@ -23,7 +23,7 @@ EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/
 FLOORS = [
     {"types", "reasons", "core"},
     {"twoview", "matching", "io"},
-    {"rectification", "stereo", "sfm", "mvs", "fusion"},
+    {"rectification", "stereo", "sfm", "mvs", "fusion", "change"},
     {"stages"},
     {"synthetic", "exports", "evaluate"},
 ]
@@ -32,8 +32,9 @@ FLOORS = [
 LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api", "screen", "commands", "cli")
 """Who may import whom: each only what stands before it."""
 PATHS = r"""(?x)^(
-    cache | runs | latest | latest-good | quarantine | lock | \.writing | \.wbflow
-    | run\.json | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
+    cache | runs | latest | latest-good | reference\.json | quarantine | lock | \.writing | \.wbflow
+    | run\.json | metrics\.prom | notified\.json
+    | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
     | cloud.*\.ply | .*\.tmp | \.?jpg | \.drawn | \.published)$"""
 LAYOUT = ENGINE / "store" / "layout.py"
 OTHERS = {
@@ -46,9 +47,11 @@ OTHERS = {
 CONTRACTS = {
     "config/load.py": {"pairs"},  # the section of the site file
     "config/explain.py": {"pairs"},
+    "config/site.py": {"pairs", "coverage"},  # in the section `expect`
     "results/pair.py": {"pairs"},
     "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
-    "store/record.py": {"pairs", "poses"},  # keys of run.json
+    "store/record.py": {"pairs", "poses", "health"},  # keys of run.json
+    "store/reference.py": {"pairs"},  # keys of reference.json
 }
 """Words of the site file, the command line and the files that a run leaves, which happen to be names of stages too."""
 
@@ -230,3 +233,24 @@ def test_functions_have_at_most_70_lines() -> None:
                 if lines > 70:
                     long[f"{file.relative_to(ROOT)}:{node.name}"] = lines
     assert not long
+
+
+def public_functions(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Functions, and methods of classes, that have a name for others."""
+    for node in body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from public_functions(node.body, f"{node.name}.")
+        elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            yield f"{owner}{node.name}", node
+
+
+def test_functions_with_more_than_three_parameters_explain_them() -> None:
+    """But kernels, whose file does it once, and commands, whose options do."""
+    silent = []
+    for file in SOURCES:
+        for name, node in public_functions(parsed(file).body):
+            arguments = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            decorators = [ast.unparse(d) for d in node.decorator_list]
+            if len({*arguments} - {"self", "cls"}) > 3 and not any(d == "kernel" or d.startswith("click.") for d in decorators):
+                silent += [] if "Parameters\n" in (ast.get_docstring(node) or "") else [f"{file.relative_to(ROOT)}: {name}"]
+    assert silent == []

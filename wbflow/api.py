@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 import os
@@ -24,17 +25,25 @@ from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
+from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
+from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
+from .results.notify import NotTold, notify
 from .results.publish import publish
+from .results.report.share import share_pictures
+from .store.clean import clean
 from .store.events import Event, Listener
+from .store.keep import Keep
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
-from .store.run_folder import RunFolder, new_run
+from .store.room import FULL, REMEDY
+from .store.run_folder import RunFolder, new_run, turn_links
+from .store.sizes import in_words
 from .task import Task
 
 if TYPE_CHECKING:
@@ -149,8 +158,10 @@ def run(
     until: str | None = None,
     force: Iterable[str] = (),
     wait: bool = False,
-    backend: str = "loky",
+    backend: str = "processes",
     scheduler: str | None = None,
+    memory: str | None = None,
+    time_limit: float | None = None,
     listen: Listener | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
@@ -170,9 +181,13 @@ def run(
     wait : bool
         Wait for another run of the same work folder.
     backend : str
-        Where tasks run: loky (processes), threading or dask.
+        Where tasks run: processes, threading or dask.
     scheduler : str, optional
         Address of the Dask scheduler.
+    memory : str, optional
+        What all workers together may hold, such as "4GB"; four fifths of what the machine has, if not given.
+    time_limit : float, optional
+        Seconds that a task may take; told by what its stage took before, if not given.
     listen : callable, optional
         Told of every event as it happens.
 
@@ -193,13 +208,15 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler)
+    most = bytes_of(memory) if memory else None
+    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit)
     options.check()
     try:
         return _run(site, options, listen or _quiet)
     except OSError as error:
         what = f"{error.filename or site.work}: {error.strerror or error}"
-        raise WbflowError(what, remedy="check the disk and the rights on the work folder") from error
+        remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
+        raise WbflowError(what, remedy=remedy) from error
 
 
 def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
@@ -210,7 +227,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     where : Site, str or Path
         The site, its file or folder, or the folder of the run itself.
     run_id : str, optional
-        Which of the site's runs; "latest" is the newest that made a cloud; the newest, if not given.
+        Which of the site's runs; "latest-good" is the newest with a cloud; the newest, if not given.
 
     Raises
     ------
@@ -231,32 +248,71 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
     with hold(place.lock, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        place.start_writing()
+        if place.start_writing():
+            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+        for damage in filter(None, (night.digests.damage, site.reader.damage)):
+            journal.repaired(damage)
+        _mend_ledger(place, journal)
+        prepare(night, journal)
         worked = work(night, options, journal, costs)
-        finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
-        _tell_ledger(finished, journal)
+        finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
+        if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
+            pin(place, finished.folder, automatic=True)
+        _afterwards(finished, site.keep, journal)
+        if not options.until and not worked.interrupted:
+            _tell_people(site, finished, journal)
         place.done_writing()
     return Run(finished)
 
 
-def _tell_ledger(run: FinishedRun, journal: Journal) -> None:
-    """Index the run.  The ledger is made again from what it indexes, so a fault there costs nothing, but is told of."""
+def _mend_ledger(place: WorkFolder, journal: Journal) -> None:
+    """Have the ledger made again where it is damaged, before anybody asks it for anything."""
+    try:
+        with Ledger(place, writes=True) as ledger:
+            for fault in ledger.faults:
+                journal.repaired(fault)
+    except (OSError, sqlite3.Error) as error:
+        journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
+
+
+def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
+    """Index the run, and remove what need not stay.  The night is published: a fault here costs nothing, but is told of."""
     told = len(journal.events)
     try:
-        with Ledger(run.work) as ledger:
+        with Ledger(run.work, writes=True) as ledger:
             fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
-    except (OSError, sqlite3.Error, WbflowError) as error:
-        journal.warn(f"the ledger was not written: {error}", remedy="delete it: the next run makes it again")
-    for event in journal.events[told:]:
-        run.folder.add(event)
+        share_pictures(run.work, run.folder.id)
+        if not keep.everything:
+            over = clean(run.work, keep, asked=False).over
+            if over:
+                what = f"the cache holds {in_words(over)} more than keep.bytes allows"
+                journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
+    except sqlite3.Error as error:
+        journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
+    except (OSError, WbflowError) as error:
+        journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
+    with contextlib.suppress(OSError):  # a full disk: it has been told
+        for event in journal.events[told:]:
+            run.folder.add(event)
+
+
+def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, but is told of."""
+    if site.notify is None:
+        return
+    try:
+        notify(site.notify, run.work, run.folder.paths, run.record)
+    except (NotTold, OSError) as error:
+        journal.warn(str(error), remedy="the command is called again after the next run")
+        run.folder.add(journal.events[-1])
 
 
 def _quiet(event: Event) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-import traceback
 
 import click
 
 from . import __version__
-from .commands import night, runs, start
+from .commands import night, reference, runs, start
 from .errors import ExitCode, WbflowError
 from .screen import stop
 
@@ -25,6 +24,8 @@ class _Plain(click.Group):
             sys.exit(ExitCode.INTERRUPTED)
         except WbflowError as error:
             if _tracebacks_wanted() and error.__cause__:
+                import traceback
+
                 traceback.print_exception(error.__cause__)
             stop(error.exit_code, str(error))
         except Exception as error:
@@ -52,6 +53,7 @@ for _command in (
     runs.compare,
     runs.export,
     runs.clean,
+    reference.pin,
     start.demo,
     start.init,
     start.pair,

@@ -15,10 +15,14 @@ if TYPE_CHECKING:
     from .api import Run
     from .config.site import Site
     from .store.events import Event, Listener
+    from .store.record import RunRecord
 
 
 def listener(site: Site, verbose: bool, quiet: bool) -> Listener:
-    """What is said of events: failures, rejections and warnings, everything with -v; a counter where somebody watches."""
+    """What is said of events: failures, rejections and warnings, everything with -v; a counter where somebody watches.
+
+    quiet: warnings only; what failed is among the findings, at the end.
+    """
     from .store.events import WarningEvent
 
     watched = sys.stderr.isatty() and not quiet
@@ -33,7 +37,7 @@ def listener(site: Site, verbose: bool, quiet: bool) -> Listener:
         else:
             count += 1
             failed = event.outcome == "failed"
-            if verbose or failed or (event.outcome == "rejected" and not quiet):
+            if verbose or ((failed or event.outcome == "rejected") and not quiet):
                 subject = "--".join(event.task.subject) or site.name
                 line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or ''}"
                 say(line.rstrip(), err=failed)
@@ -43,6 +47,31 @@ def listener(site: Site, verbose: bool, quiet: bool) -> Listener:
             say(f"{count} tasks, last {event.task}", nl=False, err=True)
 
     return listen
+
+
+LEVELS = {
+    "good": "good: nothing to look at",
+    "degraded": "degraded: a cloud was made, but look at this",
+    "failed": "failed",
+}
+"""The verdict's levels in words."""
+
+MOST_FINDINGS = 20
+"""So many are said; the report has all."""
+
+
+def findings(record: RunRecord) -> None:
+    """What is to be looked at, and what to do about it: on stderr, so that cron sends it to somebody."""
+    verdict = record.verdict
+    if verdict is None or (verdict.good and not verdict.findings):
+        return
+    say(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
+    for finding in verdict.findings[:MOST_FINDINGS]:
+        say(f"  {finding}", err=True)
+        if finding.remedy:
+            say(f"    {finding.remedy}", err=True)
+    if (left := len(verdict.findings) - MOST_FINDINGS) > 0:
+        say(f"  and {left} more: the report has them", err=True)
 
 
 def summary(finished: Run) -> None:

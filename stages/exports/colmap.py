@@ -1,7 +1,7 @@
-"""Cameras and cloud as a COLMAP model in text form.
+"""Cameras, the points that they rest on, and the cloud as a COLMAP model in text form, written by COLMAP itself.
 
-COLMAP's pixels have their origin in the corner of the image, ours in the centre of the first pixel: principal points move by half
-a pixel.  Its poses are X_camera = R X + t, as quaternion (w first) and t.
+COLMAP's pixels have their origin in the corner of the image, ours in the centre of the first pixel: principal points and
+keypoints move by half a pixel.
 
 References
 ----------
@@ -10,54 +10,92 @@ https://colmap.github.io/format.html
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pycolmap
+from scipy.spatial import cKDTree
 
-from ..types import Camera, Cloud
+from ..sfm.tracks import Tracks, build_tracks, straightened
+from ..sfm.triangulation import residuals, triangulate
+from ..types import Camera, Cloud, Float64s, Geometry, Uint8s
 
-NO_ERROR = -1
-"""COLMAP's mark for a point whose reprojection error has not been computed."""
+MAX_ERROR_PX = 4.0
+"""An observation farther from its point is left out, as COLMAP does (`filter_max_reproj_error`)."""
 
 
-def colmap_files(cameras: Mapping[str, Camera], cloud: Cloud, most_points: int = 200_000) -> dict[str, bytes]:
-    """cameras.txt, images.txt and points3D.txt of cameras that share a world; images are called <camera>.png.
+def colmap_files(
+    cameras: Mapping[str, Camera], geometries: Mapping[str, Geometry], cloud: Cloud, most_points: int = 200_000
+) -> dict[str, bytes]:
+    """The text files of a model of cameras that share a world; images are called <camera>.png.
 
-    The cloud is thinned evenly to `most_points`; its points name no image.
+    Parameters
+    ----------
+    cameras : mapping
+        By id.
+    geometries : mapping
+        By "left--right": their inliers become tracks.
+    cloud : Cloud
+        Thinned evenly to `most_points` and added after the points of the tracks; these points name no image.
+    most_points : int
+        Of the cloud.
     """
-    numbered = list(enumerate(cameras.items(), start=1))
-    files = {
-        "cameras.txt": ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *(_intrinsics(n, camera) for n, (_, camera) in numbered)],
-        "images.txt": ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of X Y POINT3D_ID"],
-        "points3D.txt": ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)", *_points(cloud, most_points)],
-    }
-    for n, (name, camera) in numbered:
-        files["images.txt"] += [_pose(n, name, camera), ""]
-    return {name: ("\n".join(lines) + "\n").encode() for name, lines in files.items()}
+    names = list(cameras)
+    tracks, X = _tracks(cameras, geometries)
+    model = pycolmap.Reconstruction()
+    place = np.zeros(len(tracks.track), np.int64)
+    for view, name in enumerate(names):
+        mine = np.flatnonzero(tracks.view == view)
+        place[mine] = np.arange(len(mine))
+        model.add_camera_with_trivial_rig(_lens(cameras[name], view + 1))
+        image = pycolmap.Image(name=f"{name}.png", keypoints=tracks.xy[mine] + 0.5, camera_id=view + 1, image_id=view + 1)
+        pose = np.column_stack([cameras[name].R, -cameras[name].R @ cameras[name].C])
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    starts = np.searchsorted(tracks.track, np.arange(tracks.count + 1)).tolist()
+    for X_track, color, start, end in zip(X, _colors(cloud, X), starts, starts[1:], strict=False):
+        seen = pycolmap.Track()
+        for row in range(start, end):
+            seen.add_element(int(tracks.view[row]) + 1, int(place[row]))
+        model.add_point3D(X_track, seen, color)
+    count = len(cloud.points)
+    kept = np.arange(count) if count <= most_points else np.arange(most_points) * count // most_points
+    for point, color in zip(cloud.points[kept].astype(np.float64), cloud.colors[kept], strict=True):
+        model.add_point3D(point, pycolmap.Track(), color)
+    model.update_point_3d_errors()
+    with tempfile.TemporaryDirectory() as folder:
+        model.write_text(folder)
+        return {file.name: file.read_bytes() for file in sorted(Path(folder).iterdir())}
 
 
-def _intrinsics(number: int, camera: Camera) -> str:
+def _tracks(cameras: Mapping[str, Camera], geometries: Mapping[str, Geometry]) -> tuple[Tracks, Float64s]:
+    """Tracks of at least two views that meet their point (count, 3) within `MAX_ERROR_PX`."""
+    number = {name: view for view, name in enumerate(cameras)}
+    views = {number[name]: camera for name, camera in cameras.items()}
+    ends = {name: name.split("--") for name in geometries}
+    edges = {(number[a], number[b]): geometries[name] for name, (a, b) in ends.items() if a in number and b in number}
+    tracks = build_tracks(edges, len(views))
+    straight = straightened(tracks, views)
+    X = triangulate(views, straight, np.ones(len(tracks.track), bool), MAX_ERROR_PX / 2)
+    near = np.linalg.norm(residuals(views, straight, X), axis=1) < MAX_ERROR_PX
+    seen = np.bincount(tracks.track[near], minlength=tracks.count) >= 2
+    kept = np.flatnonzero(near & seen[tracks.track])
+    _, track = np.unique(tracks.track[kept], return_inverse=True)
+    return Tracks(track.astype(np.int32), tracks.view[kept], tracks.xy[kept], int(seen.sum())), X[seen]
+
+
+def _lens(camera: Camera, number: int) -> pycolmap.Camera:
     """A pinhole; where distortion was found to be left in the frame, with that."""
     K = camera.K
-    values = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]
-    model = "PINHOLE"
+    model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]
     if any(camera.radial):
-        model, values = "OPENCV", [*values, *camera.radial, 0.0, 0.0]
-    return f"{number} {model} {camera.width} {camera.height} {_numbers(values)}"
+        model, params = "OPENCV", [*params, *camera.radial, 0.0, 0.0]
+    return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
 
 
-def _pose(number: int, name: str, camera: Camera) -> str:
-    x, y, z, w = Rotation.from_matrix(camera.R).as_quat(canonical=True)
-    return f"{number} {_numbers([w, x, y, z, *(-camera.R @ camera.C)])} {number} {name}.png"
-
-
-def _points(cloud: Cloud, most: int) -> list[str]:
-    count = len(cloud.points)
-    kept = np.arange(count) if count <= most else np.arange(most) * count // most
-    rows = zip(cloud.points[kept].astype(np.float64).tolist(), cloud.colors[kept].tolist(), strict=True)
-    return [f"{n} {x:.8g} {y:.8g} {z:.8g} {r} {g} {b} {NO_ERROR}" for n, ((x, y, z), (r, g, b)) in enumerate(rows, start=1)]
-
-
-def _numbers(values: list[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def _colors(cloud: Cloud, X: Float64s) -> Uint8s:
+    """(n, 3) colour of the point of the cloud that is nearest to each point; black where there is no cloud."""
+    if not len(cloud.points):
+        return np.zeros((len(X), 3), np.uint8)
+    return np.asarray(cloud.colors[cKDTree(cloud.points).query(X)[1]], dtype=np.uint8)

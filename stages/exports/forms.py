@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..types import Camera, Cloud, DepthMap, Frame, Poses
+from ..types import Camera, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
     import open3d
@@ -67,13 +67,26 @@ def mesh(cloud: Cloud) -> Files:
     yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
 
 
-def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
-    """colmap/sparse/*.txt and colmap/images/<camera>.png of the main component."""
+def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: Mapping[str, Geometry]) -> Files:
+    """colmap/sparse/*.txt and colmap/images/<camera>.png of the main component.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Its points follow those that the cameras rest on.
+    poses : Poses
+        The cameras.
+    frames : mapping
+        Of each camera.
+    geometries : mapping
+        By "left--right": matches that become tracks.
+    """
     from ..io.rasters import png
     from .colmap import colmap_files
 
     cameras = _main_cameras(poses)
-    for name, data in colmap_files(cameras, cloud).items():
+    believed = {name: geometry for name, geometry in geometries.items() if name not in poses.dropped}
+    for name, data in colmap_files(cameras, believed, cloud).items():
         yield f"colmap/sparse/{name}", data
     for name in cameras:
         if name not in frames:

@@ -48,7 +48,19 @@ def pair_files(
 
 
 def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, right: Frame) -> dict[str, bytes]:
-    """matches.csv, and where there is a geometry inliers.csv and F.txt; a picture of each."""
+    """matches.csv, and where there is a geometry inliers.csv and F.txt; a picture of each.
+
+    Parameters
+    ----------
+    matches : Matches
+        Of the pair.
+    geometry : Geometry or None
+        None where none was found.
+    left : Frame
+        The frame that x1 lies in.
+    right : Frame
+        The frame that x2 lies in.
+    """
     files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right))}
     if geometry is not None:
         rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
@@ -72,6 +84,17 @@ def disparity_files(
     """Disparity of both rectified views as 16-bit PNG and PFM, a picture, and the offset of the PNGs in pixels.
 
     PNG: 0 is unknown, else disparity = (value - 1) / 16 + offset.  PFM: float32, bottom row first, infinite where unknown.
+
+    Parameters
+    ----------
+    disparity : Disparity
+        Of both rectified views.
+    rectification : Rectification
+        How the frames are resampled.
+    left : Frame
+        Frame of the left camera.
+    right : Frame
+        Frame of the right camera.
     """
     maps = {"left": disparity_px(disparity, 1), "right": disparity_px(disparity, 2)}
     known = np.concatenate([m[np.isfinite(m)] for m in maps.values()])

@@ -156,7 +156,19 @@ def _first_apart(places: Float64s, match: Float64s, distance: Float32s, apart_px
 
 
 def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust: Float64s) -> tuple[Int32s, Int32s, Float64s]:
-    """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted."""
+    """Candidates that no descriptor list has: keypoints of image 2 near the prediction, where the field can be trusted.
+
+    Parameters
+    ----------
+    pair : ViewPair
+        Keypoints and descriptors of both images.
+    field : AffineField
+        Where keypoints of image 1 are expected in image 2.
+    sigma : ndarray
+        (n,) standard deviation of that, pixels.
+    trust : ndarray
+        (n,) probability that the field holds there.
+    """
     asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
     cell = SEARCH_CELL_PX

@@ -68,7 +68,16 @@ def net_edges(x: Float64s) -> Int32s:
 def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -> Float64s:
     """Coefficients (2,) that best carry the differences of `design` (n, 2) over `edges` into those of `target` (n,).
 
-    Robust: weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
+    Parameters
+    ----------
+    design : ndarray
+        (n, 2) values at the points.
+    target : ndarray
+        (n,) values that they are to follow.
+    edges : ndarray
+        (m, 2) pairs of points whose differences count.
+    robust : bool
+        Weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
     """
     return _reweighted(design, target, edges, _ITERATIONS if robust else 1)
 

@@ -48,7 +48,19 @@ Placed = tuple[Rectification, list[Footprint]]
 def placed(
     pair: MatchedPair, method: str, rectifier: Callable[[], Homographies | PolarImages], fallback: bool
 ) -> Placed | Rejected:
-    """The rectification by the method; where that can't be, by Hartley's homographies, which bend x least; else by rows."""
+    """The rectification by the method; where that can't be, by Hartley's homographies, which bend x least; else by rows.
+
+    Parameters
+    ----------
+    pair : MatchedPair
+        Frames' sizes, F, and matches.
+    method : str
+        Its name, for the result.
+    rectifier : function
+        The method, with all that it needs.
+    fallback : bool
+        May Hartley's homographies, or rows, stand in?
+    """
     reason = "as asked"
     attempts = {method: rectifier}
     if method not in ("hartley", "polar"):
@@ -121,8 +133,21 @@ def finished(
 ) -> Rectification | Rejected:
     """The rectification with its figures, or why it must not be used.
 
-    geometry: of the pair; None where cameras give the rows and points at many depths stand for matches: their order along the
-    rows is then no test.
+    Parameters
+    ----------
+    found : Rectification
+        As the method has it.
+    footprints : list of Footprint
+        Where the frames' pixels come to lie.
+    pair : MatchedPair
+        Frames' sizes, F, and matches.
+    geometry : Geometry or None
+        Of the pair; None where cameras give the rows and points at many depths stand for matches: their order along the rows is
+        then no test.
+    max_row_error_px : float
+        A larger error of the rows is refused.
+    range_margin : float
+        Share of the disparity range that is added at either end.
     """
     y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
     vertical = np.abs(y1[:, 1] - y2[:, 1])

@@ -26,7 +26,20 @@ def place(
 
     One scale for x and one for y, common to both images: what one image loses in width the other gains.
 
-    x1, x2: (n, 2) matches, on the near side of the lines that H1 and H2 send to infinity.
+    Parameters
+    ----------
+    H1 : ndarray
+        (3, 3) homography of image 1.
+    H2 : ndarray
+        (3, 3) homography of image 2.
+    x1 : ndarray
+        (n, 2) matches, pixels, on the near side of the line that H1 sends to infinity.
+    x2 : ndarray
+        (n, 2) the same for H2.
+    size1 : Size
+        Width and height of image 1, pixels.
+    size2 : Size
+        Width and height of image 2, pixels.
     """
     (box1, lengths1), (box2, lengths2) = _sent(H1, x1), _sent(H2, x2)
     wide, high = np.concatenate([lengths1, lengths2], axis=1)

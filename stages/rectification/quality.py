@@ -59,10 +59,27 @@ def line_uncertainty(
     tells.  And how F changes, to first order, when the matches of one part of the image are left out: wrong matches that agree
     with each other show there.
 
-    noise: (n,) standard deviation of each match, pixels; as measured and alike where None.  freedoms: directions (9, k) in which
-    F may change instead of those, and the information (k, k) there is on them besides the matches.
-
     References: Csurka et al., CVIU 1997; Efron, The jackknife, 1982.
+
+    Parameters
+    ----------
+    F : ndarray
+        (3, 3) fundamental matrix.
+    x1 : ndarray
+        (n, 2) matches that F was fitted to, pixels.
+    x2 : ndarray
+        (n, 2) matches that F was fitted to, pixels.
+    at1 : ndarray
+        (m, 2) points of image 1 whose lines are asked for.
+    at2 : ndarray
+        (m, 2) points of image 2 beside which they are judged.
+    essential : tuple of Float64s
+        (K1, K2) where F = K2^-T E K1^-1: five degrees of freedom are left.
+    noise : ndarray or None
+        (n,) standard deviation of each match, pixels; as measured and alike where None.
+    freedoms : tuple of Float64s
+        Directions (9, k) in which F may change instead of those, and the information (k, k) there is on them besides the
+        matches.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])

@@ -57,7 +57,19 @@ def warp_mask(rectification: Rectification, side: Side, mask: Bools) -> Bools:
 def warp_with_mask(
     rectification: Rectification, side: Side, image: npt.NDArray[Pixels], mask: Bools
 ) -> tuple[npt.NDArray[Pixels], Bools]:
-    """`warp` and `warp_mask` at once."""
+    """`warp` and `warp_mask` at once.
+
+    Parameters
+    ----------
+    rectification : Rectification
+        How the frames are resampled.
+    side : Side
+        Left or right.
+    image : ndarray
+        (h, w) or (h, w, 3) of that side.
+    mask : ndarray
+        (h, w) pixels that may be used.
+    """
     source = _source_of_pixels(rectification, side)
     return _resampled(image, source), _resampled_mask(mask, source)
 

@@ -160,7 +160,23 @@ def _slack(unsure_deg: Mapping[Pair, float], a: str, b: str, c: str) -> float:
 
 
 def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits = USUAL, slack_deg: float = 0.0) -> bool:
-    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?"""
+    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?
+
+    Parameters
+    ----------
+    posed : mapping
+        Geometries by pair.
+    a : str
+        Camera.
+    b : str
+        Camera.
+    c : str
+        Camera.
+    usual : Habits
+        How well triangles close where all is right.
+    slack_deg : float
+        More than that, for what else is uncertain.
+    """
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
     if angle_between_deg(R_ac, R_bc @ R_ab) > usual.rotation_deg + slack_deg:
         return False

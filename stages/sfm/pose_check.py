@@ -115,7 +115,19 @@ class Witnesses:
 
 
 def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> float:
-    """How far off a pair's epipolar lines may be for what is uncertain of its cameras: `DEVIATIONS` of it."""
+    """How far off a pair's epipolar lines may be for what is uncertain of its cameras: `DEVIATIONS` of it.
+
+    Parameters
+    ----------
+    cameras : mapping
+        By id.
+    sigmas : mapping
+        Standard deviations of stated poses, by id.
+    pair : Pair
+        Ids of its two cameras.
+    geometry : Geometry
+        Its matches say where the slack is asked for.
+    """
     if all(sigmas.get(name, Sigma()).exact for name in pair):
         return 0.0
     X = _points(cameras, pair, geometry)

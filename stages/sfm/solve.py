@@ -130,7 +130,7 @@ def _collect(
         dropped={pair: check.reason for pair, check in checks.items() if not check.kept},
         metric=main.metric,
         source="mixed" if set(stated) & set(cameras) - set(suspects) else "solved",
-        verdicts=checks,
+        pair_checks=checks,
         suspects=suspects,
         focals=tuple(name for view, name in enumerate(graph.names) if view in graph.lenses.solved and name in cameras),
         components=tuple(tuple(name for name in order if name in group) for group in groups),

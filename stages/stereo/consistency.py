@@ -32,6 +32,19 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, ste
     is divided by 1 + `steep` times the range of disparities within 5x5 pixels.
 
     There, errors are larger than the disagreement tells: both views stretch the same edge over what lies behind it.
+
+    Parameters
+    ----------
+    one : ndarray
+        (h, w) disparity of the view, nan where unknown.
+    other : ndarray
+        (h, w) disparity of the other view.
+    sign : int
+        -1 for the left view, 1 for the right one.
+    tolerance_px : float
+        On flat surfaces, pixels.
+    steep : float
+        How fast the tolerance falls where disparity is steep or torn.
     """
     difference = disagreement(one, other, sign)
     known = difference <= tolerance_px
@@ -55,6 +68,17 @@ def without_speckles(disparity: Float32s, smallest_px: int, step_x: float = 1.5,
 
     Neighbours are connected if they differ by at most `step_x` in a row, `step_y` between rows: ground seen at a low angle
     moves by several pixels from row to row, never along one.
+
+    Parameters
+    ----------
+    disparity : ndarray
+        (h, w), nan where unknown.
+    smallest_px : int
+        Pixels of a piece that stays.
+    step_x : float
+        Between neighbours in a row, pixels of disparity.
+    step_y : float
+        Between neighbours in a column, pixels of disparity.
     """
     kept = disparity.copy()
     _drop_speckles(kept, smallest_px, step_x, step_y)
@@ -94,7 +118,21 @@ def _drop_speckles(disparity: Float32s, smallest_px: int, step_x: float, step_y:
 
 
 def within_reach(valid: Bools, valid_other: Bools, disparity_min: int, disparity_max: int, sign: int) -> Bools:
-    """(h, w) bool: valid pixels that have at least one valid partner within the disparity range."""
+    """(h, w) bool: valid pixels that have at least one valid partner within the disparity range.
+
+    Parameters
+    ----------
+    valid : ndarray
+        (h, w) of the view.
+    valid_other : ndarray
+        (h, w) of the other view.
+    disparity_min : int
+        Pixels.
+    disparity_max : int
+        Pixels.
+    sign : int
+        -1 for the left view, 1 for the right one.
+    """
     height, width = valid.shape
     count = np.zeros((height, width + 1), dtype=np.int32)
     np.cumsum(valid_other, axis=1, out=count[:, 1:])

@@ -34,7 +34,23 @@ _BLOCK = 128
 def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, spacing: int = 1, rounds: int = 1) -> Float32s:
     """Planes (3, h, w) from planes whose `cost` is below `dearest`, nan elsewhere: disparities are first corrected by their
     neighbours, then the median of what neighbours farther away say.  A further round starts from what the one before said,
-    with slopes fitted to those.  spacing: of the pixels that were compared: so far apart are the neighbours that are asked."""
+    with slopes fitted to those.
+
+    Parameters
+    ----------
+    image : ndarray
+        (h, w) grey levels of the view.
+    planes : ndarray
+        (3, h, w) disparity and its slopes along x and y.
+    cost : ndarray
+        (h, w) of the planes.
+    dearest : float
+        A plane that costs more has no say.
+    spacing : int
+        Of the pixels that were compared: so far apart are the neighbours that are asked.
+    rounds : int
+        A further round starts from what the one before said, with slopes fitted to those.
+    """
     border = _BORDER * spacing
     inner = slice(border, -border)
     known = np.where(cost < np.float32(dearest), planes[0], np.float32(np.nan))

@@ -58,7 +58,17 @@ class Propagation:
     def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s) -> None:
         """Improve `planes` (3, h, w) and `cost` (h, w), which tell how dear they are (1 before the first round), in place.
 
-        proposals: (3, h, w) planes that are tried first, nan where there are none.  Even rounds go down, odd ones up."""
+            Parameters
+        ----------
+        number : int
+            Even rounds go down, odd ones up.
+        planes : ndarray
+            (3, h, w) disparity and its slopes; improved in place.
+        cost : ndarray
+            (h, w) of the planes, 1 before the first round; improved in place.
+        proposals : ndarray
+            (3, h, w) planes that are tried first, nan where there are none.
+        """
         _propagate(
             self.left, self.pairs, self.valid, planes, cost, proposals, number, *self.range,
             Scalar(1.5 * 0.6**number), Scalar(0.3 * 0.7**number),

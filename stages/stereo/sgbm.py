@@ -40,7 +40,16 @@ def match_in_one_piece(pair: RectifiedPair) -> DenseMatches:
 def confirmed(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
     """Disparity of one view where the other one's differs by at most a pixel, without speckles; nan elsewhere.
 
-    sign: -1 for the left view, 1 for the right one.
+    Parameters
+    ----------
+    one : ndarray
+        (h, w) disparity of the view, nan where unknown.
+    other : ndarray
+        (h, w) disparity of the other view.
+    valid : ndarray
+        (h, w) pixels of the view that may be used.
+    sign : int
+        -1 for the left view, 1 for the right one.
     """
     agreed = valid & (disagreement(one, other, sign) <= 1)
     return without_speckles(np.where(agreed, one, np.float32(np.nan)), max(agreed.size // 2000, 4))

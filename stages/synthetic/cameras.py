@@ -136,7 +136,19 @@ def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion
 
 
 def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
-    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion)."""
+    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion).
+
+    Parameters
+    ----------
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    x : ndarray
+        (n,) pixels.
+    y : ndarray
+        (n,) pixels.
+    """
     distortion = np.zeros(5) if lens is None else lens.distortion
     rays = np.empty((len(x), 3))
     _undistort(rays, x, y, camera.K, distortion)

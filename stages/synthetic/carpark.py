@@ -10,7 +10,8 @@ from .lighting import light_of
 from .paving import asphalt, lawn, with_lines
 from .random_fields import Rng
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .shooting import DemoSite, Night, photograph
+from .shots import Shots
 from .street import Furniture, car, car_textures, furniture_textures, street_lamp, tree
 from .structures import Opening, facade
 from .traffic import traffic
@@ -26,34 +27,26 @@ MASTS = (
 )  # fmt: skip
 
 
-def carpark(
-    cameras: int = 6,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 4,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
-    """Render the car park; arguments as of `square`, of 8 cameras."""
-    check_arguments(size, captures, cameras, len(MASTS))
-    texel_m = float(np.clip(14.0 / size[0], 0.0145, 0.06))
+def carpark(shots: Shots) -> DemoSite:
+    """Render the car park; it has 8 cameras.  Raises ValueError for impossible shots."""
+    shots.check(len(MASTS))
+    texel_m = shots.texel_m(14.0, 0.0145, 0.06)
     lanes = (((-23.0, -9.3), (23.0, -9.3)), ((-23.0, 7.3), (23.0, 7.3)))
     night = Night(
-        viewpoints=tuple(viewpoints()[:cameras]),
-        still=static_carpark(np.random.default_rng([seed, 1]), texel_m),
+        viewpoints=tuple(viewpoints()[: shots.cameras]),
+        still=static_carpark(shots.random(1), texel_m),
         traffic=traffic(
-            np.random.default_rng([seed, 2]),
+            shots.random(2),
             max(texel_m, 0.02),
-            captures,
+            shots.captures,
             people=9,
             walks=(*lanes, ((-20.0, 16.6), (20.0, 16.6))),
             cars=3,
             roads=lanes,
         ),
-        lighting=light_of(light, LAMPS),
+        lighting=light_of(shots.light, LAMPS),
     )
-    return photograph(night, size, seed, light, float(np.clip(round(48.0 / size[0], 2), 0.02, 0.1)), threads)
+    return photograph(night, shots, shots.voxel_m(48.0))
 
 
 def viewpoints() -> list[Viewpoint]:

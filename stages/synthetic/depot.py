@@ -10,7 +10,8 @@ from .cameras import Viewpoint
 from .lighting import light_of
 from .random_fields import Rng
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .shooting import DemoSite, Night, photograph
+from .shots import Shots
 from .street import furniture_textures, street_lamp
 from .structures import Box, container
 from .traffic import traffic
@@ -24,35 +25,27 @@ MASTS = (
 )  # fmt: skip
 
 
-def containers(
-    cameras: int = 6,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 4,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
-    """Render the depot; arguments as of `square`, of 8 cameras."""
-    check_arguments(size, captures, cameras, len(MASTS))
-    texel_m = float(np.clip(16.0 / size[0], 0.0166, 0.06))
+def containers(shots: Shots) -> DemoSite:
+    """Render the depot; it has 8 cameras.  Raises ValueError for impossible shots."""
+    shots.check(len(MASTS))
+    texel_m = shots.texel_m(16.0, 0.0166, 0.06)
     aisles = (((-24.0, -5.8), (24.0, -5.8)), ((-24.0, 5.8), (24.0, 5.8)), ((0.0, -18.0), (0.0, 16.0)))
     outside = ((-24.0, -18.0), (24.0, -18.0))
     night = Night(
-        viewpoints=tuple(viewpoints()[:cameras]),
-        still=static_depot(np.random.default_rng([seed, 1]), texel_m),
+        viewpoints=tuple(viewpoints()[: shots.cameras]),
+        still=static_depot(shots.random(1), texel_m),
         traffic=traffic(
-            np.random.default_rng([seed, 2]),
+            shots.random(2),
             max(texel_m, 0.02),
-            captures,
+            shots.captures,
             people=8,
             walks=(outside, *aisles),
             cars=3,
             roads=(outside, *aisles[:2]),
         ),
-        lighting=light_of(light, LAMPS),
+        lighting=light_of(shots.light, LAMPS),
     )
-    return photograph(night, size, seed, light, float(np.clip(round(57.6 / size[0], 2), 0.02, 0.15)), threads)
+    return photograph(night, shots, shots.voxel_m(57.6, 0.15))
 
 
 def viewpoints() -> list[Viewpoint]:

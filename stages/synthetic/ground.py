@@ -19,7 +19,19 @@ COBBLE_TONES: tuple[Colour, ...] = (
 
 
 def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Setts with worn tracks, moss and sand in the joints, oil, relaid patches, covers, painted lines and litter."""
+    """Setts with worn tracks, moss and sand in the joints, oil, relaid patches, covers, painted lines and litter.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.17, 0.125), 0.018, bond=0.5, jitter=0.16, warp=0.02)
     image = palette(COBBLE_TONES, tone)
@@ -40,7 +52,23 @@ def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Textur
 
 
 def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_m: float = 5.0, text: str = "") -> Texture:
-    """Cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint."""
+    """Cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    slab_m : float
+        Side of a slab, metres.
+    text : str
+        Painted on it; "" for none.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (slab_m, slab_m * 0.8), 0.03, bond=0.0, jitter=0.0, warp=0.003)
     base = np.float32(0.27) * (1 + 0.1 * tone + 0.07 * fractal_noise(rng, shape, texel_m, 0.06, octaves=3))
@@ -65,7 +93,19 @@ def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_
 
 
 def gravel(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Crushed stone."""
+    """Crushed stone.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.085, 0.07), 0.012, bond=0.5, jitter=0.3, warp=0.03)
     image = palette(COBBLE_TONES, tone) * (1.15 + 0.4 * relief)[..., None]
@@ -75,7 +115,19 @@ def gravel(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture
 
 
 def water(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Rippled harbour water."""
+    """Rippled harbour water.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     ripples = fractal_noise(rng, shape, texel_m, 3.0, octaves=5, stretch=0.4)
     return encode((1 + 0.35 * ripples)[..., None] * np.asarray((0.055, 0.075, 0.075), np.float32), texel_m)

@@ -16,7 +16,8 @@ from .paving import ashlar, lawn
 from .random_fields import Rng
 from .renderer import OPEN_SKY, PreparedScene, SkyGrid, build_atlas, spiral
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .shooting import DemoSite, Night, photograph
+from .shots import Shots
 from .street import bench, car, car_textures, furniture_textures, street_lamp, tree
 from .structures import Opening, facade
 from .traffic import traffic
@@ -33,59 +34,34 @@ WALKS = (
 )
 
 
-def hall(
-    cameras: int = 8,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 3,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
-    """Render the hall with something distinct on each side; arguments as of `square`, of 12 cameras 30 degrees apart."""
-    return _render(1, cameras, size, captures, seed, light, threads)
+def hall(shots: Shots) -> DemoSite:
+    """Render the hall with something distinct on each side, and 12 cameras 30 degrees apart; the same for all halls:
+    ValueError for impossible shots."""
+    return _render(shots, 1)
 
 
-def hall_2(
-    cameras: int = 8,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 3,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
+def hall_2(shots: Shots) -> DemoSite:
     """Render the hall that is the same after half a turn."""
-    return _render(2, cameras, size, captures, seed, light, threads)
+    return _render(shots, 2)
 
 
-def hall_4(
-    cameras: int = 8,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 3,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
+def hall_4(shots: Shots) -> DemoSite:
     """Render the hall that is the same after a quarter turn."""
-    return _render(4, cameras, size, captures, seed, light, threads)
+    return _render(shots, 4)
 
 
-def _render(
-    symmetry: int, cameras: int, size: tuple[int, int], captures: int, seed: int, light: Daytime, threads: int
-) -> DemoSite:
-    check_arguments(size, captures, cameras, VIEWS)
-    texel_m = float(np.clip(12.0 / size[0], 0.0125, 0.05))
-    still = static_hall(np.random.default_rng([seed, 1]), texel_m, symmetry)
+def _render(shots: Shots, symmetry: int) -> DemoSite:
+    shots.check(VIEWS)
+    texel_m = shots.texel_m(12.0, 0.0125, 0.05)
+    still = static_hall(shots.random(1), texel_m, symmetry)
     night = Night(
-        viewpoints=tuple(viewpoints()[:cameras]),
+        viewpoints=tuple(viewpoints()[: shots.cameras]),
         still=still,
-        traffic=traffic(np.random.default_rng([seed, 2]), max(texel_m, 0.02), captures, people=10, walks=WALKS),
-        lighting=overcast_of(light, LAMPS),
+        traffic=traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=10, walks=WALKS),
+        lighting=overcast_of(shots.light, LAMPS),
         sky=even_sky(still),
     )
-    return photograph(night, size, seed, light, float(np.clip(round(38.4 / size[0], 2), 0.02, 0.1)), threads)
+    return photograph(night, shots, shots.voxel_m(38.4))
 
 
 def viewpoints() -> list[Viewpoint]:

@@ -10,7 +10,8 @@ from .lighting import light_of
 from .paving import asphalt, lawn, repeating_tiles, with_lines
 from .random_fields import Rng
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .shooting import DemoSite, Night, photograph
+from .shots import Shots
 from .street import Furniture, bench, car, car_textures, furniture_textures, street_lamp, tree
 from .structures import Opening, facade
 from .traffic import traffic
@@ -22,33 +23,25 @@ LOOKS = ((-13.5, -8.0), (-10.0, -8.5), (-6.5, -1.0), (-1.5, 0.5), (1.0, 8.5), (6
 LAMPS = tuple((PITCH_M * k + 4.0, 2.4, 4.6) for k in range(-4, 4))
 
 
-def houses(
-    cameras: int = 6,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 4,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
-    """Render the street; arguments as of `square`, of 8 cameras."""
-    check_arguments(size, captures, cameras, len(LOOKS))
-    texel_m = float(np.clip(12.0 / size[0], 0.0125, 0.05))
+def houses(shots: Shots) -> DemoSite:
+    """Render the street; it has 8 cameras.  Raises ValueError for impossible shots."""
+    shots.check(len(LOOKS))
+    texel_m = shots.texel_m(12.0, 0.0125, 0.05)
     night = Night(
-        viewpoints=tuple(viewpoints()[:cameras]),
-        still=static_houses(np.random.default_rng([seed, 1]), texel_m),
+        viewpoints=tuple(viewpoints()[: shots.cameras]),
+        still=static_houses(shots.random(1), texel_m),
         traffic=traffic(
-            np.random.default_rng([seed, 2]),
+            shots.random(2),
             max(texel_m, 0.02),
-            captures,
+            shots.captures,
             people=9,
             walks=(((-24.0, 3.3), (24.0, 3.3)), ((-20.0, -6.0), (20.0, -6.0))),
             cars=3,
             roads=(((-22.0, -3.6), (22.0, -3.6)), ((-24.0, -0.9), (24.0, -0.9))),
         ),
-        lighting=light_of(light, LAMPS),
+        lighting=light_of(shots.light, LAMPS),
     )
-    return photograph(night, size, seed, light, float(np.clip(round(38.4 / size[0], 2), 0.02, 0.1)), threads)
+    return photograph(night, shots, shots.voxel_m(38.4))
 
 
 def viewpoints() -> list[Viewpoint]:

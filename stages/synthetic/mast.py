@@ -14,7 +14,8 @@ from .paint import Texture, encode, mix, shape_of, weather
 from .random_fields import Rng, fractal_noise, smoothstep
 from .renderer import OPEN_SKY
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .shooting import DemoSite, Night, photograph
+from .shots import Shots
 from .traffic import traffic
 
 CENTRES = ((0.0, 0.0, 32.0), (0.3, 0.05, 32.1), (-0.5, 0.1, 33.0), (0.4, -0.1, 34.2), (-0.3, 0.0, 35.1), (0.2, 0.1, 35.9))
@@ -23,34 +24,26 @@ NEAR, FAR, ASIDE = 90.0, 1300.0, 800.0
 LAMPS = tuple((x, y, 9.0) for x, y in ((-60.0, 300.0), (-20.0, 330.0), (40.0, 310.0), (90.0, 350.0)))
 
 
-def mast(
-    cameras: int = 6,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 3,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
-    """Render what the mast's cameras see; arguments as of `square`, of 6 cameras."""
-    check_arguments(size, captures, cameras, len(CENTRES))
-    texel_m = float(np.clip(400.0 / size[0], 0.42, 1.6))
+def mast(shots: Shots) -> DemoSite:
+    """Render what the mast's 6 cameras see.  Raises ValueError for impossible shots."""
+    shots.check(len(CENTRES))
+    texel_m = shots.texel_m(400.0, 0.42, 1.6)
     night = Night(
-        viewpoints=tuple(viewpoints()[:cameras]),
-        still=static_valley(np.random.default_rng([seed, 1]), texel_m),
+        viewpoints=tuple(viewpoints()[: shots.cameras]),
+        still=static_valley(shots.random(1), texel_m),
         traffic=traffic(
-            np.random.default_rng([seed, 2]),
+            shots.random(2),
             0.1,
-            captures,
+            shots.captures,
             people=0,
             walks=(),
             cars=12,
             roads=(((-140.0, 285.0), (-10.0, 285.0)), ((-10.0, 285.0), (140.0, 285.0)), ((12.0, 200.0), (20.0, 280.0))),
         ),
-        lighting=light_of(light, LAMPS),
+        lighting=light_of(shots.light, LAMPS),
         sky=OPEN_SKY,
     )
-    return photograph(night, size, seed, light, 1.0, threads)
+    return photograph(night, shots, 1.0)
 
 
 def viewpoints() -> list[Viewpoint]:

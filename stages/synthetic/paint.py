@@ -89,7 +89,27 @@ def stones(
     jitter: float,
     warp: float,
 ) -> tuple[Float32s, Float32s, Float32s]:
-    """Coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
+    """Coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    shape : tuple of int
+        Height and width, texels.
+    texel_m : float
+        Side of a texel, metres.
+    unit : tuple of float
+        Width and height of a stone with its joint, metres.
+    joint : float
+        Metres.
+    bond : float
+        Shift of every other row, in stones.
+    jitter : float
+        How unequal stones are.
+    warp : float
+        How crooked rows are, metres.
+    """
     rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
     table = rng.standard_normal((rows, cols), dtype=np.float32)
     edges = (unit[0] * jitter * rng.uniform(-1, 1, (rows, cols))).astype(np.float32)
@@ -108,7 +128,21 @@ def palette(tones: tuple[Colour, ...], tone: Float32s) -> Float32s:
 
 
 def weather(rng: Rng, image: Float32s, texel_m: float, *, strength: float, streaks: float = 0.0) -> None:
-    """Large stains, fine grain, and rain streaks down the wall, as factors on `image` in place."""
+    """Large stains, fine grain, and rain streaks down the wall, as factors on `image` in place.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    image : ndarray
+        (h, w, 3), changed in place.
+    texel_m : float
+        Side of a texel, metres.
+    strength : float
+        Of stains and grain.
+    streaks : float
+        Of rain down the wall.
+    """
     shape = image.shape[:2]
     factor = 1 + strength * (
         0.55 * fractal_noise(rng, shape, texel_m, 5.0, octaves=5) + 0.45 * fractal_noise(rng, shape, texel_m, 0.4, octaves=5)

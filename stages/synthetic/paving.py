@@ -23,6 +23,17 @@ def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Text
     """`tiles` x `tiles` copies of one tile, equal to the bit: a patterned slab of `tile_m` metres with a joint around it.
 
     `tile_m` is rounded to whole texels; lay the texture edge to edge and the ground repeats everywhere.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    tile_m : float
+        Metres; rounded to whole texels.
+    tiles : int
+        Along either side.
+    texel_m : float
+        Side of a texel, metres.
     """
     n = max(round(tile_m / texel_m), 4)
     shape = (n, n)
@@ -47,7 +58,21 @@ def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Text
 
 
 def asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tone: float = 0.085) -> Texture:
-    """Rolled asphalt: grain, patches, sealed cracks, oil."""
+    """Rolled asphalt: grain, patches, sealed cracks, oil.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    tone : float
+        Mean reflectance.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     grain = 1 + 0.22 * fractal_noise(rng, shape, texel_m, 0.05, octaves=3) + 0.10 * fractal_noise(rng, shape, texel_m, 2.5)
     image = grain[..., None] * np.asarray((tone, tone * 0.98, tone * 0.95), np.float32)
@@ -61,7 +86,21 @@ def asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tone: 
 
 
 def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, colour: Colour = (0.62, 0.60, 0.55)) -> Texture:
-    """A copy with worn lines painted on it; lines_m: (n, 2, 2), from and to, metres from the top left corner."""
+    """A copy with worn lines painted on it; lines_m: (n, 2, 2), from and to, metres from the top left corner.
+
+    Parameters
+    ----------
+    texture : Texture
+        Stays as it is.
+    lines_m : ndarray
+        (n, 2, 2) from and to, metres from the top left corner.
+    width_m : float
+        Of a line, metres.
+    rng : Generator
+        The source of all that is random in it.
+    colour : Colour
+        Linear red, green, blue.
+    """
     shape = (texture.pixels.shape[0], texture.pixels.shape[1])
     paint = np.zeros(shape, np.uint8)
     wide = max(round(width_m / texture.texel_m), 1)
@@ -74,7 +113,19 @@ def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, co
 
 
 def lawn(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Grass with bare and yellow spots."""
+    """Grass with bare and yellow spots.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     blades = 1 + 0.35 * fractal_noise(rng, shape, texel_m, 0.12, octaves=3, gain=0.9)
     image = blades[..., None] * np.asarray((0.075, 0.115, 0.035), np.float32)
@@ -94,7 +145,21 @@ def leaves(rng: Rng, texel_m: float, colour: Colour = (0.06, 0.095, 0.03)) -> Te
 
 
 def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tint: Colour = (1.0, 1.0, 1.0)) -> Texture:
-    """Dressed stone in courses, sooty from the top, with streaks."""
+    """Dressed stone in courses, sooty from the top, with streaks.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    tint : Colour
+        Factors on red, green, blue.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.95, 0.42), 0.014, bond=0.5, jitter=0.10, warp=0.003)
     image = palette(ASHLAR_TONES, tone) * np.asarray(tint, np.float32) * (1 + 0.05 * relief)[..., None]

@@ -31,7 +31,25 @@ def fractal_noise(
     gain: float = 0.6,
     stretch: float = 1.0,
 ) -> Float32s:
-    """Sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y."""
+    """Sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    shape : tuple of int
+        Height and width, texels.
+    texel_m : float
+        Side of a texel, metres.
+    longest_m : float
+        Wavelength of the coarsest octave, metres.
+    octaves : int
+        How many, each half as long.
+    gain : float
+        Weight of an octave over that of the one before.
+    stretch : float
+        Above 1: drawn out along y.
+    """
     total = np.zeros(shape, np.float32)
     power, weight, wave = 0.0, 1.0, longest_m / texel_m
     for _ in range(octaves):
@@ -53,7 +71,25 @@ def smoothstep(low: float, high: float, x: Float32s) -> Float32s:
 def lettering(
     shape: tuple[int, int], texel_m: float, text: str, x_m: float, y_m: float, height_m: float, *, bold: float = 0.16
 ) -> Float32s:
-    """Coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high."""
+    """Coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width, texels.
+    texel_m : float
+        Side of a texel, metres.
+    text : str
+        One line.
+    x_m : float
+        Of the top left corner.
+    y_m : float
+        Of the top left corner.
+    height_m : float
+        Of capitals, metres.
+    bold : float
+        Stroke width over height.
+    """
     cover = np.zeros(shape, np.uint8)
     height = max(height_m / texel_m, 3.0)
     unit = cv2.getTextSize("H", cv2.FONT_HERSHEY_DUPLEX, 4.0, 1)[0][1] / 4.0
@@ -64,7 +100,21 @@ def lettering(
 
 
 def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, length_m: float) -> Float32s:
-    """Coverage (h, w) float32 of `count` wandering hairlines of about `length_m`."""
+    """Coverage (h, w) float32 of `count` wandering hairlines of about `length_m`.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    shape : tuple of int
+        Height and width, texels.
+    texel_m : float
+        Side of a texel, metres.
+    count : int
+        How many.
+    length_m : float
+        About so long each, metres.
+    """
     cover = np.zeros(shape, np.uint8)
     step = 0.12 / texel_m
     for _ in range(count):
@@ -77,7 +127,21 @@ def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, leng
 
 
 def blobs(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, radius_m: float) -> Float32s:
-    """Coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`."""
+    """Coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    shape : tuple of int
+        Height and width, texels.
+    texel_m : float
+        Side of a texel, metres.
+    count : int
+        How many.
+    radius_m : float
+        About so large each, metres.
+    """
     cover = np.zeros(shape, np.uint8)
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     for _ in range(count):

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import cast
 
-from .shooting import Daytime, DemoSite
+from .shooting import DemoSite
+from .shots import Daytime, Shots
 
 
 @dataclass(frozen=True)
@@ -18,25 +19,29 @@ class SceneRow:
     """A scene of the table."""
 
     function: str
-    """module:function; takes cameras, size, captures, seed, light, each with a default, and returns a DemoSite."""
+    """module:function; takes `Shots` and returns a DemoSite."""
     about: str
     angles_deg: tuple[float, float]
     """Between which angles its views are worth matching."""
+    cameras: int = 6
+    captures: int = 4
+    size: tuple[int, int] = (960, 540)
+    """Of the large form, where not said otherwise."""
     small_cameras: int | None = None
     """How many cameras the small form has; None: as many as the large."""
 
 
 _HERE = "wbflow_stages.synthetic"
 SCENES = {
-    "yard": SceneRow(f"{_HERE}.yard:yard", "a harbour yard", (8, 50), small_cameras=4),
-    "square": SceneRow(f"{_HERE}.square:square", "a public square whose tiles repeat exactly", (8, 100)),
-    "hall": SceneRow(f"{_HERE}.hall:hall", "a market hall whose four sides are alike but for a few things", (8, 70)),
-    "hall-2": SceneRow(f"{_HERE}.hall:hall_2", "a market hall that is the same after half a turn", (8, 70)),
-    "hall-4": SceneRow(f"{_HERE}.hall:hall_4", "a market hall that is the same after a quarter turn", (8, 70)),
+    "yard": SceneRow(f"{_HERE}.yard:yard", "a harbour yard", (8, 50), 8, 3, (1280, 720), small_cameras=4),
+    "square": SceneRow(f"{_HERE}.square:square", "a public square whose tiles repeat exactly", (8, 100), captures=10),
+    "hall": SceneRow(f"{_HERE}.hall:hall", "a market hall whose four sides are alike but for a few things", (8, 70), 8, 3),
+    "hall-2": SceneRow(f"{_HERE}.hall:hall_2", "a market hall that is the same after half a turn", (8, 70), 8, 3),
+    "hall-4": SceneRow(f"{_HERE}.hall:hall_4", "a market hall that is the same after a quarter turn", (8, 70), 8, 3),
     "houses": SceneRow(f"{_HERE}.houses:houses", "a row of identical houses along a street", (0, 60)),
     "carpark": SceneRow(f"{_HERE}.carpark:carpark", "a car park with rows of the same car", (4, 70)),
     "containers": SceneRow(f"{_HERE}.depot:containers", "stacks of one and the same container", (4, 70)),
-    "mast": SceneRow(f"{_HERE}.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60)),
+    "mast": SceneRow(f"{_HERE}.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }
 
 
@@ -75,8 +80,7 @@ def render(
     row = SCENES[name]
     if small:
         cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures
-    given = {"cameras": cameras, "size": size, "captures": captures}
     module, _, function = row.function.partition(":")
     scene = getattr(import_module(module), function)
-    site = scene(**{k: v for k, v in given.items() if v is not None}, seed=seed, light=cast(Daytime, light))
-    return cast(DemoSite, site)
+    counts = (row.cameras if cameras is None else cameras, row.captures if captures is None else captures)
+    return cast(DemoSite, scene(Shots(*counts, size or row.size, seed, cast(Daytime, light))))

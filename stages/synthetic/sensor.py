@@ -36,7 +36,19 @@ def sensor_of(rng: np.random.Generator, light: str) -> Sensor:
 
 
 def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.Generator) -> Uint8s:
-    """One capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
+    """One capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor.
+
+    Parameters
+    ----------
+    radiance : ndarray
+        (h, w, 3) linear.
+    sensor : Sensor
+        Noise, blur, vignetting.
+    exposure : float
+        This capture's own factor.
+    rng : Generator
+        Of the noise.
+    """
     h, w = radiance.shape[:2]
     x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
     fall = 1 - np.float32(sensor.vignette) * (0.75 * x * x + 0.25 * y * y)

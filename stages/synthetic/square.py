@@ -16,7 +16,8 @@ from .paint import Colour
 from .paving import ashlar, asphalt, repeating_tiles
 from .random_fields import Rng
 from .scene import STATIC, WATER, Scene, SceneBuilder
-from .shooting import Daytime, DemoSite, Night, check_arguments, photograph
+from .shooting import DemoSite, Night, photograph
+from .shots import Shots
 from .street import Furniture, bench, furniture_textures, street_lamp, tree
 from .structures import Opening, facade
 from .traffic import traffic
@@ -53,46 +54,20 @@ HOUSES: tuple[tuple[int, float, float, float, str, Colour, str], ...] = (
 )
 
 
-def square(
-    cameras: int = 6,
-    size: tuple[int, int] = (960, 540),
-    captures: int = 10,
-    seed: int = 0,
-    light: Daytime = "day",
-    *,
-    threads: int = 2,
-) -> DemoSite:
-    """Render the square.
+def square(shots: Shots) -> DemoSite:
+    """Render the square: six cameras around it, of which the first three are 42, 56 and 98 degrees apart.
 
-    Parameters
-    ----------
-    cameras : int
-        The first 1 to 6 around it; the first three are 42, 56 and 98 degrees apart.
-    size : tuple of int
-        Width and height, pixels.
-    captures : int
-        Of each camera.
-    seed : int
-        Of textures, movers, exposures and noise.
-    light : Daytime
-        The hour.
-    threads : int
-        Of rendering (the result does not depend on it).
-
-    Raises
-    ------
-    ValueError
-        Impossible arguments.
+    Raises ValueError for impossible shots.
     """
-    check_arguments(size, captures, cameras, len(BEARINGS_DEG))
-    texel_m = float(np.clip(12.0 / size[0], 0.0125, 0.05))
+    shots.check(len(BEARINGS_DEG))
+    texel_m = shots.texel_m(12.0, 0.0125, 0.05)
     night = Night(
-        viewpoints=tuple(viewpoints()[:cameras]),
-        still=static_square(np.random.default_rng([seed, 1]), texel_m),
-        traffic=traffic(np.random.default_rng([seed, 2]), max(texel_m, 0.02), captures, people=18, walks=WALKS),
-        lighting=light_of(light, LAMPS),
+        viewpoints=tuple(viewpoints()[: shots.cameras]),
+        still=static_square(shots.random(1), texel_m),
+        traffic=traffic(shots.random(2), max(texel_m, 0.02), shots.captures, people=18, walks=WALKS),
+        lighting=light_of(shots.light, LAMPS),
     )
-    return photograph(night, size, seed, light, float(np.clip(round(38.4 / size[0], 2), 0.02, 0.1)), threads)
+    return photograph(night, shots, shots.voxel_m(38.4))
 
 
 def viewpoints() -> list[Viewpoint]:

@@ -53,7 +53,19 @@ def _lacquer(rng: Rng, texel_m: float, colour: Colour) -> Texture:
 
 
 def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 4.3) -> SceneBuilder:
-    """A car on the origin, nose along +x: a part to `stamp`."""
+    """A car on the origin, nose along +x: a part to `stamp`.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    look : CarTextures
+        Textures of cars.
+    colour : int
+        Which of the paints.
+    length : float
+        Metres.
+    """
     part = build.with_same_textures()
     body, half, wide = look.paints[colour % len(look.paints)], length / 2, 1.76
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
@@ -106,7 +118,19 @@ def furniture_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> Furnitu
 
 
 def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0) -> SceneBuilder:
-    """A trunk and a crown of leafy lumps, on the origin: a part to `stamp`."""
+    """A trunk and a crown of leafy lumps, on the origin: a part to `stamp`.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    look : Furniture
+        Textures of the street.
+    height : float
+        Metres.
+    """
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.03 * height, 0.55 * height, look.bark, sides=9)
     for _ in range(9):

@@ -27,7 +27,23 @@ RUST: Colour = (0.19, 0.075, 0.03)
 def brick_wall(
     rng: Rng, width_m: float, height_m: float, texel_m: float, *, sign: str = "", tint: Colour = (1.0, 1.0, 1.0)
 ) -> Texture:
-    """Old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign."""
+    """Old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    sign : str
+        Painted on it; "" for none.
+    tint : Colour
+        Factors on red, green, blue.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.25, 0.078), 0.013, bond=0.5, jitter=0.05, warp=0.004)
     repairs = blobs(rng, shape, texel_m, count=int(width_m * height_m / 18), radius_m=0.6)
@@ -52,7 +68,19 @@ def brick_wall(
 
 
 def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Pantiles in rows, dark under each row's lip, with moss and replaced tiles."""
+    """Pantiles in rows, dark under each row's lip, with moss and replaced tiles.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.24, 0.33), 0.02, bond=0.0, jitter=0.03, warp=0.008)
     image = palette(TILE_TONES, tone) * (1 + 0.35 * relief)[..., None]
@@ -63,7 +91,21 @@ def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Tex
 
 
 def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.62, 0.58, 0.48)) -> Texture:
-    """Nearly even render: a hard surface for matching on purpose; a few cracks, faint stains, flakes at the foot."""
+    """Nearly even render: a hard surface for matching on purpose; a few cracks, faint stains, flakes at the foot.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     image *= (1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2))[
@@ -77,7 +119,25 @@ def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
 
 
 def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, name: str, serial: str) -> Texture:
-    """Painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams."""
+    """Painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    name : str
+        The company's.
+    serial : str
+        Number on it.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     pale: Colour = (0.72, 0.70, 0.66) if sum(colour) < 1.2 else (0.10, 0.16, 0.32)
@@ -97,7 +157,21 @@ def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 
 
 def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
+    """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     rib = np.asarray(np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28)), dtype=np.float32)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * (1 + 0.10 * rib)[None, :, None]
@@ -125,7 +199,23 @@ def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
 
 
 def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, *, stripes: bool = False) -> Texture:
-    """Painted steel of cranes, posts and vehicles, with or without warning stripes."""
+    """Painted steel of cranes, posts and vehicles, with or without warning stripes.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    stripes : bool
+        Black and yellow?
+    """
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     if stripes:
@@ -137,7 +227,21 @@ def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, col
 
 
 def planks(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.36, 0.24, 0.13)) -> Texture:
-    """Vertical boards with grain: gates, crates, pallets."""
+    """Vertical boards with grain: gates, crates, pallets.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (0.16, height_m + 1.0), 0.014, bond=0.0, jitter=0.06, warp=0.003)
     image = (1 + 0.22 * tone)[..., None] * np.asarray(colour, np.float32)
@@ -148,7 +252,23 @@ def planks(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Co
 
 
 def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, number: str) -> Texture:
-    """A slatted steel door with a large number."""
+    """A slatted steel door with a large number.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    number : str
+        Painted on it.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     y = (np.arange(shape[0], dtype=np.float32) * texel_m % 0.12) / 0.12
     light = np.asarray(0.75 + 0.4 * np.sin(np.pi * y), dtype=np.float32)
@@ -183,7 +303,25 @@ def window(width_m: float, height_m: float, texel_m: float) -> Texture:
 def sign_board(
     rng: Rng, width_m: float, height_m: float, texel_m: float, lines: tuple[str, ...], colour: Colour, ink: Colour
 ) -> Texture:
-    """A painted board with a frame and lines of text."""
+    """A painted board with a frame and lines of text.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    lines : tuple of str
+        Of text.
+    colour : Colour
+        Linear red, green, blue of the fresh paint.
+    ink : Colour
+        Linear red, green, blue of the text.
+    """
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     pitch = height_m / len(lines)

@@ -128,6 +128,17 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
     """The same for points that are no keypoints, in which the matcher's word stands for what descriptors tell.
 
     A match of probability 0.5 and more counts as distinctive, and so do those `before` geometry as clear.
+
+    Parameters
+    ----------
+    before : Matches
+        All matches that the geometry was estimated from.
+    inliers : Matches
+        Those that agree with it.
+    found : TwoView
+        The geometry.
+    seed : int
+        Of the samples.
     """
     x1, x2 = inliers.x1, inliers.x2
     distinct = inliers.probability >= LIKELY
@@ -230,7 +241,21 @@ def _half_rotation_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, see
 
 
 def ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None) -> float:
-    """Median angle between the two rays of each correspondence."""
+    """Median angle between the two rays of each correspondence.
+
+    Parameters
+    ----------
+    x1 : ndarray
+        (n, 2) pixels.
+    x2 : ndarray
+        (n, 2) pixels.
+    view1 : View
+        Size and intrinsics of image 1.
+    view2 : View
+        Size and intrinsics of image 2.
+    R : ndarray or None
+        (3, 3) relative rotation; None where it is not known.
+    """
     if R is None or view1.K is None or view2.K is None:
         return float("nan")
     ray1 = homogeneous(x1) @ np.linalg.inv(view1.K).T @ R.T

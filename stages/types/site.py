@@ -58,7 +58,7 @@ class Poses:
     """Lengths are metres."""
     source: str
     """"calibration", "solved" or "mixed"."""
-    verdicts: Mapping[str, PairCheck] = field(default_factory=dict)
+    pair_checks: Mapping[str, PairCheck] = field(default_factory=dict)
     """By "left--right", of every pair that was looked at."""
     suspects: Mapping[str, str] = field(default_factory=dict)
     """Known poses (by id) that the images contradict, and by how much."""
@@ -78,7 +78,7 @@ class Poses:
     """Scene points that the cameras rest on."""
     reprojection_px: float = float("nan")
     """Their median error."""
-    checks: Mapping[str, PoseCheck] = field(default_factory=dict)
+    pose_checks: Mapping[str, PoseCheck] = field(default_factory=dict)
     """By id, of the cameras with known poses."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """By id, how the pose in use is known: "stated", "refined" (within what is stated of it) or "solved"."""

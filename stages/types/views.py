@@ -67,6 +67,14 @@ class Frame:
     view: View
     notes: tuple[str, ...] = ()
     """What the operator should know (frames left out, exposure)."""
+    brightness: float = float("nan")
+    """Mean grey of the usable pixels, 0 to 255."""
+    contrast: float = float("nan")
+    """Standard deviation of their grey levels."""
+    saturated: float = float("nan")
+    """Share of them that is black or white, beyond what the sensor can tell."""
+    sharpness: float = float("nan")
+    """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
 
 
 @short_repr

@@ -8,7 +8,8 @@ from pathlib import Path
 import cv2
 import pytest
 
-from wbflow_stages.synthetic.shooting import Daytime, DemoCamera, DemoSite
+from wbflow_stages.synthetic.shooting import DemoCamera, DemoSite
+from wbflow_stages.synthetic.shots import Daytime, Shots
 from wbflow_stages.synthetic.yard import yard
 
 
@@ -31,7 +32,7 @@ def write_straight(file: Path, camera: DemoCamera) -> None:
 
 @cache
 def _rendered(cameras: int, width: int, captures: int, seed: int, light: Daytime) -> DemoSite:
-    return yard(cameras, (width, width * 9 // 16), captures, seed, light)
+    return yard(Shots(cameras, captures, (width, width * 9 // 16), seed, light))
 
 
 @pytest.fixture(scope="session")

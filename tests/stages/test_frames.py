@@ -218,3 +218,26 @@ def test_a_long_night_is_sampled_evenly() -> None:
     chosen = clean_frame([night[0], night[4], night[8]], Lens(), None, resolution=None)
     assert np.array_equal(frame.image, chosen.image)
     assert "3 of 9 captures used" in frame.notes
+
+
+def test_darkness_takes_brightness_and_defocus_takes_sharpness() -> None:
+    noise = np.random.default_rng(1).uniform(0, 255, (HEIGHT // 4, WIDTH // 4, 3)).astype(np.float32)
+    image = np.clip(cv2.resize(noise, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC), 0, 255).astype(np.uint8)
+    shown, dark, blurred = (
+        clean_frame([capture(picture)], Lens(), None)
+        for picture in (image, (image * 0.3).astype(np.uint8), cv2.GaussianBlur(image, (0, 0), 3))
+    )
+    assert abs(dark.brightness / shown.brightness - 0.3) < 0.01
+    assert abs(dark.sharpness / shown.sharpness - 1) < 0.1
+    assert blurred.sharpness < 0.5 * shown.sharpness
+    assert abs(blurred.brightness / shown.brightness - 1) < 0.01
+
+
+def test_what_the_mask_hides_is_not_looked_at() -> None:
+    image = scene()
+    image[:, : WIDTH // 2] = 255
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[:, : WIDTH // 2] = 0
+    plain, masked = (clean_frame([capture(image)], Lens(), m) for m in (None, capture(mask, "mask.png")))
+    assert plain.saturated > 0.49
+    assert masked.saturated < 0.1

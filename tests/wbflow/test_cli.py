@@ -77,7 +77,7 @@ def test_an_old_name_in_the_site_file_is_told_on_screen_and_in_the_log(toy: ToyS
     toy.file.write_text(json.dumps(site, indent=1))
     said = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
     assert said.count("'keypoints' is written 'max_keypoints' now") == 1
-    (log,) = (toy.work / "runs").glob("*/log.jsonl")
+    log = toy.work / "runs" / "latest" / "log.jsonl"
     warnings = [event for line in log.read_text().splitlines() if (event := json.loads(line))["event"] == "warning"]
     assert [f"{toy.file}:" in event["what"] and "write max_keypoints" in event["remedy"] for event in warnings] == [True]
 
@@ -102,7 +102,7 @@ def test_a_night_goes_on_when_nobody_reads_what_it_says(toy: ToySite) -> None:
     process.stdout.close()  # as `| head` does after its lines
     assert process.stderr.read() == ""
     assert process.wait(timeout=60) == 0
-    assert (toy.work / "runs" / "latest" / "cloud.ply").exists()
+    assert (toy.work / "runs" / "latest-good" / "cloud.ply").exists()
 
 
 def test_failures_are_named_on_screen_without_a_traceback_unless_asked(toy: ToySite) -> None:

@@ -45,7 +45,7 @@ def test_four_photographs_far_apart_give_a_cloud_near_the_laser(tmp_path: Path) 
     command = [sys.executable, "-m", "wbflow", "run", str(tmp_path), "--json"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
-    table = read_ply(tmp_path / ".wbflow" / "four" / "runs" / "latest" / "cloud.ply")
+    table = read_ply(tmp_path / ".wbflow" / "four" / "runs" / "latest-good" / "cloud.ply")
     score = compare_clouds(np.stack([table[axis] for axis in "xyz"], axis=1), laser_points(), taus=(0.02, 0.05))
     assert score.accuracy[0] > 0.88
     assert score.F[0] > 0.62

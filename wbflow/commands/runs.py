@@ -82,7 +82,7 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
     from ..results.export import export as write
     from ..store.run_folder import RunFolder
 
-    folder = RunFolder.of(place, run_id or (place.latest.name if place.latest.exists() else None))
+    folder = RunFolder.of(place, run_id or place.latest_good.name)
     for file in write(FinishedRun.open(place, folder), out, forms):
         say(file)
 
@@ -90,15 +90,18 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
 @click.command()
 @site_argument
 @click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Runs whose artifacts stay.")
+@click.option("--clouds", type=click.IntRange(min=1), metavar="N", help="Remove published clouds, too, but those of N nights.")
+@click.option("--reports", type=click.IntRange(min=1), metavar="N", help="Remove reports and logs, too, but those of N nights.")
 @click.option("--dry-run", is_flag=True, help="Only say how much would go.")
 @work_option
-def clean(site: Path, keep: int, dry_run: bool, work: Path | None) -> None:
-    """Remove artifacts that the last N runs don't use."""
+def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: Path | None) -> None:
+    """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named."""
     place = place_of(load(site, work))
     from ..store.clean import clean as remove
+    from ..store.keep import Keep
     from ..store.lock import hold
 
     with hold(place.lock, wait=False):
-        done = remove(place, keep, dry_run)
+        done = remove(place, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"
     say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")

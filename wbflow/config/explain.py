@@ -9,7 +9,17 @@ from pydantic import ValidationError
 
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .positions import Document, Place, SiteProblem
-from .schema import CameraSection, CapturesSection, IntrinsicsSection, PairsSection, PoseSection, SiteSection
+from .schema import (
+    CameraSection,
+    CapturesSection,
+    ExpectSection,
+    IntrinsicsSection,
+    KeepSection,
+    NotifySection,
+    PairsSection,
+    PoseSection,
+    SiteSection,
+)
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
@@ -26,6 +36,9 @@ _REMEDIES = {
     "degree": "give a whole number, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
+    "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
+    "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
+    "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
@@ -48,7 +61,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -57,9 +70,10 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:
     """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
-    data = {**data, "cameras": list(data.get("cameras") or [])}
+    cameras = data.get("cameras")
+    data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
     for item in error.errors():
-        section, *rest = item["loc"]
+        section, *rest = item["loc"] or ("",)
         if section == "cameras" and rest and isinstance(rest[0], int):
             camera = data["cameras"][rest[0]]
             data["cameras"][rest[0]] = (
@@ -82,6 +96,9 @@ def _fields_at(place: Place) -> list[str]:
         "pose": PoseSection,
         "pairs": PairsSection,
         "control_points": ControlPoint,
+        "keep": KeepSection,
+        "expect": ExpectSection,
+        "notify": NotifySection,
     }
     for step in place:
         model = sections.get(str(step), model)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..store.keep import Keep
+from ..store.sizes import bytes_of
 from .geodesy import ControlPoint, Distance, Position
 from .rotations import look_at, yaw_pitch_roll
 
@@ -20,7 +23,7 @@ Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 class Section(BaseModel):
     """A mapping of a site file: unknown keys are refused, and nothing is converted."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class CapturesSection(Section):
@@ -133,6 +136,77 @@ class PairsSection(Section):
     exclude: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
 
 
+class KeepSection(Section):
+    """What stays on disk after a run."""
+
+    nights: int | None = None
+    bytes: int | None = None
+    clouds: int | None = None
+    reports: int | None = None
+
+    @field_validator("nights", "clouds", "reports", mode="before")
+    @classmethod
+    def _count(cls, value: Any) -> int | None:
+        if value is None or value == "all":
+            return None
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise PydanticCustomError("keep", f"give a count of nights, or all, not {value!r}")
+        return value
+
+    @field_validator("bytes", mode="before")
+    @classmethod
+    def _size(cls, value: Any) -> int | None:
+        try:
+            return None if value is None or value == "all" else bytes_of(str(value))
+        except ValueError as error:
+            raise PydanticCustomError("keep", str(error)) from None
+
+    def kept(self) -> Keep:
+        """The same for who cleans."""
+        return Keep(nights=self.nights, bytes=self.bytes, clouds=self.clouds, reports=self.reports)
+
+
+class ExpectSection(Section):
+    """What a good night gives: shares of what is usual, or, above 1, least counts."""
+
+    points: float | None = Field(None, ge=0)
+    pairs: float | None = Field(None, ge=0)
+    coverage: float | None = Field(None, ge=0)
+    cameras: float | None = Field(None, ge=0)
+    brightness: float | None = Field(None, ge=0, le=1)
+    since: datetime.date | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """The limits that are given, by name."""
+        return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
+
+
+class NotifySection(Section):
+    """Who is told of a night."""
+
+    command: str | list[str]
+    heartbeat: bool = False
+    seconds: float = Field(60.0, gt=0, le=3600)
+
+    @field_validator("command", mode="before")
+    @classmethod
+    def _command(cls, command: object) -> object:
+        words = [command] if isinstance(command, str) else command
+        if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+            raise PydanticCustomError("notify", "a command is a text for the shell, or a list of program and arguments")
+        return command
+
+
+class HealthSection(Section):
+    """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
+
+    nudged_px: float = Field(1.5, gt=0)
+    moved_deg: float = Field(0.4, gt=0)
+    flat: float = Field(0.9, gt=0, le=1)
+    dark: float = Field(6.0, ge=0, le=255)
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -145,5 +219,10 @@ class SiteSection(Section):
     resolution: int | None = Field(1600, ge=64)
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: PairsSection = PairsSection.model_validate({})
+    pin: Literal["auto", "none"] = "auto"
+    health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
+    expect: ExpectSection = ExpectSection.model_validate({})
+    notify: NotifySection | None = None
+    keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

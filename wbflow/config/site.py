@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from ..graph.functions import FunctionReader
+from ..store.keep import Keep
 from .positions import Document, Place, SiteProblem
 
 Matrix = list[list[float]]
@@ -90,6 +93,53 @@ class SiteCamera:
         return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
+class Measure(StrEnum):
+    """A figure of a night that is compared with what is usual."""
+
+    POINTS = "points"
+    PAIRS = "pairs"
+    COVERAGE = "coverage"
+    CAMERAS = "cameras"
+    BRIGHTNESS = "brightness"
+
+
+_LIMITS: Mapping[str, float] = {
+    Measure.POINTS: 0.7,
+    Measure.PAIRS: 0.7,
+    Measure.COVERAGE: 0.7,
+    Measure.CAMERAS: 1.0,
+    Measure.BRIGHTNESS: 0.35,
+}
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a good night gives: shares of what is usual, or, above 1, least counts."""
+
+    stated: Mapping[str, float] = field(default_factory=dict)
+    """As the site file says, by name."""
+    since: str = ""
+    """Earlier nights (ISO 8601) don't say what is usual; "" where all do."""
+
+    def limit(self, name: str) -> float:
+        """The least share, or count, of a figure that a good night has."""
+        return self.stated.get(name, _LIMITS.get(name, 0.0))
+
+
+@dataclass(frozen=True)
+class Notify:
+    """Who is told of a night: a command."""
+
+    command: str | tuple[str, ...]
+    """For the shell, or program and arguments."""
+    folder: Path
+    """Where it runs: that of the site file."""
+    heartbeat: bool = False
+    """Told of every night."""
+    seconds: float = 60.0
+    """How long it may take."""
+
+
 @dataclass(frozen=True)
 class StageSettings:
     """What the site file says of one stage: another function for it (`use`), parameters, or that it is off."""
@@ -116,8 +166,16 @@ class Site:
     work: Path
     reader: FunctionReader
     survey: StatedSurvey = field(default_factory=StatedSurvey)
+    expected: Expected = Expected()
+    notify: Notify | None = None
+    keep: Keep = field(default_factory=Keep)
+    """What stays on disk after a run."""
     notes: tuple[SiteProblem, ...] = ()
     """What still works, but should be written otherwise."""
+    pin: str = "auto"
+    """"auto": the first good run is what later ones are compared with; "none": nothing is."""
+    health: dict[str, Any] = field(default_factory=dict)
+    """Limits of what a camera may differ by, by name."""
 
     @property
     def file(self) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
+from ..errors import printable
 from ..graph.binding import Binding, bind, method_parameters
 from ..graph.functions import FunctionReader
 from ..graph.modules import FunctionError
@@ -16,7 +17,19 @@ from .site import StageSettings
 def read_stages(
     sections: dict[str, Any], document: Document, reader: FunctionReader, problems: list[SiteProblem]
 ) -> tuple[dict[str, StageSettings], list[SiteProblem]]:
-    """Settings by stage; what is wrong with them is added to `problems`.  Also what still works but is called otherwise now."""
+    """Settings by stage; what is wrong with them is added to `problems`.  Also what still works but is called otherwise now.
+
+    Parameters
+    ----------
+    sections : dict
+        The section `stages` of the site file.
+    document : Document
+        For the places of problems.
+    reader : FunctionReader
+        Knows the signatures of stage functions.
+    problems : list of SiteProblem
+        What is wrong is added here.
+    """
     found: dict[str, StageSettings] = {}
     notes: list[SiteProblem] = []
     known = {stage.name: stage for stage in STAGES}
@@ -55,14 +68,15 @@ class _Section:
     def read(self, values: dict[str, Any]) -> StageSettings:
         """The settings; faults and notes are added to the lists."""
         use = values.pop("use", None)
-        use = use if isinstance(use, str) else None
+        if use is not None and not isinstance(use, str):
+            self._problem("use", f"{printable(repr(use), 80)} is no function", _USE)
+            return StageSettings()
         try:
             written = {new: old for old, new in self._renamed(values, use).items()}
             bound = bind(self.stage, use, values, self.reader)
         except FunctionError as error:
             chooser = self.stage.method.parameter if self.stage.method and use is None else "use"
-            remedy = "write package.module:function; the module is installed, or lies beside the site file"
-            self._problem(chooser, str(error), error.remedy or remedy)
+            self._problem(chooser, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
             return StageSettings()
         for fault in bound.faults():
             self._problem("use" if use else self.stage.method.parameter if self.stage.method else "", fault, _SIGNATURE)
@@ -101,7 +115,7 @@ class _Section:
 
     def _fed(self, bound: Binding) -> set[str]:
         """Parameters that are set elsewhere in the site file, or by the plan."""
-        if self.stage.pair_settings:
+        if self.stage.section:
             return set(bound.parameters)
         return {*self.stage.site_parameters, self.stage.component_parameter} - {""}
 
@@ -110,7 +124,7 @@ class _Section:
         fed = self._fed(bound)
         parameter = bound.parameters.get(key)
         if key in fed and parameter:
-            where = "in the section pairs" if self.stage.pair_settings else "at the top of the file"
+            where = f"in the section {self.stage.section}" if self.stage.section else "at the top of the file"
             remedy = (
                 f"set {key} {where}" if key != self.stage.component_parameter else "leave it out: each component has its turn"
             )
@@ -140,4 +154,5 @@ class _Section:
         self.problems.append(self.document.problem(place, what, remedy, key))
 
 
+_USE = "write package.module:function; the module is installed, or lies beside the site file"
 _SIGNATURE = "name the inputs as they are offered, and put parameters with defaults behind a bare *"

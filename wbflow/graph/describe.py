@@ -103,8 +103,8 @@ def _methods(stage: Stage, own: dict[str, Parameter], reader: FunctionReader) ->
 
 def _elsewhere(stage: Stage, name: str) -> str:
     """Where in a site file a parameter is set that is not set in the stage's section."""
-    if stage.pair_settings:
-        return f", set by {name} in the section {stage.name}"
+    if stage.section:
+        return f", set by {name} in the section {stage.section}"
     if name in stage.site_parameters:
         return f", set by {name} at the top of the site file"
     return ", each component in turn" if name == stage.component_parameter else ""

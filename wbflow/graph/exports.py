@@ -19,7 +19,7 @@ class Export:
     function: str
     """Dotted: package.module:function."""
     needs: Mapping[str, tuple[Role, ...]]
-    """By argument name: the cloud, the world, or of every camera (as a mapping) what the first of these roles gave."""
+    """By argument name: the cloud, the world, or of every camera or pair (as a mapping) what the first of these roles gave."""
     dated: bool = False
     """Takes the night's date, too, as `day`."""
     extra: str = ""
@@ -35,7 +35,11 @@ EXPORTS: tuple[Export, ...] = (
     Export("heights", "wbflow_stages.exports.forms:heights", {"cloud": _CLOUD, "poses": _WORLD}, extra_on_the_map="geo"),
     Export("depth", "wbflow_stages.exports.forms:depth", {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)}),
     Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD}),
-    Export("colmap", "wbflow_stages.exports.forms:colmap", {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)}),
+    Export(
+        "colmap",
+        "wbflow_stages.exports.forms:colmap",
+        {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,), "geometries": (Role.GEOMETRY,)},
+    ),
 )
 
 PAIR_FILES = "wbflow_stages.exports.pairfiles:pair_files"
@@ -51,6 +55,9 @@ PAIR_RESULTS: Mapping[str, Role] = {
 
 DEMO_FILES = "wbflow_stages.synthetic.files:demo_files"
 """Renders a demo: what is told of it, and its files; a ValueError says what cannot be rendered."""
+
+DEMO_NIGHTS = "wbflow_stages.synthetic.night_files:demo_nights"
+"""The same, of several nights of the demo yard."""
 
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""

@@ -59,7 +59,18 @@ def module_code(modules: Modules, module: str, path: Path) -> ModuleCode:
 def function_digest(modules: Modules, module: str, path: Path, name: str, table: str = "") -> str:
     """Digest of a module as one of its functions sees it: the function has no name of its own.
 
-    table: name of a dictionary of methods in the same module, which is left out; the chosen method has its own fingerprint.
+    Parameters
+    ----------
+    modules : Modules
+        Sources, read once.
+    module : str
+        Dotted name.
+    path : Path
+        Its file.
+    name : str
+        The function.
+    table : str
+        Name of a dictionary of methods in the same module, which is left out; the chosen method has its own fingerprint.
     """
     tree = _bare(modules, module, path)
     for node in ast.walk(tree):
@@ -96,7 +107,7 @@ def fingerprint(own: str, module: str, codes: Mapping[str, ModuleCode]) -> str:
         if settled:
             break
     libraries = sorted({library for code in codes.values() for library in code.libraries})
-    versions = [f"{library} {_version(library)}" for library in libraries]
+    versions = [f"{library} {installed_version(library)}" for library in libraries]
     return _digest("\n".join([colours[module], *sorted(colours.values()), *versions]))
 
 
@@ -135,7 +146,8 @@ def _digest(text: str) -> str:
 
 
 @functools.cache
-def _version(library: str) -> str:
+def installed_version(library: str) -> str:
+    """Major and minor version of a library of `LIBRARIES`, or "absent"."""
     for distribution in LIBRARIES[library]:
         try:
             return ".".join(metadata.version(distribution).split(".")[:2])

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..store.atomic import write_atomic
+from ..store.signed import Damaged, read_signed, write_signed
 from .fingerprint import ModuleCode, fingerprint, function_digest, module_code
 from .modules import Modules
 from .signature import Argument, Parameter, Signature, read_signature, read_table
 
 _FORM = 2
 """Of the memo; another one is not read."""
+_OF = "what was read of functions"
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,21 @@ class FunctionReader:
     folder: Path | None = None
     """Where modules may lie that are not installed: beside the site file."""
     modules: Modules = field(init=False)
+    damage: str | None = None
+    """What was wrong with the memo, if anything was: then every function is read again."""
     _known: dict[str, Any] = field(default_factory=dict)
     _stamps: dict[str, list[int] | None] = field(default_factory=dict)
     _fresh: bool = False
 
     def __post_init__(self) -> None:
         self.modules = Modules(self.folder)
-        if self.memo and self.memo.is_file():
-            try:
-                known = json.loads(self.memo.read_text())
-                self._known = known if known.get("form") == _FORM else {}
-            except (ValueError, AttributeError):
-                self._known = {}
+        try:
+            known = read_signed(self.memo, _OF) if self.memo else None
+        except Damaged as damage:
+            self.damage = f"{damage.what}: functions are read again"
+            self._fresh = True
+            known = None
+        self._known = known if known and known.get("form") == _FORM else {}
 
     def read(self, dotted: str, table: str = "") -> FunctionInfo:
         """What is known of a function.
@@ -103,7 +106,7 @@ class FunctionReader:
     def save(self) -> None:
         """Write what was learnt, for the next run."""
         if self.memo and self._fresh:
-            write_atomic(self.memo, json.dumps(self._known | {"form": _FORM}).encode())
+            write_signed(self.memo, _OF, self._known | {"form": _FORM})
             self._fresh = False
 
     def _closure(self, module: str) -> dict[str, ModuleCode]:

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from .rows import (
     Entry,
+    FromPast,
+    FromReference,
     FromSite,
     FromStage,
+    Held,
+    Judges,
     Method,
     Need,
     Part,
@@ -17,6 +21,7 @@ from .rows import (
     PointTable,
     Renamed,
     Reports,
+    Rework,
     Role,
     Scope,
     SiteValue,
@@ -30,8 +35,12 @@ __all__ = [
     "SITE_TYPES",
     "STAGES",
     "Entry",
+    "FromPast",
+    "FromReference",
     "FromSite",
     "FromStage",
+    "Held",
+    "Judges",
     "Method",
     "Need",
     "Part",
@@ -39,6 +48,7 @@ __all__ = [
     "PointTable",
     "Renamed",
     "Reports",
+    "Rework",
     "Role",
     "Scope",
     "SiteValue",
@@ -69,6 +79,22 @@ _FRAMES_TOO: dict[str, Need] = {f"{side}_frame": need for side, need in _FRAMES.
 _FEATURES_TOO: dict[str, Need] = {f"{side}_features": need for side, need in _SIDES.items()}
 _PLACEMENTS = FromSite(SiteValue.PLACEMENT, Which.ALL)
 _VIEWS = FromStage("frames", Which.ALL, Part("view"))
+_HEALTHS: dict[str, Need] = {"left": FromStage("health", Which.LEFT), "right": FromStage("health", Which.RIGHT)}
+
+_STILL = Held(nudged="kept", moved="kept")
+"""Of results that do not depend on where single cameras look."""
+
+_HOLD = Rework(
+    "wbflow_stages.held:hold_poses",
+    {
+        "pinned": FromReference("poses"),
+        "healths": FromStage("health", Which.ALL),
+        "views": _VIEWS,
+        "geometries": FromStage("geometry", Which.ALL, optional=True),
+        "survey": FromSite(SiteValue.SURVEY),
+    },
+)
+"""The cameras of the reference stay; one that was nudged is turned, one that was moved is solved from the others."""
 
 STAGES: tuple[Stage, ...] = (
     Stage(
@@ -84,7 +110,24 @@ STAGES: tuple[Stage, ...] = (
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        reports=Reports(notes="notes"),
+        reports=Reports({name: name for name in ("brightness", "contrast", "saturated", "sharpness")}, notes="notes"),
+    ),
+    Stage(
+        "health",
+        scope="camera",
+        function="wbflow_stages.health:examine",
+        needs={
+            "frame": FromStage("frames"),
+            "pinned_frame": FromReference("frames"),
+            "pinned_camera": FromReference("poses", part=Part("cameras")),
+            "usual": FromPast("wbflow_stages.types:Usual", ("shift_x_px", "shift_y_px", "roll_deg")),
+        },
+        offers={"pinned_features": FromReference("features")},
+        role=Role.HEALTH,
+        optional=True,
+        section="health",
+        judges=Judges("state", "text", "figures", "expected", "remedy"),
+        kept=False,
     ),
     Stage(
         "features",
@@ -96,6 +139,7 @@ STAGES: tuple[Stage, ...] = (
             "keypoints": Renamed("max_keypoints"),
             "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
         },
+        held=Held(nudged="kept", moved="anew"),
     ),
     Stage(
         "overlap",
@@ -107,6 +151,7 @@ STAGES: tuple[Stage, ...] = (
             "features": FromStage("features", Which.ALL, unless_posed=True),
         },
         offers={"frames": FromStage("frames", Which.ALL)},
+        held=_STILL,
     ),
     Stage(
         "pairs",
@@ -114,8 +159,9 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow.graph.pairs:select_pairs",
         needs={"overlap": FromStage("overlap")},
         role=Role.PAIR_GRAPH,
-        pair_settings=True,
+        section="pairs",
         lists="pairs",
+        held=_STILL,
     ),
     Stage(
         "matches",
@@ -126,6 +172,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.MATCHES,
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
         reports=Reports({"matches": "x1_count"}),
+        held=Held(nudged="kept", moved="anew"),
     ),
     Stage(
         "geometry",
@@ -144,6 +191,7 @@ STAGES: tuple[Stage, ...] = (
             },
             rejected={"inliers": "inliers"},
         ),
+        held=Held(Rework("wbflow_stages.held:turn_geometry", {"pinned": FromReference("geometry"), **_HEALTHS}), moved="anew"),
     ),
     Stage(
         "poses",
@@ -160,13 +208,14 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         lists="components",
         world_reports=WorldReports(
-            cameras={"pose": Entry("checks"), "verified": Entry("checks", "verified"), "pose_from": Entry("sources")},
-            pairs={"poses_px": Entry("verdicts", "adjusted_px"), "known": Entry("verdicts", "known")},
+            cameras={"pose": Entry("pose_checks"), "verified": Entry("pose_checks", "verified"), "pose_from": Entry("sources")},
+            pairs={"poses_px": Entry("pair_checks", "adjusted_px"), "known": Entry("pair_checks", "known")},
             camera_notes="suspects",
             lost_cameras="unsolved",
         ),
         calibration="wbflow_stages.io.cameras:calibration",
         comments="wbflow_stages.io.cameras:place_comments",
+        held=Held(_HOLD, _HOLD),
     ),
     Stage(
         "scene",
@@ -178,6 +227,7 @@ STAGES: tuple[Stage, ...] = (
         },
         optional=True,
         site_parameters=("bounds",),
+        held=_STILL,
     ),
     Stage(
         "rectify",
@@ -187,7 +237,7 @@ STAGES: tuple[Stage, ...] = (
             "geometry": FromStage("geometry", unless=("left", "right")),
             "left": FromStage("poses", Which.LEFT, Part("cameras"), optional=True),
             "right": FromStage("poses", Which.RIGHT, Part("cameras"), optional=True),
-            "verdict": FromStage("poses", part=Part("verdicts"), optional=True),
+            "check": FromStage("poses", part=Part("pair_checks"), optional=True),
             **_FRAMES_TOO,
             "scene": FromStage("scene", optional=True),
         },
@@ -205,6 +255,7 @@ STAGES: tuple[Stage, ...] = (
                 "row_error_px": "row_error_px",
             }
         ),
+        held=Held(nudged="anew", moved="anew"),
     ),
     Stage(
         "disparity",
@@ -217,6 +268,7 @@ STAGES: tuple[Stage, ...] = (
         renamed={"speck_share": Renamed("speckle_share")},
         picture=Picture("wbflow_stages.exports.previews:disparity_preview"),
         reports=Reports({"density": "density"}),
+        kept=False,
     ),
     Stage(
         "depth",
@@ -267,6 +319,32 @@ STAGES: tuple[Stage, ...] = (
         ),
         picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
     ),
+    Stage(
+        "coverage",
+        scope="site",
+        function="wbflow_stages.coverage:find_coverage",
+        needs={
+            "poses": FromStage("poses"),
+            "frames": FromStage("frames", Which.ALL),
+            "depths": FromStage("depth", Which.ALL),
+            "refined": FromStage("refine", Which.ALL, optional=True),
+            "scene": FromStage("scene", optional=True),
+        },
+        optional=True,
+        picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
+        reports=Reports(
+            {
+                "area_m2": "area",
+                "seen_by_one": "seen_by_one",
+                "seen_by_two": "seen_by_two",
+                "angle_deg": "median_angle_deg",
+                "error_m": "median_error",
+                "lost_without": "lost_without",
+            }
+        ),
+        files="wbflow_stages.exports.ground:coverage_files",
+        title="What the cameras see of the ground",
+    ),
 )
 
 _BY_NAME = {stage.name: stage for stage in STAGES}
@@ -294,4 +372,6 @@ def ancestors(name: str) -> set[str]:
             waiting += [need.stage for need in stage.needs.values() if isinstance(need, FromStage)]
             if stage.scope == "pair":
                 waiting.append(stage_with(Role.PAIR_GRAPH).name)
+            if stage.held:
+                waiting.append(stage_with(Role.HEALTH).name)
     return found

@@ -33,6 +33,8 @@ class Role(Enum):
     """The same, by all views at once."""
     PRODUCT = auto()
     """The cloud: what a night is for."""
+    HEALTH = auto()
+    """What became of a camera since the reference was pinned."""
 
 
 class Which(Enum):
@@ -110,7 +112,64 @@ class FromSite:
     optional: bool = False
 
 
-Need = FromStage | FromSite
+@dataclass(frozen=True)
+class FromReference:
+    """An input that the pinned reference holds: what a stage made then.
+
+    Always optional: the function gets None, or an empty mapping, where there is no reference, or where tonight is its own night.
+    """
+
+    stage: str
+    which: Which = Which.SAME
+    part: Part | None = None
+
+
+@dataclass(frozen=True)
+class FromPast:
+    """An input that earlier nights have left in their records: what was found of a camera since the reference was pinned."""
+
+    kind: str
+    """Dotted name of the dataclass that it is handed over as; its fields are lists, one number for each night, oldest first."""
+    figures: tuple[str, ...]
+    """Names of its fields, and of the figures of the camera's health that they hold."""
+    nights: int = 30
+    """So many nights at most."""
+
+
+Need = FromStage | FromSite | FromReference | FromPast
+
+
+@dataclass(frozen=True)
+class Rework:
+    """Another function for a stage, that makes its result from the reference's."""
+
+    function: str
+    needs: Mapping[str, Need]
+
+
+Instead = Literal["kept", "anew"] | Rework
+"""What becomes of a result of the reference: it is used as it is, made anew as if there were none, or reworked."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """A result that the reference answers for as long as the cameras in question stand as they did."""
+
+    nudged: Instead
+    """Where one of them was nudged, and by how much is known."""
+    moved: Instead
+    """Where one of them was moved, or is new."""
+
+
+@dataclass(frozen=True)
+class Judges:
+    """Figures of a result that say what became of a camera (see `store.record.Health`)."""
+
+    state: str
+    text: str
+    figures: str
+    expected: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -171,7 +230,8 @@ class Entry:
 
 @dataclass(frozen=True)
 class Reports:
-    """What run.json says of a stage's results.  A camera or pair whose task has no result is not ok."""
+    """What run.json says of a stage's results: of a site-wide one under its name.  A camera or pair whose task has no result is
+    not ok."""
 
     fields: Mapping[str, str] = field(default_factory=dict)
     """Figure by field of the camera's or pair's record."""
@@ -217,8 +277,8 @@ class Stage:
     missing: Literal["failed", "skipped"] = "skipped"
     """What a task becomes when a needed input will not come."""
     method: Method | None = None
-    pair_settings: bool = False
-    """Its parameters are the section `pairs` of the site file."""
+    section: str = ""
+    """Its parameters are the section of this name of the site file."""
     site_parameters: tuple[str, ...] = ()
     """Parameters that are set at the top of the site file, by the same name."""
     component_parameter: str = ""
@@ -233,7 +293,15 @@ class Stage:
     """Dotted function: the result -> the cameras that a run publishes, in the form of a calibration (JSON data)."""
     comments: str = ""
     """Dotted function: the result -> lines for the header of the product."""
+    files: str = ""
+    """Dotted function: the result -> names and bytes of files that a run publishes beside its cloud."""
+    title: str = ""
+    """Of its part of the report, where a site-wide stage `reports`."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)
+    held: Held | None = None
+    kept: bool = True
+    """The reference keeps its results."""
+    judges: Judges | None = None
 
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import datetime
 import glob
-import json
 import re
-import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..config.site import Site, SiteCamera
-from ..store.artifact import file_digest
-from ..store.atomic import write_atomic
+from ..store.digests import Digests
 
 _DIRECTIVES = {
     "Y": r"\d{4}",
@@ -25,7 +22,6 @@ _DIRECTIVES = {
     "y": r"\d{2}",
 }
 _DATE = re.compile(r"\{date(?::([^}]*))?\}")
-_SETTLED_NS = 2_000_000_000  # a file younger than this may change again within its time stamp's resolution
 
 
 @dataclass(frozen=True)
@@ -37,41 +33,6 @@ class CaptureFile:
     path: Path
     digest: str
     """Of its bytes, "" where it cannot be read."""
-
-
-@dataclass
-class Digests:
-    """Digests of files by path, size, time stamp and inode, kept in a JSON file between runs."""
-
-    memo: Path | None
-    _known: dict[str, list[int | str]] = field(default_factory=dict)
-    _changed: bool = False
-
-    def __post_init__(self) -> None:
-        try:
-            self._known = json.loads(self.memo.read_bytes()) if self.memo else {}
-        except (OSError, ValueError):
-            self._known = {}
-
-    def of(self, path: Path) -> str:
-        """The content digest of a file.  Raises OSError."""
-        status = path.stat()
-        stamp: list[int | str] = [status.st_size, status.st_mtime_ns, status.st_ino]
-        known = self._known.get(str(path))
-        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
-        if known and known[:3] == stamp and settled:
-            return str(known[3])
-        digest = file_digest(path)
-        if settled:
-            self._known[str(path)] = [*stamp, digest]
-            self._changed = True
-        return digest
-
-    def save(self) -> None:
-        """Keep what was learnt."""
-        if self.memo and self._changed:
-            write_atomic(self.memo, json.dumps(self._known).encode())
-            self._changed = False
 
 
 def night(site: Site, date: datetime.date | None) -> datetime.date:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from ..config.site import Site
 from ..store.cache import Cache
+from ..store.digests import Digests
 from ..store.layout import WorkFolder
-from .captures import CaptureFile, Digests, find_captures, night
-from .plan import Plan, make_plan
+from ..store.reference import BadReference, Reference, read_reference
+from .captures import CaptureFile, expected, find_captures, night
+from .plan import Plan
 
 
 @dataclass
@@ -23,6 +26,27 @@ class Night:
     digests: Digests
     """To be saved by a run."""
     plan: Plan
+
+    def remember(self) -> None:
+        """Keep what was learnt of files, for the next run.  Raises OSError."""
+        self.digests.save()
+        self.site.reader.save()
+
+    def look_again(self, path: Path) -> None:
+        """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
+        self.digests.forget(path)
+        for files in self.captures.values():
+            files[:] = [_now(file, self.digests) if file.path == path else file for file in files]
+        for camera, file in self.plan.masks.items():
+            if file.path == path:
+                self.plan.masks[camera] = _now(file, self.digests)
+
+
+def _now(file: CaptureFile, digests: Digests) -> CaptureFile:
+    try:
+        return replace(file, digest=digests.of(file.path))
+    except OSError:  # gone since
+        return replace(file, digest="")
 
 
 def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:
@@ -44,5 +68,26 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     date = night(site, date)
     captures = find_captures(site, date, digests)
     masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
-    plan = make_plan(site, captures, date, Cache(work), masks, until, force)
+    missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
+    reference, misfit = _reference(site, work)
+    plan = Plan(
+        site,
+        captures,
+        str(date),
+        Cache(work),
+        masks,
+        missing,
+        until,
+        frozenset(force),
+        reference=reference,
+        misfit=misfit,
+    )
     return Night(site, date, captures, digests, plan)
+
+
+def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
+    """The reference, and why there is none where there should be."""
+    try:
+        return (read_reference(work) if site.pin != "none" else None), ""
+    except BadReference as error:
+        return None, error.what

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import os
 import resource
-import signal
-import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from ..errors import LONGEST_TRACE, printable
 from ..graph.pipeline import REJECTED
 from ..graph.plugins import load, offer
 from ..store import artifact
-from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
+from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
+from ..store.digests import ChangedFile
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
+from ..store.room import FULL, REMEDY
 from ..task import Task
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause
@@ -31,7 +32,8 @@ class Done:
 
     task: Task
     outcome: str
-    """ran, cached (someone had done it), rejected, failed, or damaged: an input's bytes were wrong."""
+    """ran, cached (someone had done it), rejected, failed, damaged: an input's bytes were wrong, or changed: a file from outside
+    is another one than when the task was planned."""
     receipt: Receipt | None = None
     reason: str | None = None
     code: str | None = None
@@ -39,8 +41,12 @@ class Done:
     trace: str | None = None
     damaged: Task | None = None
     """What has to be made again before this."""
+    changed: Path | None = None
+    """The file that has changed."""
     warnings: tuple[str, ...] = ()
     """What went wrong without costing the result, in words."""
+    damages: tuple[Damage, ...] = ()
+    """What was found damaged on the way."""
 
 
 @dataclass
@@ -49,26 +55,28 @@ class _Lane:
 
     cache: Cache
     receipts: dict[Task, Receipt] = field(default_factory=dict)
-    results: dict[Task, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
+    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
 
 
-def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
+def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt]) -> Iterator[Done]:
     """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
 
-    parent: process id of the run; in another process Ctrl-C is left to the parent, which decides what becomes of its workers.
+    receipts: of earlier tasks of the lane, where it goes on after a worker was lost.
     """
-    if os.getpid() != parent and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
     offer(specs[0].folder)
-    lane = _Lane(cache)
-    finished: list[Done] = []
+    lane = _Lane(cache, dict(receipts))
     for spec in specs:
-        done = _attempt(spec, lane)
-        finished.append(done)
+        done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
+        yield done
         if done.receipt is None or done.receipt.outcome == "rejected":
-            break
+            return
         lane.receipts[spec.task] = done.receipt
-    return finished
+
+
+def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
+    """The same, all at once."""
+    return list(do_lane(specs, cache, {}))
 
 
 def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
@@ -86,14 +94,25 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         return _do(resolved, preimage, key, lane)
     except DamagedArtifact as damage:
         return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
+    except ChangedFile as change:
+        return Done(spec.task, "changed", reason=change.what, changed=change.path)
     except MemoryError:
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
         return Done(spec.task, "failed", reason=why, code=Cause.OUT_OF_MEMORY)
+    except SystemExit as error:
+        why = f"its function ended the program (sys.exit({error.code!r}))"
+        return Done(spec.task, "failed", reason=printable(why), code=Cause.FAULT, trace=_trace())
     except Exception as error:
-        words = str(error) or type(error).__name__
+        words = printable(error) or type(error).__name__
         foreseen = isinstance(error, ValueError | OSError)
         why, code = (words, Cause.BAD_INPUT) if foreseen else (f"{type(error).__name__}: {words}", Cause.FAULT)
-        return Done(spec.task, "failed", reason=why, code=code, trace=traceback.format_exc())
+        if isinstance(error, OSError) and error.errno in FULL:
+            return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
+        return Done(spec.task, "failed", reason=why, code=code, trace=_trace())
+
+
+def _trace() -> str:
+    return printable(traceback.format_exc(), LONGEST_TRACE)
 
 
 def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
@@ -113,7 +132,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         parts={} if data is None else artifact.parts(result),
         file=None if data is None else f"{key}{spec.suffix}",
         bytes=len(data or b""),
-        reason=result.reason if rejected else None,
+        reason=printable(result.reason) if rejected else None,
         code=_code(result) if rejected else None,
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
@@ -122,7 +141,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
     lane.cache.write(receipt, data)
-    lane.results[spec.task] = result
+    lane.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
 
@@ -168,7 +187,7 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
     except DamagedArtifact as damage:
         return (f"its picture has to wait: {damage.what}",)  # and is drawn by the next run, when that is made again
     except Exception as error:
-        failure = f"its picture could not be drawn: {type(error).__name__}: {error}"
+        failure = printable(f"its picture could not be drawn: {type(error).__name__}: {error}")
         write_drawing(lane.cache.work, spec.task, key, Drawing(digest, failure), None)
         return (failure,)
     write_drawing(lane.cache.work, spec.task, key, Drawing(digest), picture)
@@ -213,12 +232,12 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     if isinstance(value, Files):
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
-    result = lane.results.get(value.task)
+    result = lane.results.get(value.file_digest)
     if result is None:
         assert value.path is not None
         result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
-            lane.results[value.task] = result
+            lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 
@@ -232,4 +251,7 @@ def _from_plain(value: Value) -> Any:
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    return load(kind)(name=file.name, data=np.fromfile(file.path, dtype=np.uint8))
+    data = np.fromfile(file.path, dtype=np.uint8)
+    if artifact.digest(data.data) != file.digest:  # else what is made of it would be kept as made of something else
+        raise ChangedFile(file.path)
+    return load(kind)(name=file.name, data=data)

@@ -76,7 +76,11 @@ class FinishedRun:
 
     def of_cameras(self, *roles: Role) -> Mapping[str, Any]:
         """What the first of these roles that gave something made of each camera; read when it is asked for."""
-        return _OfCameras(self, roles)
+        return _OfSubjects(self, {camera.id: (camera.id,) for camera in self.record.cameras}, roles)
+
+    def of_pairs(self, *roles: Role) -> Mapping[str, Any]:
+        """The same of each pair, as "left--right"."""
+        return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, roles)
 
     def cloud(self, cloud: CloudRecord | None = None) -> Any:
         """A cloud as it was published; the main one if none is named.
@@ -98,18 +102,18 @@ class FinishedRun:
             raise Gone(str(error), remedy="run the night again") from None
 
 
-class _OfCameras(Mapping[str, Any]):
-    def __init__(self, run: FinishedRun, roles: tuple[Role, ...]) -> None:
+class _OfSubjects(Mapping[str, Any]):
+    def __init__(self, run: FinishedRun, subjects: Mapping[str, Subject], roles: tuple[Role, ...]) -> None:
         self._run = run
-        tasks = [[Task(stage_with(role).name, (camera.id,)) for role in roles] for camera in run.record.cameras]
-        made = [[task for task in group if (event := run.tasks.get(task)) and event.usable] for group in tasks]
-        self._tasks = {group[0].subject[0]: group[0] for group in made if group}
+        tasks = {name: [Task(stage_with(role).name, subject) for role in roles] for name, subject in subjects.items()}
+        made = {name: [t for t in group if (event := run.tasks.get(t)) and event.usable] for name, group in tasks.items()}
+        self._tasks = {name: group[0] for name, group in made.items() if group}
 
-    def __getitem__(self, camera: str) -> Any:
-        return self._run.load(self._tasks[camera])
+    def __getitem__(self, name: str) -> Any:
+        return self._run.load(self._tasks[name])
 
-    def __contains__(self, camera: object) -> bool:
-        return camera in self._tasks  # without reading it
+    def __contains__(self, name: object) -> bool:
+        return name in self._tasks  # without reading it
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._tasks)

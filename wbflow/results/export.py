@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import ExitCode, WbflowError
 from ..graph.exports import EXPORTS, Export
-from ..graph.pipeline import Role
+from ..graph.pipeline import Role, stage_with
 from ..store.atomic import write_atomic
 from .artifacts import FinishedRun, function
 
@@ -68,4 +68,4 @@ def _result(run: FinishedRun, name: str, roles: tuple[Role, ...]) -> Any:
         return run.cloud()
     if roles == (Role.WORLD,):
         return run.by_role(Role.WORLD)
-    return run.of_cameras(*roles)
+    return run.of_pairs(*roles) if stage_with(roles[0]).scope == "pair" else run.of_cameras(*roles)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import traceback
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
 
@@ -15,21 +14,25 @@ from ..night.night import Night
 from ..night.plan import Plan
 from ..night.run import Worked
 from ..store import artifact
-from ..store.atomic import write_atomic
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
 from ..store.ply import with_comments
 from ..store.record import RunRecord
 from ..store.run_folder import UnfinishedRun
+from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .beside import files_beside, told_beside
+from .metrics import metrics
+from .past import Past
 from .record import run_record
+from .verdict import judged
 
 
 def publish(
     run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
 ) -> FinishedRun:
-    """Write what a night left into the folder of its run; where there is a cloud, `latest` leads there.
+    """Write what a night left into the folder of its run; `latest` leads there.
 
     Parameters
     ----------
@@ -51,17 +54,23 @@ def publish(
     OSError
         The disk is full, or there is no right to write.
     """
-    told = _told_of_world(night.plan, worked.products)
+    told = _told_of_world(night.plan, worked.products, journal)
     clouds = {task.subject: data for task, data in worked.products.items() if task.stage == stage_with(Role.PRODUCT).name}
     if () in clouds and told is not None:
         clouds[()] = with_comments(clouds[()], tuple(told.comments))
     cameras = told.calibration if told else None
     unfinished = UnfinishedRun(work, run)
     unfinished.write_products(clouds, cameras)
+    beside = files_beside(night.plan, journal)
+    for name, data in (entry for files in beside.values() for entry in files.items()):
+        unfinished.write(name, data)
     seconds = costs.seconds(own_process)
-    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb, worked.interrupted)
+    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
+    record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
+    told_too = told_beside(night.plan, beside)
+    record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files, later=told_too)
     page = _report(work, record, journal, cameras or {})
-    folder = unfinished.publish(record, journal.events, page)
+    folder = unfinished.publish(record, journal.events, page, metrics(record))
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
 
 
@@ -75,7 +84,7 @@ class _World:
     comments: list[str]
 
 
-def _told_of_world(plan: Plan, products: Mapping[Task, bytes]) -> _World | None:
+def _told_of_world(plan: Plan, products: Mapping[Task, bytes], journal: Journal) -> _World | None:
     world = stage_with(Role.WORLD)
     task = Task(world.name)
     state = plan.states.get(task)
@@ -85,15 +94,17 @@ def _told_of_world(plan: Plan, products: Mapping[Task, bytes]) -> _World | None:
     code = [plan.site.reader.read(dotted).code for dotted in functions]
     memo = plan.cache.work.published(task, state.receipt.key)
     try:
-        known = _World(**json.loads(memo.read_bytes()))
-        if known.code == code:
+        told = read_signed(memo, plan.cache.work.place(memo))
+        if told and (known := _World(**told)).code == code:
             return known
-    except (OSError, ValueError, TypeError):  # never made, or by another version
+    except Damaged as damage:
+        journal.repaired(f"{damage.what}: made again", task=task)
+    except TypeError:  # by another version
         pass
     result = artifact.decode(products[task])  # numpy is imported for this
     calibration, comments = (function(dotted)(result) for dotted in functions)
     made = _World(code, calibration, list(comments))
-    write_atomic(memo, json.dumps(asdict(made)).encode())
+    write_signed(memo, plan.cache.work.place(memo), asdict(made))
     plan.site.reader.save()
     return made
 

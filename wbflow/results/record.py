@@ -18,10 +18,8 @@ from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Sec
 from ..task import Task
 
 
-def run_record(
-    run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float, interrupted: bool
-) -> RunRecord:
-    """The record of a run that ends now.
+def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float) -> RunRecord:
+    """The record of a run that ends now; nothing is judged yet.
 
     Parameters
     ----------
@@ -35,11 +33,9 @@ def run_record(
         What it has cost.
     peak_rss_mb : float
         Memory of its largest worker.
-    interrupted : bool
-        Was it stopped from outside?
     """
     pairs = tuple(_pair(plan, pair) for pair in _pairs(plan))
-    cameras = tuple(_with_fruitless_pairs(_camera(plan, camera.id), pairs) for camera in plan.site.cameras)
+    cameras = tuple(_camera(plan, camera.id) for camera in plan.site.cameras)
     product = stage_with(Role.PRODUCT).name
     main = plan.states.get(Task(product))
     others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == product and task.subject)
@@ -50,7 +46,7 @@ def run_record(
         plan.night,
         stamp(started),
         stamp(datetime.datetime.now(datetime.UTC)),
-        exit_code(plan, cameras, interrupted),
+        ExitCode.GOOD,
         TaskCounts(**Counter[str](state.outcome for state in plan.states.values())),
         seconds,
         round(peak_rss_mb),
@@ -61,19 +57,8 @@ def run_record(
         poses=_world(plan),
         reason=root_cause(plan, Task(product)) if main and not main.usable else None,
         code=main.code if main and not main.usable else None,
+        reference=plan.reference.run if plan.reference else None,
     )
-
-
-def exit_code(plan: Plan, cameras: tuple[CameraRecord, ...], interrupted: bool = False) -> ExitCode:
-    """How a run ends: the one place that decides it."""
-    if interrupted:
-        return ExitCode.INTERRUPTED
-    product = stage_with(Role.PRODUCT)
-    main = plan.states.get(Task(product.name))
-    if product in plan.stages() and not (main and main.usable):
-        return ExitCode.FAILED
-    lost = any(state.outcome == "failed" for state in plan.states.values()) or not all(camera.ok for camera in cameras)
-    return ExitCode.DEGRADED if lost else ExitCode.GOOD
 
 
 def root_cause(plan: Plan, task: Task) -> str | None:
@@ -127,7 +112,7 @@ def reported(scope: str) -> list[str]:
 
 
 def _camera(plan: Plan, camera: str) -> CameraRecord:
-    record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")))
+    record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")), health=plan.health(camera))
     for stage, reports in _reporting("camera"):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state is None:
@@ -145,16 +130,6 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
     return record
 
 
-def _with_fruitless_pairs(camera: CameraRecord, pairs: tuple[PairRecord, ...]) -> CameraRecord:
-    """A camera none of whose pairs came to anything has been turned or moved, or sees something else: its notes say so."""
-    tried = [pair for pair in pairs if camera.id in (pair.left, pair.right) and pair.outcome != "skipped"]
-    if not camera.ok or not tried or any(pair.ok for pair in tried):
-        return camera
-    reason = Counter(str(pair.reason) for pair in tried).most_common(1)[0][0]
-    note = f"none of its {len(tried)} pairs could be used: {reason}; has it been moved?"
-    return replace(camera, notes=(*camera.notes, note))
-
-
 def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
     record = PairRecord(*pair, "ok", figures=dict.fromkeys(reported("pair")))
     for stage, reports in _reporting("pair"):
@@ -166,6 +141,8 @@ def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
             record = replace(record, outcome="ok", reason=None, code=None, stage=None)
         elif not state.usable and (record.ok or state.outcome != "skipped"):
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
+    found = plan.states.get(Task(stage_with(Role.GEOMETRY).name, pair))
+    record = replace(record, figures={**record.figures, "matched": found.usable if found else None})
     for solved, world in _worlds(plan):
         told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
         record = replace(record, figures={**record.figures, **told})

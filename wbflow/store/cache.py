@@ -18,18 +18,31 @@ from ..task import Task
 from . import artifact
 from .atomic import write_atomic
 from .layout import WorkFolder
+from .signed import Damaged, read_signed, write_signed
 
 
 class DamagedArtifact(WbflowError):
-    """The bytes on disk are not those that the receipt promises; the file has been moved to quarantine."""
+    """The bytes on disk are not those that the receipt promises; the file, if there is one, has been moved to quarantine."""
 
-    def __init__(self, task: Task, path: Path) -> None:
-        super().__init__(f"{path} is damaged: moved to quarantine", remedy="the next  wbflow run  makes it again")
+    def __init__(self, task: Task, path: Path, gone: bool = False) -> None:
+        what = f"{path} is gone" if gone else f"{path} is damaged: moved to quarantine"
+        super().__init__(what, remedy="the next  wbflow run  makes it again")
         self.task = task
         self.path = path
+        self.gone = gone
 
     def __reduce__(self) -> tuple[Any, ...]:  # it comes back from worker processes
-        return type(self), (self.task, self.path)
+        return type(self), (self.task, self.path, self.gone)
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Something in the work folder that was not as it had been written, and is not used."""
+
+    what: str
+    """Which file, and what is wrong with it."""
+    task: Task | None = None
+    """Whose it was."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +103,7 @@ class Cache:
     """The cache of a work folder.  Safe to use from many processes at once."""
 
     work: WorkFolder
+    _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
 
     def find(self, preimage: Preimage, key: str) -> Receipt | None:
         """The receipt of a finished task, or None.  Checks the file's presence and size; who reads it checks its digest."""
@@ -97,18 +111,28 @@ class Cache:
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """The receipt of a task under a key that is known."""
-        return _receipt(self.work.receipt(task, key))
+        return self._receipt(task, self.work.receipt(task, key))
 
     def newest(self, task: Task) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""
-        receipts = [r for r in map(_receipt, self.work.receipts(task)) if r]
+        receipts = [r for path in self.work.receipts(task) if (r := self._receipt(task, path))]
         return max(receipts, key=lambda r: r.finished, default=None)
 
     def receipts(self) -> Iterator[Receipt]:
         """Every intact receipt."""
         for path in self.work.receipts():
-            if receipt := _receipt(path):
+            if receipt := self._receipt(None, path):
                 yield receipt
+
+    def note(self, what: str, task: Task | None = None) -> None:
+        """Note damage that was found, for whoever tells of it."""
+        self._damages.append(Damage(what, task))
+
+    def damages(self) -> list[Damage]:
+        """What was found damaged since the last time that somebody asked."""
+        found = self._damages[:]
+        del self._damages[: len(found)]
+        return found
 
     def path(self, receipt: Receipt) -> Path:
         """The artifact's file.  Raises ValueError for a rejected task, which has none."""
@@ -124,14 +148,16 @@ class Cache:
         DamagedArtifact
             They are missing, or not what the receipt promised; the file is in quarantine and its receipt is gone.
         """
-        try:
-            data = path.read_bytes()
-        except OSError:
-            data = b""
-        if artifact.digest(data) != digest:
-            self.quarantine(path)
-            raise DamagedArtifact(task, path)
-        return data
+        for _ in range(2):  # a second look, since somebody else may just have made it again
+            try:
+                data = path.read_bytes()
+            except OSError:
+                data = b""
+            if artifact.digest(data) == digest:
+                return data
+        gone = not path.exists()
+        self.quarantine(path)
+        raise DamagedArtifact(task, path, gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
@@ -142,7 +168,7 @@ class Cache:
         if data is not None and receipt.file:
             write_atomic(self._beside(receipt, receipt.file), data, settle=False)
         place = self.work.receipt(receipt.preimage.task, receipt.key)
-        write_atomic(place, json.dumps(asdict(receipt), separators=(",", ":")).encode())
+        write_signed(place, self.work.place(place), asdict(receipt))
 
     def quarantine(self, path: Path) -> None:
         """Take an artifact out of use: the receipt goes first, the file is kept for whoever wants to know why."""
@@ -155,15 +181,29 @@ class Cache:
     def _beside(self, receipt: Receipt, name: str) -> Path:
         return self.work.task(receipt.preimage.task) / name
 
-
-def _receipt(path: Path) -> Receipt | None:
-    """None for one that is not there, or cut short by an earlier version or a failing disk: then the task is done again."""
-    try:
-        fields = json.loads(path.read_bytes())
-        fields["preimage"]["subject"] = tuple(fields["preimage"]["subject"])
-        receipt = Receipt(**{**fields, "preimage": Preimage(**fields["preimage"])})
-        if receipt.file and os.stat(path.with_name(receipt.file)).st_size != receipt.bytes:  # noqa: PTH116 (hot path)
+    def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
+        """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
+        try:
+            fields = read_signed(path, self.work.place(path))
+            if fields is None:
+                return None
+            fields["preimage"]["subject"] = tuple(fields["preimage"]["subject"])
+            receipt = Receipt(**{**fields, "preimage": Preimage(**fields["preimage"])})
+        except Damaged as damage:
+            self.note(damage.what, task)
             return None
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-    return receipt
+        except (TypeError, KeyError):  # of another version
+            return None
+        if receipt.file and (wrong := _wrong_size(path.with_name(receipt.file), receipt.bytes)):
+            self.note(wrong, task)
+            return None
+        return receipt
+
+
+def _wrong_size(path: Path, expected: int) -> str | None:
+    """What is wrong with an artifact at first sight."""
+    try:
+        size = os.stat(path).st_size  # noqa: PTH116 (hot path)
+    except OSError:
+        return f"{path} is gone"
+    return None if size == expected else f"{path} has {size:,} of {expected:,} bytes"

@@ -75,6 +75,8 @@ class WarningEvent:
     """What to do about it, where something can be done."""
     trace: str | None = None
     """Traceback of a fault that nobody foresaw."""
+    repaired: bool = False
+    """Was it damage on disk that has been put right?"""
 
     def __str__(self) -> str:
         head = f"{self.task}: {self.what}" if self.task else self.what
@@ -83,7 +85,7 @@ class WarningEvent:
     def to_json(self) -> dict[str, Any]:
         """A line of the log."""
         subject = {"task": str(self.task), "stage": self.task.stage, "subject": list(self.task.subject)} if self.task else {}
-        told = {"what": self.what, "remedy": self.remedy, "trace": self.trace}
+        told = {"what": self.what, "remedy": self.remedy, "trace": self.trace, "repaired": self.repaired}
         return {"event": "warning", "at": self.at, **subject, **told}
 
 
@@ -97,7 +99,7 @@ def event_from_json(line: Mapping[str, Any]) -> Event | None:
     """An event as the log has it; None for a kind of a later version.  Raises KeyError."""
     task = Task(line["stage"], tuple(line["subject"])) if "stage" in line else None
     if line.get("event") == "warning":
-        return WarningEvent(line["what"], line["at"], task, line.get("remedy", ""), line.get("trace"))
+        return WarningEvent(line["what"], line["at"], task, line.get("remedy", ""), line.get("trace"), bool(line.get("repaired")))
     if line.get("event") != "task" or task is None:
         return None
     optional = {name: line.get(name) for name in ("reason", "code", "key", "cpu", "trace")}

@@ -2,9 +2,12 @@
 
 cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
-runs/latest                          link to the newest run that made a cloud
+runs/latest                          link to the newest run, whatever came of it
+runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
+reference/                           what nights are compared with: reference.json, and links to its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
+notified.json                        what somebody was told last
 lock                                 held by the one run that may write
 """
 
@@ -12,10 +15,12 @@ from __future__ import annotations
 
 import datetime
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..task import Task
+from .atomic import sync_folder
 
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
@@ -24,6 +29,14 @@ _UNFINISHED = ".tmp"
 def run_id(moment: datetime.datetime) -> str:
     """The id of a run that starts at `moment` (UTC, to the second): ids sort as the runs did."""
     return moment.strftime(_RUN_ID)
+
+
+def started_by(name: str) -> datetime.datetime | None:
+    """When the run of an id was started (UTC); None for a folder that somebody else has made."""
+    try:
+        return datetime.datetime.strptime(name, _RUN_ID).replace(tzinfo=datetime.UTC)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -51,6 +64,15 @@ class RunPaths:
     def report(self) -> Path:
         """The run for people."""
         return self.folder / "report.html"
+
+    def clouds(self) -> list[Path]:
+        """Every cloud in the folder, by name."""
+        return sorted(self.folder.glob("*.ply"))
+
+    @property
+    def metrics(self) -> Path:
+        """The run for Prometheus."""
+        return self.folder / "metrics.prom"
 
     @property
     def cloud(self) -> Path:
@@ -112,6 +134,10 @@ class WorkFolder:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
 
+    def place(self, path: Path) -> str:
+        """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
+        return "/".join(path.parts[-3:])
+
     def of_key(self, task: Task, key: str) -> list[Path]:
         """All files of a task under a key, the receipt first."""
         first = self.receipt(task, key)
@@ -120,6 +146,12 @@ class WorkFolder:
     def receipts(self, task: Task | None = None) -> list[Path]:
         """The receipts of a task under whatever key, or of all tasks, by name."""
         return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
+
+    def cached(self) -> Iterator[Path]:
+        """Every file of every task, whatever its key."""
+        for path in self.cache.glob("*/*/*"):
+            if not path.name.startswith("."):
+                yield path
 
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""
@@ -155,13 +187,52 @@ class WorkFolder:
 
     @property
     def latest(self) -> Path:
-        """A link to the newest run that made a cloud."""
+        """A link to the newest run, whatever came of it."""
         return self.runs / "latest"
+
+    @property
+    def latest_good(self) -> Path:
+        """A link to the newest run with a cloud whose verdict is good or degraded."""
+        return self.runs / "latest-good"
+
+    def links(self) -> list[Path]:
+        """Whatever leads to a run, now."""
+        return [path for path in self.runs.glob("*") if path.is_symlink()]
+
+    def turn(self, link: Path, run: str) -> None:
+        """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.
+
+        Nothing is ever written or removed through the link.  Raises OSError.
+        """
+        fresh = self.unfinished_run(link.name).folder
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(run)
+        fresh.replace(link)
+        sync_folder(self.runs)
+
+    def led_to(self, link: Path) -> str | None:
+        """The run that a link leads to; None where there is no link, or no whole run behind it."""
+        name = link.readlink().name if link.is_symlink() else None
+        return name if name and self.run(name).record.is_file() else None
 
     def run_ids(self) -> list[str]:
         """Every published run, oldest first."""
         found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
         return sorted(p.name for p in found if not p.name.startswith("."))
+
+    @property
+    def reference(self) -> Path:
+        """The folder of the pinned reference."""
+        return self.root / "reference"
+
+    @property
+    def reference_record(self) -> Path:
+        """What is pinned; without it nothing is (see `store.reference`)."""
+        return self.reference / "reference.json"
+
+    def pinned(self, path: Path) -> Path:
+        """Where the reference keeps a file of the cache."""
+        return self.reference / path.relative_to(self.cache)
 
     @property
     def ledger(self) -> Path:
@@ -173,22 +244,32 @@ class WorkFolder:
         return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
 
     @property
+    def notified(self) -> Path:
+        """The state of the site that somebody was told of last."""
+        return self.root / "notified.json"
+
+    @property
     def lock(self) -> Path:
         """Held while somebody writes."""
         return self.root / "lock"
 
-    def start_writing(self) -> None:
-        """Clear away what a killed run left half-written, and mark that there may be such again.  The caller holds the lock."""
-        if self._writing.exists():
+    def start_writing(self) -> bool:
+        """Clear away what a killed run left half-written, and mark that there may be such again.  The caller holds the lock.
+
+        Returns whether the last one that wrote here was killed.
+        """
+        killed = self._writing.exists()
+        if killed:
             for path in self.cache.rglob(f".*{_UNFINISHED}"):
                 path.unlink(missing_ok=True)
-            for folder in self.runs.glob(f".*{_UNFINISHED}"):
-                if folder.is_symlink():
-                    folder.unlink()
+            for path in self.runs.glob(f".*{_UNFINISHED}"):
+                if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
+                    shutil.rmtree(path)
                 else:
-                    shutil.rmtree(folder)
+                    path.unlink()
         self._writing.parent.mkdir(parents=True, exist_ok=True)
         self._writing.touch()
+        return killed
 
     def done_writing(self) -> None:
         """All that was begun is finished."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from ..task import Task
+from .artifact import digest, file_digest
 from .atomic import write_atomic
+from .cache import Cache
 from .layout import WorkFolder
+from .signed import Damaged, read_signed, write_signed
 
 
 @dataclass(frozen=True)
@@ -18,14 +20,41 @@ class Drawing:
     """Of all that determines it."""
     failure: str | None = None
     """Why it could not be drawn."""
+    picture: str | None = None
+    """Digest of the picture itself."""
 
 
-def read_drawing(work: WorkFolder, task: Task, key: str) -> Drawing | None:
-    """What became of the picture of an artifact; None where nobody has tried."""
+def is_drawn(cache: Cache, task: Task, key: str, by: str) -> bool:
+    """Has the picture of an artifact been drawn (or tried), and is it still as it was drawn?
+
+    Parameters
+    ----------
+    cache : Cache
+        Where it is kept; is told of damage.
+    task : Task
+        Whose result is shown.
+    key : str
+        Of that result.
+    by : str
+        Digest of all that determines the picture now.
+    """
+    path, file = cache.work.drawing(task, key), cache.work.picture(task, key)
     try:
-        return Drawing(**json.loads(work.drawing(task, key).read_bytes()))
-    except (OSError, ValueError, TypeError):
-        return None
+        told = read_signed(path, cache.work.place(path))
+        drawing = Drawing(**told) if told else None
+        if drawing is None or drawing.digest != by:
+            return False
+        if drawing.picture and drawing.picture != file_digest(file):
+            raise Damaged(f"{file} is damaged")
+    except OSError:
+        cache.note(f"{file} is gone", task)
+        return False
+    except Damaged as damage:
+        cache.note(damage.what, task)
+        return False
+    except TypeError:  # by another version
+        return False
+    return True
 
 
 def write_drawing(work: WorkFolder, task: Task, key: str, drawing: Drawing, picture: bytes | None) -> None:
@@ -49,4 +78,6 @@ def write_drawing(work: WorkFolder, task: Task, key: str, drawing: Drawing, pict
         file.unlink(missing_ok=True)
     else:
         write_atomic(file, picture, settle=False)
-    write_atomic(work.drawing(task, key), json.dumps(asdict(drawing)).encode(), settle=False)
+    path = work.drawing(task, key)
+    known = replace(drawing, picture=digest(picture) if picture is not None else None)
+    write_signed(path, work.place(path), asdict(known), settle=False)

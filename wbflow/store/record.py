@@ -7,15 +7,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-Figures = Mapping[str, Any]
-"""What stages report of a camera, a pair or the world, by name: numbers, words, and mappings of these."""
+from .findings import Down as Down
+from .findings import Figures as Figures
+from .findings import Finding as Finding
+from .findings import Health as Health
+from .findings import Usual as Usual
+from .findings import Verdict as Verdict
+from .findings import rounded
 
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
-def stamp(moment: datetime.datetime) -> str:
+def stamp(at: datetime.datetime) -> str:
     """A time as run.json writes it (UTC)."""
-    return moment.strftime(_STAMP)
+    return at.strftime(_STAMP)
+
+
+def moment(text: str) -> datetime.datetime:
+    """A time that run.json has (UTC).  Raises ValueError."""
+    return datetime.datetime.strptime(text, _STAMP).replace(tzinfo=datetime.UTC)
 
 
 @dataclass(frozen=True)
@@ -70,6 +80,10 @@ class CameraRecord:
     """What the operator should know of it."""
     figures: Figures = field(default_factory=dict)
     """What the stages report of it; None where they did not come so far."""
+    health: Health | None = None
+    """How it is, compared with what it has been; None where nobody knows."""
+    down: Down | None = None
+    """Since when it gives nothing or is not as it should be; None while all is well."""
 
     @property
     def ok(self) -> bool:
@@ -81,7 +95,8 @@ class CameraRecord:
 
     def to_json(self) -> dict[str, Any]:
         reason = {"reason": self.reason, "code": self.code, "notes": list(self.notes)}
-        return {"id": self.id, "outcome": self.outcome, **_rounded(self.figures), **reason}
+        state = {"health": self.health and self.health.to_json(), "down": self.down and self.down.to_json()}
+        return {"id": self.id, "outcome": self.outcome, **rounded(self.figures), **reason, **state}
 
 
 @dataclass(frozen=True)
@@ -115,7 +130,7 @@ class PairRecord:
     def to_json(self) -> dict[str, Any]:
         head = {"left": self.left, "right": self.right, "outcome": self.outcome}
         stage = {"stage": self.stage} if self.stage else {}
-        return {**head, **_rounded(self.figures), "reason": self.reason, "code": self.code, **stage}
+        return {**head, **rounded(self.figures), "reason": self.reason, "code": self.code, **stage}
 
 
 @dataclass(frozen=True)
@@ -165,8 +180,8 @@ class WorldRecord:
         return tuple(self.figures.get("notes") or ())
 
     def to_json(self) -> dict[str, Any]:
-        rounded: dict[str, Any] = _rounded(self.figures)
-        return rounded
+        data: dict[str, Any] = rounded(self.figures)
+        return data
 
 
 @dataclass(frozen=True)
@@ -193,8 +208,20 @@ class RunRecord:
     reason: str | None = None
     """Why there is no cloud."""
     code: str | None = None
+    verdict: Verdict | None = None
+    """What the night came to; None of a run of an earlier version."""
+    usual: Usual | None = None
+    """What it was compared with; None where there was nothing."""
+    settings: str = ""
+    """Digest of all that the site file and the version decide: only nights with the same are compared."""
+    repaired: tuple[str, ...] = ()
+    """Damage on disk that the run found and put right, in words."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of the products in its folder, by name."""
+    reference: str | None = None
+    """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
-    """Keys of a later version."""
+    """What site-wide stages report, by stage; and keys of a later version."""
 
     def __repr__(self) -> str:
         points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not asked for'})"
@@ -219,7 +246,13 @@ class RunRecord:
             "poses": self.poses and self.poses.to_json(),
             "reason": self.reason,
             "code": self.code,
-            **self.later,
+            "verdict": self.verdict and self.verdict.to_json(),
+            "usual": self.usual and self.usual.to_json(),
+            "settings": self.settings,
+            "repaired": list(self.repaired),
+            "files": dict(self.files),
+            "reference": self.reference,
+            **rounded(self.later),
         }
 
     @staticmethod
@@ -234,7 +267,10 @@ class RunRecord:
         poses = WorldRecord(rest["poses"]) if rest.get("poses") else None
         others = tuple(cloud for entry in rest.get("other_clouds", ()) if (cloud := _cloud(entry)))
         peak, reason, code = rest.get("peak_rss_mb", 0), rest.get("reason"), rest.get("code")
-        known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb", "reason", "code"}
+        verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
+        known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
+        usual = Usual.from_json(rest["usual"]) if rest.get("usual") else None
+        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files", "reference"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -248,6 +284,12 @@ class RunRecord:
             poses=poses,
             reason=reason,
             code=code,
+            verdict=verdict,
+            usual=usual,
+            settings=str(rest.get("settings") or ""),
+            repaired=tuple(rest.get("repaired") or ()),
+            files=dict(rest.get("files") or {}),
+            reference=rest.get("reference"),
             later=later,
         )
 
@@ -258,10 +300,12 @@ def _seconds(data: Mapping[str, Any]) -> Seconds:
 
 
 def _camera(data: Mapping[str, Any]) -> CameraRecord:
-    named = ("id", "outcome", "reason", "code", "notes")
+    named = ("id", "outcome", "reason", "code", "notes", "health", "down")
     figures = {name: value for name, value in data.items() if name not in named}
     notes = tuple(data.get("notes") or ())
-    return CameraRecord(data["id"], data["outcome"], data.get("reason"), data.get("code"), notes, figures)
+    health = Health.from_json(data["health"]) if data.get("health") else None
+    down = Down.from_json(data["down"]) if data.get("down") else None
+    return CameraRecord(data["id"], data["outcome"], data.get("reason"), data.get("code"), notes, figures, health, down)
 
 
 def _pair(data: Mapping[str, Any]) -> PairRecord:
@@ -276,10 +320,3 @@ def _cloud(data: Mapping[str, Any] | None) -> CloudRecord | None:
         return None
     low, high = data["bounds"]
     return CloudRecord(data["path"], data["points"], (tuple(low), tuple(high)))
-
-
-def _rounded(value: Any) -> Any:
-    """Four digits are more than anybody reads."""
-    if isinstance(value, Mapping):
-        return {key: _rounded(entry) for key, entry in value.items()}
-    return round(value, 4) if isinstance(value, float) else value

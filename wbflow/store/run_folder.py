@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import json
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,16 @@ from ..errors import ExitCode, WbflowError
 from ..task import Subject, Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
-from .layout import RunPaths, WorkFolder, cloud_name, run_id
+from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
 from .record import CloudRecord, RunRecord
+from .share import write_product
+from .signed import Unsigned, signed, unsigned
+
+_OF = "run"
+_LOOK_BACK = 7
+"""In so many runs before, the newest cloud is looked for (there are nights that make none)."""
+_SET_BACK_S = 2.0
+"""A newest run that lies further in the future than this was made before the clock was set back."""
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -51,7 +60,7 @@ class RunFolder:
 
     @staticmethod
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
-        """A run by id; "latest" is the newest that made a cloud, None the newest.
+        """A run by id; "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
 
         Raises
         ------
@@ -61,10 +70,13 @@ class RunFolder:
         known = work.run_ids()
         if not known:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
-        if name == work.latest.name:
-            if not work.latest.exists():
+        if name == work.latest_good.name:
+            newest_first = (RunFolder(work.run(run)) for run in reversed(known))
+            shown = work.led_to(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
+            if shown is None:
                 raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
-            return RunFolder(RunPaths(work.latest.resolve()))
+            return RunFolder(work.run(shown))
+        name = None if name == work.latest.name else name
         if name is not None and name not in known:
             raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(known[-3:])}")
         return RunFolder(work.run(name or known[-1]))
@@ -80,7 +92,7 @@ class RunFolder:
     def record(self) -> RunRecord:
         """run.json.  Raises NoSuchRun for one that cannot be read."""
         try:
-            return RunRecord.from_json(json.loads(self.paths.record.read_bytes()))
+            return RunRecord.from_json(_told(self.paths.record.read_bytes()))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -98,16 +110,44 @@ class RunFolder:
         return {event.task: event for event in self.events() if isinstance(event, TaskEvent)}
 
     def cameras(self) -> dict[str, Any]:
-        """Cameras by id in the form of a calibration (K, R, C, width, height, ...); empty where none were solved."""
+        """Cameras by id in the form of a calibration (K, R, C, width, height, ...); empty where none were solved.
+
+        Raises NoSuchRun for a file that cannot be read.
+        """
         try:
             found: dict[str, Any] = json.loads(self.paths.cameras.read_bytes())
         except FileNotFoundError:
             return {}
+        except (OSError, ValueError) as error:
+            raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
         return found
+
+    def damaged(self, missing: bool) -> list[Path]:
+        """Products of the run that are not as they were published.
+
+        missing: count those, too, that are not there any more.
+
+        Raises
+        ------
+        NoSuchRun
+            run.json itself is damaged.
+        """
+        files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
+        return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
 
     def cloud(self, cloud: CloudRecord) -> Path:
         """The file of one of the record's clouds."""
         return self.paths.folder / cloud.path
+
+    def is_good(self) -> bool:
+        """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
+        if not self.paths.cloud.is_file():
+            return False
+        try:
+            verdict = self.record().verdict
+        except NoSuchRun:
+            return False
+        return verdict is None or verdict.level != "failed"
 
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
@@ -125,32 +165,49 @@ class UnfinishedRun:
 
     work: WorkFolder
     name: str
+    files: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of the products that have been written, by name."""
 
     def write_products(self, clouds: Mapping[Subject, bytes], cameras: Mapping[str, Any] | None) -> None:
         """Clouds (PLY) by component, () being the main one, and cameras in the form of a calibration.  Raises OSError."""
         for component, data in clouds.items():
-            write_atomic(self._paths.folder / cloud_name(component), data)
+            self.write(cloud_name(component), data)
         if cameras is not None:
-            write_atomic(self._paths.cameras, json.dumps(cameras, indent=1).encode())
+            self.write(self._paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
-    def publish(self, record: RunRecord, events: Iterable[Event], report: str) -> RunFolder:
-        """Add what is told of the run and give the folder its name; where there is a cloud, `latest` leads there.
+    def write(self, name: str, data: bytes) -> None:
+        """A product that is not changed after the run; what the run before has just the same takes no room.  Raises OSError."""
+        earlier = (self.work.run(run).folder / name for run in reversed(self.work.run_ids()[-_LOOK_BACK:]))
+        write_product(self._paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
+        self.files[name] = hashlib.sha256(data).hexdigest()
 
-        Raises OSError.
+    def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
+        """Add what is told of the run and give the folder its name; the links lead there.
+
+        Parameters
+        ----------
+        record : RunRecord
+            The run in figures.
+        events : iterable of Event
+            What happened.
+        report : str
+            The run for people, HTML.
+        metrics : str
+            The run for Prometheus.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
         """
         write_atomic(self._paths.log, _lines(events))
-        write_atomic(self._paths.record, json.dumps(record.to_json(), indent=1).encode())
+        write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
         write_atomic(self._paths.report, report.encode())
+        write_atomic(self._paths.metrics, metrics.encode())
         final = self.work.run(self.name)
-        has_cloud = self._paths.cloud.is_file()
         self._paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
-        if has_cloud:
-            link = self.work.unfinished_run(self.work.latest.name).folder
-            link.unlink(missing_ok=True)
-            link.symlink_to(final.folder.name)
-            link.replace(self.work.latest)
-            sync_folder(self.work.runs)
+        turn_links(self.work)
         return RunFolder(final)
 
     @property
@@ -158,13 +215,55 @@ class UnfinishedRun:
         return self.work.unfinished_run(self.name)
 
 
+def turn_links(work: WorkFolder) -> None:
+    """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
+    killed in between.  Raises OSError."""
+    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
+    runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
+    for link, suits in may_show.items():
+        shown = work.led_to(link)
+        for run in runs:
+            if run.id == shown:
+                break
+            if suits(run):
+                work.turn(link, run.id)
+                break
+
+
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
-    """An id for a run that starts now, and that moment.  No id is used twice: a second run in the same second waits."""
+    """An id for a run that starts now, and that moment.
+
+    No id is used twice: a second run in the same second waits.  Ids sort as the runs did, even where the clock has been set back:
+    then one takes the second after the newest run's.
+    """
+    newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
     while True:
         moment = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-        if not work.run(run_id(moment)).folder.exists():
+        ahead = (newest - moment).total_seconds() if newest else -1.0
+        if newest and ahead > _SET_BACK_S:
+            return run_id(newest + datetime.timedelta(seconds=1)), moment
+        if ahead < 0 and not work.run(run_id(moment)).folder.exists():
             return run_id(moment), moment
         time.sleep(0.05)
+
+
+def _told(data: bytes) -> dict[str, Any]:
+    """What run.json says; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
+    try:
+        return unsigned(data, _OF)
+    except Unsigned:
+        told: dict[str, Any] = json.loads(data)
+        if told.get("of") == _OF:
+            raise
+        return told
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
 
 
 def _lines(events: Iterable[Event]) -> bytes:

@@ -34,11 +34,11 @@ def test_right_poses_are_taken_as_they_are_and_their_figures_kept() -> None:
     site = make_pair_site(5, noise_px=0.3)
     poses = solve(site, placements(site))
     assert poses.source == "calibration" and not poses.suspects and not poses.notes
-    assert set(poses.checks) == set(site.cameras)
-    for name, check in poses.checks.items():
+    assert set(poses.pose_checks) == set(site.cameras)
+    for name, check in poses.pose_checks.items():
         assert check.pairs == sum(name in pair for pair in site.geometries) and check.inliers > 100
         assert 0.05 < check.epipolar_px < 0.5 and not check.moved
-    assert all(verdict.adjusted_px < 0.5 and verdict.rotation_off_deg < 0.5 for verdict in poses.verdicts.values())
+    assert all(check.adjusted_px < 0.5 and check.rotation_off_deg < 0.5 for check in poses.pair_checks.values())
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_the_one_wrong_pose_is_named_with_how_far_it_is_off_and_bends_no_other(
     known = placements(site, **{name: moved(site, name, degrees, metres)})
     poses = solve(site, known)
     assert list(poses.suspects) == [name]
-    check = poses.checks[name]
+    check = poses.pose_checks[name]
     assert check.moved
     assert check.off_m == pytest.approx(np.linalg.norm(metres), abs=0.02)
     assert check.off_deg == pytest.approx(np.linalg.norm(degrees), abs=0.1)
@@ -81,9 +81,9 @@ def test_one_wrong_pair_accuses_no_camera() -> None:
     pair = next(iter(site.geometries))
     poses = solve(replace(site, geometries=site.geometries | {pair: turned_wrong(site, pair, 0)}), placements(site))
     assert poses.source == "calibration" and not poses.suspects
-    verdict = poses.verdicts["--".join(pair)]
-    assert verdict.flagged and not verdict.kept and verdict.code == "matches-contradict-cameras"
-    assert all(check.verified for check in poses.checks.values())
+    check = poses.pair_checks["--".join(pair)]
+    assert check.flagged and not check.kept and check.code == "matches-contradict-cameras"
+    assert all(check.verified for check in poses.pose_checks.values())
 
 
 @settings(max_examples=12, deadline=None, derandomize=True)
@@ -95,7 +95,7 @@ def test_no_wrong_pair_ever_removes_or_moves_a_stated_camera(count: int, seed: i
     site = replace(site, geometries=site.geometries | {pair: wrong} if sure else {pair: wrong})
     known = placements(site)
     poses = solve(site, known)
-    assert not poses.suspects and not any(check.moved for check in poses.checks.values())
+    assert not poses.suspects and not any(check.moved for check in poses.pose_checks.values())
     assert all(np.array_equal(poses.cameras[name].C, camera.C) for name, camera in site.cameras.items())
     assert all(np.array_equal(poses.cameras[name].R, camera.R) for name, camera in site.cameras.items())
 
@@ -105,7 +105,7 @@ def test_two_look_alike_pairs_that_tell_different_poses_move_no_camera() -> None
     wrong = {pair: turned_wrong(site, pair, k) for k, pair in enumerate(site.geometries) if "c1" in pair}
     poses = solve(replace(site, geometries=site.geometries | wrong), placements(site))
     assert not poses.suspects and np.array_equal(poses.cameras["c1"].C, site.cameras["c1"].C)
-    assert not poses.checks["c1"].verified and poses.checks["c3"].verified
+    assert not poses.pose_checks["c1"].verified and poses.pose_checks["c3"].verified
 
 
 def test_a_new_pose_that_no_distinctive_matches_tell_is_not_believed() -> None:
@@ -135,7 +135,7 @@ def test_poses_with_standard_deviations_are_refined_to_nearly_exact_ones(count: 
     stated = stated_cameras(site.views, known)
     before, after = (aligned_errors(replace(poses, cameras=c), site.cameras) for c in (stated, poses.cameras))
     assert after[0] < before[0] / 8 and after[1] < before[1] / 8
-    assert all(verdict.kept and verdict.adjusted_px < 0.5 for verdict in poses.verdicts.values())
+    assert all(check.kept and check.adjusted_px < 0.5 for check in poses.pair_checks.values())
     for name, camera in poses.cameras.items():
         assert np.linalg.norm(camera.C - stated[name].C) < 3 * 0.05 * np.sqrt(3)
 
@@ -154,7 +154,7 @@ def test_a_wrong_pair_does_not_pull_rough_poses() -> None:
     pair = ("c1", "c3")
     known = rough(site, 0, 0.05, 0.3)
     wrong = solve(replace(site, geometries=site.geometries | {pair: turned_wrong(site, pair, 3)}), known)
-    assert aligned_errors(wrong, site.cameras)[0] < 2e-3 and not wrong.verdicts["c1--c3"].kept
+    assert aligned_errors(wrong, site.cameras)[0] < 2e-3 and not wrong.pair_checks["c1--c3"].kept
 
 
 def test_a_rough_pose_that_is_wrong_beyond_its_standard_deviation_is_named() -> None:
@@ -162,7 +162,7 @@ def test_a_rough_pose_that_is_wrong_beyond_its_standard_deviation_is_named() -> 
     known = rough(site, 0, 0.05, 0.3)
     poses = solve(site, known | {"c2": replace(moved(site, "c2", (0, 3, 0), (0.5, 0, 0)), sigma_m=0.05, sigma_deg=0.3)})
     assert list(poses.suspects) == ["c2"] and poses.sources["c2"] == "solved"
-    assert poses.checks["c2"].off_deg == pytest.approx(3, abs=0.6)
+    assert poses.pose_checks["c2"].off_deg == pytest.approx(3, abs=0.6)
 
 
 def test_of_two_cameras_it_cannot_be_told_which_is_wrong() -> None:
@@ -182,10 +182,10 @@ def test_a_camera_turned_at_the_end_of_a_chain_is_unverified() -> None:
     chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
     poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 3, 0), (0, 0, 0))))
     assert not poses.suspects and poses.sources["c2"] == "stated"
-    assert not poses.checks["c2"].verified and poses.checks["c0"].verified
+    assert not poses.pose_checks["c2"].verified and poses.pose_checks["c0"].verified
     assert "contradict each other by 2.9 degrees" in poses.notes[0] and "unverified" in poses.notes[0]
-    verdict = poses.verdicts["c1--c2"]
-    assert (verdict.kept, verdict.code, verdict.known) == (False, "matches-contradict-cameras", "stated")
+    check = poses.pair_checks["c1--c2"]
+    assert (check.kept, check.code, check.known) == (False, "matches-contradict-cameras", "stated")
 
 
 def test_who_was_shifted_in_a_chain_cannot_be_told_from_who_was_not() -> None:

@@ -131,8 +131,8 @@ def test_a_wrong_known_pose_is_named_and_bends_nothing() -> None:
     )
     poses = solve(site, good | {"c2": wrong})
     assert list(poses.suspects) == ["c2"]
-    assert poses.checks["c2"].off_m == pytest.approx(1.0, abs=0.02)
-    assert poses.checks["c2"].off_deg == pytest.approx(5.0, abs=0.1)
+    assert poses.pose_checks["c2"].off_m == pytest.approx(1.0, abs=0.02)
+    assert poses.pose_checks["c2"].off_deg == pytest.approx(5.0, abs=0.1)
     without = solve(site, good)
     for name, camera in poses.cameras.items():
         assert np.allclose(camera.C, without.cameras[name].C, atol=1e-6)
@@ -148,8 +148,8 @@ def test_known_cameras_place_the_others_whatever_a_wrong_pair_among_them_says() 
     for name, camera in poses.cameras.items():
         assert np.linalg.norm(camera.C - site.cameras[name].C) < 0.02
     for pair in wrong:
-        assert not poses.verdicts["--".join(pair)].kept
-    assert poses.verdicts["c0--c4"].known == "stated" and poses.verdicts["c0--c1"].known == "solved"
+        assert not poses.pair_checks["--".join(pair)].kept
+    assert poses.pair_checks["c0--c4"].known == "stated" and poses.pair_checks["c0--c1"].known == "solved"
 
 
 def test_a_model_that_contradicts_the_known_poses_stands_apart_and_moves_none() -> None:
@@ -283,12 +283,12 @@ def test_the_same_input_gives_the_same_bytes() -> None:
 
 def test_pairs_that_fare_worse_with_the_adjusted_cameras_are_flagged() -> None:
     site = make_pair_site(5, noise_px=0.2)
-    assert not any(verdict.flagged for verdict in solve(site).verdicts.values())
+    assert not any(check.flagged for check in solve(site).pair_checks.values())
     # a known pose that is off by less than would be doubted is held, and its pairs pay for it
     known = {name: true_placement(site, name) for name in ("c0", "c2")}
     turned = Placement(rotation_matrix(np.radians([0.06, 0.0, 0.0])) @ site.cameras["c1"].R, site.cameras["c1"].C)
-    verdict = solve(only(site, "c0", "c1", "c2", "c3"), known | {"c1": turned}).verdicts["c0--c1"]
-    assert verdict.flagged and verdict.adjusted_px > 2 * verdict.estimated_px
+    check = solve(only(site, "c0", "c1", "c2", "c3"), known | {"c1": turned}).pair_checks["c0--c1"]
+    assert check.flagged and check.adjusted_px > 2 * check.estimated_px
 
 
 def on_one_mast(site: PairSite) -> PairSite:

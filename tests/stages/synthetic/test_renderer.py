@@ -11,7 +11,8 @@ from wbflow_stages.synthetic.movers import movers
 from wbflow_stages.synthetic.paint import Texture, encode
 from wbflow_stages.synthetic.renderer import Light, PreparedScene, build_atlas
 from wbflow_stages.synthetic.scene import SceneBuilder, joined
-from wbflow_stages.synthetic.shooting import Daytime, render_pixels, render_view, touched, true_depth
+from wbflow_stages.synthetic.shooting import render_pixels, render_view, touched, true_depth
+from wbflow_stages.synthetic.shots import Daytime
 from wbflow_stages.types import Camera
 
 OVERCAST = Light((0.0, 0.6, 0.8), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))

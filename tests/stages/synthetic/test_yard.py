@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.evaluate import correct_matches, true_correspondences
 from wbflow_stages.synthetic.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
 from wbflow_stages.synthetic.shooting import DemoCamera
+from wbflow_stages.synthetic.shots import Shots
 from wbflow_stages.synthetic.yard import yard
 
 
@@ -24,13 +25,13 @@ def background(camera: DemoCamera) -> np.ndarray:
 
 
 def test_the_same_arguments_give_the_same_bytes_on_any_number_of_threads() -> None:
-    first = yard(2, (96, 54), captures=2, threads=1)
-    second = yard(2, (96, 54), captures=2, threads=2)
+    first = yard(Shots(2, 2, (96, 54), threads=1))
+    second = yard(Shots(2, 2, (96, 54), threads=2))
     for a, b in zip(first.cameras, second.cameras, strict=True):
         assert all(np.array_equal(p, q) for p, q in zip(a.captures, b.captures, strict=True))
         assert np.array_equal(a.depth, b.depth)
     assert np.array_equal(first.reference.points, second.reference.points)
-    other = yard(2, (96, 54), captures=2, seed=1)
+    other = yard(Shots(2, 2, (96, 54), seed=1))
     assert not np.array_equal(first.cameras[0].captures[0], other.cameras[0].captures[0])
 
 
@@ -160,9 +161,13 @@ def test_neighbours_share_most_of_what_they_see() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [((9, (96, 54)), "1 to 8 cameras"), ((2, (96, 54), 0), "at least 1 capture"), ((1, (64, 36), 1, 0, "noon"), "noon")],
+    ("asked", "words"),
+    [
+        (Shots(9, 3, (96, 54)), "1 to 8 cameras"),
+        (Shots(2, 0, (96, 54)), "at least 1 capture"),
+        (Shots(1, 1, (64, 36), light=cast(Any, "noon")), "noon"),
+    ],
 )
-def test_what_is_impossible_is_refused(arguments: tuple[Any, ...], words: str) -> None:
+def test_what_is_impossible_is_refused(asked: Shots, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        yard(*arguments)
+        yard(asked)

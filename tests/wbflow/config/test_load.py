@@ -284,6 +284,7 @@ def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
         module.IntrinsicsSection,
         module.PoseSection,
         module.PairsSection,
+        module.HealthSection,
     ):
         for key in model.model_fields:
             assert f"{key}:" in text, key

@@ -22,8 +22,9 @@ PAIRS = 6
 def test_a_run_leaves_cloud_cameras_report_and_record(toy: ToySite) -> None:
     record = toy.run()
     folder = toy.work / "runs" / record["run"]
-    assert sorted(p.name for p in folder.iterdir()) == ["cameras.json", "cloud.ply", "log.jsonl", "report.html", "run.json"]
-    assert (toy.work / "runs" / "latest").resolve() == folder
+    left = ["cameras.json", "cloud.ply", "log.jsonl", "metrics.prom", "report.html", "run.json"]
+    assert sorted(p.name for p in folder.iterdir()) == left
+    assert (toy.work / "runs" / "latest").resolve() == (toy.work / "runs" / "latest-good").resolve() == folder
     assert record["tasks"] == {"cached": 0, "ran": 4 * 3 + 3 + PAIRS * 4 + 1, "rejected": 0, "failed": 0, "skipped": 0}
     assert record["cloud"]["points"] == 2 * PAIRS
     assert [camera["outcome"] for camera in record["cameras"]] == ["ok"] * 4
@@ -39,12 +40,12 @@ def test_a_cloud_on_the_map_says_in_its_header_where_it_is(toy: ToySite) -> None
         for k, name in enumerate(toy.cameras)
     ]
     toy.file.write_text(json.dumps(site))
-    before = read_ply(toy.work / "runs" / "latest" / "cloud.ply")
+    before = read_ply(toy.work / "runs" / "latest-good" / "cloud.ply")
     record = toy.run()
     header = toy.cloud.split(b"end_header")[0].decode().splitlines()
     assert f"comment crs {record['poses']['crs']}" in header
     assert "comment x y z are metres east, north and up of latitude 53.5 longitude 10.0 height 20.0 (WGS 84)" in header
-    after = read_ply(toy.work / "runs" / "latest" / "cloud.ply")
+    after = read_ply(toy.work / "runs" / "latest-good" / "cloud.ply")
     assert all((before[name] == after[name]).all() for name in before)
 
 
@@ -107,13 +108,14 @@ def test_a_broken_and_a_missing_capture_cost_only_their_cameras(toy: ToySite) ->
     assert [(p["left"], p["right"]) for p in record["pairs"]] == [("gate", "mast-1")]
 
 
-def test_no_capture_at_all_makes_no_cloud_and_leaves_the_last_one_published(toy: ToySite) -> None:
+def test_no_capture_at_all_makes_no_cloud_tonight_and_leaves_the_last_one_published(toy: ToySite) -> None:
     good = toy.run()
     for camera in toy.cameras:
         toy.capture(camera).write_text("broken")
     record = toy.run(code=1)
     assert record["cloud"] is None
-    assert (toy.work / "runs" / "latest").resolve().name == good["run"]
+    assert (toy.work / "runs" / "latest-good").resolve().name == good["run"]
+    assert (toy.work / "runs" / "latest").resolve().name == record["run"]
 
 
 def test_each_group_of_cameras_that_share_a_world_gets_a_cloud_of_its_own(toy: ToySite) -> None:
@@ -121,7 +123,7 @@ def test_each_group_of_cameras_that_share_a_world_gets_a_cloud_of_its_own(toy: T
     toy.write()
     record = toy.run()
     assert [cloud["path"] for cloud in record["other_clouds"]] == ["cloud-component-2.ply"]
-    assert (toy.work / "runs" / "latest" / "cloud-component-2.ply").is_file()
+    assert (toy.work / "runs" / "latest-good" / "cloud-component-2.ply").is_file()
     assert toy.run()["tasks"]["ran"] == 0
 
 
@@ -157,9 +159,9 @@ def test_what_failed_is_tried_again_and_what_was_rejected_is_not(toy: ToySite) -
 def test_a_camera_none_of_whose_pairs_came_to_anything_is_named(toy: ToySite) -> None:
     toy.parameters = {"matches": {"reject": str(_first_pixel(b"a view from gate"))}}
     toy.write()
-    cameras = {camera["id"]: camera for camera in toy.run()["cameras"]}
-    assert "none of its 3 pairs could be used" in cameras["gate"]["notes"][-1]
-    assert not any("pairs could be used" in note for note in cameras["roof"]["notes"])
+    (finding,) = toy.run(code=3)["verdict"]["findings"]
+    assert (finding["kind"], finding["subject"]) == ("camera-fruitless", ["gate"])
+    assert "none of its 3 pairs could be used" in finding["text"]
 
 
 def test_jobs_do_not_change_a_byte(toy: ToySite) -> None:

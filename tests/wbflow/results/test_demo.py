@@ -16,18 +16,18 @@ import pytest
 from tests.helpers.images import read_image
 from tests.helpers.synthetic_site import small_yard
 from wbflow.config.load import load_site
-from wbflow.night.captures import Digests, find_captures, night
+from wbflow.night.captures import find_captures, night
 from wbflow.results.demo import NotADemo, write_demo
+from wbflow.store.digests import Digests
 from wbflow.store.ply import read_ply
-from wbflow_stages.synthetic.shooting import Daytime, DemoSite
+from wbflow_stages.synthetic.shooting import DemoSite
+from wbflow_stages.synthetic.shots import Shots
 
 
-def rendered(
-    cameras: int = 4, size: tuple[int, int] = (320, 180), captures: int = 3, seed: int = 0, light: Daytime = "day"
-) -> DemoSite:
+def rendered(shots: Shots) -> DemoSite:
     """The small yard, rendered once (rendering is tested elsewhere), with fewer captures where fewer are asked for."""
-    site = small_yard(light)
-    return replace(site, cameras=tuple(replace(c, captures=c.captures[:captures]) for c in site.cameras))
+    site = small_yard(shots.light)
+    return replace(site, cameras=tuple(replace(c, captures=c.captures[: shots.captures]) for c in site.cameras))
 
 
 @pytest.fixture(autouse=True)

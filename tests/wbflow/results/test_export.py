@@ -52,7 +52,7 @@ def work(site: Path) -> Path:
 
 def test_laspy_reads_the_points_of_the_cloud(site: Path, exported: Path) -> None:
     laspy = pytest.importorskip("laspy")
-    las, cloud = laspy.read(exported / "cloud.laz"), read_ply(work(site) / "runs" / "latest" / "cloud.ply")
+    las, cloud = laspy.read(exported / "cloud.laz"), read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
     assert np.abs(las.x - cloud["x"]).max() < 1e-5
     assert np.array_equal(las.green // 257, cloud["green"])
     assert las.header.parse_crs() is None
@@ -66,7 +66,9 @@ def test_colmap_reads_the_cameras_where_they_stand(site: Path, exported: Path) -
         picture = read_image(exported / "colmap" / "images" / image.name)
         assert picture.shape[:2] == (image.camera.height, image.camera.width)
         assert image.projection_center() == pytest.approx(truth[Path(image.name).stem]["C"], abs=1e-6)
-    assert len(model.points3D) == len(read_ply(work(site) / "runs" / "latest" / "cloud.ply")["x"])
+    tracked = [point for point in model.points3D.values() if point.track.length() > 0]
+    assert len(model.points3D) - len(tracked) == len(read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")["x"])
+    assert len(tracked) > 100 and model.compute_mean_reprojection_error() < 1.5
 
 
 def test_depth_maps_are_close_to_the_truth(site: Path, exported: Path) -> None:
@@ -84,7 +86,7 @@ def test_depth_maps_are_close_to_the_truth(site: Path, exported: Path) -> None:
 
 def test_the_mesh_lies_on_the_cloud(site: Path, exported: Path) -> None:
     mesh = open3d.io.read_triangle_mesh(exported / "mesh.ply")
-    cloud = open3d.io.read_point_cloud(work(site) / "runs" / "latest" / "cloud.ply")
+    cloud = open3d.io.read_point_cloud(work(site) / "runs" / "latest-good" / "cloud.ply")
     vertices = open3d.geometry.PointCloud(mesh.vertices)
     assert len(mesh.triangles) > 10_000
     assert np.percentile(np.asarray(vertices.compute_point_cloud_distance(cloud)), 95) < 0.25
@@ -93,7 +95,7 @@ def test_the_mesh_lies_on_the_cloud(site: Path, exported: Path) -> None:
 def test_heights_agree_with_the_cloud(site: Path, exported: Path) -> None:
     told = json.loads((exported / "heights.json").read_text())
     png = read_image(exported / "heights.png", cv2.IMREAD_UNCHANGED)
-    cloud = read_ply(work(site) / "runs" / "latest" / "cloud.ply")
+    cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
     heights = np.where(png > 0, (png - 1.0) / told["png_steps_per_unit"] + told["png_lowest"], np.nan)
     row, column = (told["top"] - cloud["y"]) / told["cell"], (cloud["x"] - told["left"]) / told["cell"]
     assert 0.88 < share_below(heights, row, column, cloud["z"]) < 0.97
@@ -153,7 +155,7 @@ def placed_on_the_map(site: Path, copy: Path) -> Path:
 
 def test_a_camera_that_was_not_refined_gives_the_depth_of_its_pairs(site: Path, exported: Path, tmp_path: Path) -> None:
     shutil.copytree(site, tmp_path / "site", symlinks=True)
-    log = (work(tmp_path / "site") / "runs" / "latest").resolve() / "log.jsonl"
+    log = (work(tmp_path / "site") / "runs" / "latest-good").resolve() / "log.jsonl"
     log.write_text("".join(line for line in log.read_text().splitlines(keepends=True) if '"stage": "refine"' not in line))
     assert wbflow_export(tmp_path / "site", tmp_path / "out", "--depth").exit_code == 0
     names = json.loads((tmp_path / "out" / "depth" / "depth.json").read_text())["cameras"]
@@ -197,7 +199,7 @@ def test_what_the_cache_lost_is_said(site: Path, tmp_path: Path) -> None:
 
 def test_a_run_without_a_cloud(site: Path, tmp_path: Path) -> None:
     shutil.copytree(site, tmp_path / "site", symlinks=True)
-    (work(tmp_path / "site") / "runs" / "latest" / "cloud.ply").unlink()
+    (work(tmp_path / "site") / "runs" / "latest-good" / "cloud.ply").unlink()
     result = wbflow_export(tmp_path / "site", tmp_path / "out", "--mesh")
     assert result.exit_code == 1
     assert "made no cloud" in result.output

@@ -11,7 +11,8 @@ from click.testing import CliRunner, Result
 
 from wbflow.cli import main
 from wbflow.config.load import load_site
-from wbflow.night.captures import Digests, find_captures, night
+from wbflow.night.captures import find_captures, night
+from wbflow.store.digests import Digests
 
 
 def photograph(path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -10,11 +12,16 @@ from wbflow.errors import ExitCode
 from wbflow.store.record import (
     CameraRecord,
     CloudRecord,
+    Down,
+    Finding,
+    Health,
     PairRecord,
     RunRecord,
     Seconds,
     StageSeconds,
     TaskCounts,
+    Usual,
+    Verdict,
     WorldRecord,
 )
 
@@ -52,6 +59,8 @@ def test_the_keys_of_the_contract() -> None:
         "reason": None,
         "code": None,
         "notes": [],
+        "health": None,
+        "down": None,
     }
     assert data["cameras"][1]["code"] == "too-dark"
     assert data["pairs"][0]["epipolar_px"] == 0.4123
@@ -67,11 +76,11 @@ def test_what_is_read_is_written_again() -> None:
 
 def test_keys_of_later_versions_are_carried_along() -> None:
     data = json.loads(json.dumps(some_record().to_json()))
-    data["verdict"] = {"level": "degraded"}
+    data["weather"] = {"wind": "strong"}
     data["cameras"][0]["sharpness"] = 0.7
     data["tasks"]["postponed"] = 3
     record = RunRecord.from_json(data)
-    assert record.to_json()["verdict"] == {"level": "degraded"}
+    assert record.to_json()["weather"] == {"wind": "strong"}
     assert record.cameras[0].figures["sharpness"] == 0.7
     assert record.tasks.ran == 7
 
@@ -89,3 +98,42 @@ def test_records_say_shortly_what_they_are() -> None:
     assert repr(record) == "RunRecord('20261120T031500Z', site 'yard', exit 3, 1,843,201 points)"
     assert repr(record.cameras[1]) == "CameraRecord('roof', failed: is dark)"
     assert repr(record.pairs[0]) == "PairRecord('gate--roof', skipped: why)"
+
+
+def with_verdict() -> RunRecord:
+    figures, expected = {"shared": 0.0212345}, {"shared": 0.6}
+    finding = Finding("camera-foreign", ("quay",), "shows another place", figures, expected, "look where it points")
+    health = Health("foreign", "shows another place", figures, expected, "look where it points")
+    quay = CameraRecord("quay", "ok", health=health, down=Down("2026-11-17", 3))
+    usual = Usual(5, {"points": 1_900_000.0}, {"quay": {"brightness": 101.5}})
+    verdict = Verdict("degraded", (finding,))
+    return replace(some_record(), verdict=verdict, cameras=(quay,), usual=usual, settings="abc")
+
+
+def test_the_verdict_of_the_contract() -> None:
+    data = json.loads(json.dumps(with_verdict().to_json()))
+    told = {"figures": {"shared": 0.0212}, "expected": {"shared": 0.6}, "remedy": "look where it points"}
+    finding = {"kind": "camera-foreign", "subject": ["quay"], "text": "shows another place", **told}
+    assert data["verdict"] == {"level": "degraded", "findings": [finding]}
+    assert data["cameras"][0]["health"] == {"state": "foreign", "text": "shows another place", **told}
+    assert json.loads(json.dumps(RunRecord.from_json(data).to_json())) == data
+
+
+def test_a_run_of_an_earlier_version_has_no_verdict() -> None:
+    data = some_record().to_json()
+    del data["verdict"], data["cameras"][0]["health"]
+    record = RunRecord.from_json(data)
+    assert record.verdict is None
+    assert record.cameras[0].health is None
+
+
+@pytest.mark.parametrize("verdict", [{"level": "superb"}, {"level": "good", "findings": [{"kind": "odd"}]}])
+def test_what_is_no_verdict_is_refused(verdict: dict[str, Any]) -> None:
+    with pytest.raises((KeyError, ValueError)):
+        RunRecord.from_json(some_record().to_json() | {"verdict": verdict})
+
+
+def test_a_finding_is_one_line() -> None:
+    finding = Finding("camera-lost", ("quay",), "is dark")
+    assert str(finding) == "quay: is dark"
+    assert str(replace(finding, subject=())) == "is dark"

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import datetime
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.wbflow.store.test_record import some_record
 from wbflow.store.events import Event, TaskEvent, WarningEvent, event_from_json
+from wbflow.store.findings import Level
 from wbflow.store.layout import WorkFolder, run_id
-from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run
+from wbflow.store.record import Verdict
+from wbflow.store.run_folder import NoSuchRun, RunFolder, UnfinishedRun, new_run, turn_links
 from wbflow.task import Task
 
 REJECTED = TaskEvent(
@@ -24,10 +27,11 @@ EVENTS: list[Event] = [
 ]
 
 
-def publish(work: WorkFolder, name: str, cloud: bool = True) -> RunFolder:
+def publish(work: WorkFolder, name: str, cloud: bool = True, level: Level | None = "degraded") -> RunFolder:
     unfinished = UnfinishedRun(work, name)
     unfinished.write_products({(): b"ply", ("component-2",): b"more"} if cloud else {}, {"gate": {"K": []}} if cloud else None)
-    return unfinished.publish(some_record(), EVENTS, "<html>")
+    record = replace(some_record(), run=name, verdict=Verdict(level) if level else None)
+    return unfinished.publish(record, EVENTS, "<html>")
 
 
 def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -38,6 +42,7 @@ def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
         "cloud-component-2.ply",
         "cloud.ply",
         "log.jsonl",
+        "metrics.prom",
         "report.html",
         "run.json",
     ]
@@ -45,7 +50,7 @@ def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert folder.events() == EVENTS
     assert folder.tasks() == {REJECTED.task: REJECTED}
     assert folder.cameras() == {"gate": {"K": []}}
-    assert RunFolder.of(work, "latest").id == RunFolder.of(work).id == folder.id
+    assert RunFolder.of(work, "latest").id == RunFolder.of(work, "latest-good").id == RunFolder.of(work).id == folder.id
 
 
 def test_until_it_is_published_nobody_sees_it(tmp_path: Path) -> None:
@@ -59,12 +64,59 @@ def test_until_it_is_published_nobody_sees_it(tmp_path: Path) -> None:
     assert not work.unfinished_run("20261121T031500Z").folder.exists()
 
 
-def test_a_run_without_a_cloud_leaves_latest_where_it_is(tmp_path: Path) -> None:
+def test_latest_shows_tonight_whatever_came_of_it_and_latest_good_the_last_cloud(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
-    publish(work, "20261121T031500Z", cloud=False)
-    assert RunFolder.of(work, "latest").id == "20261120T031500Z"
-    assert RunFolder.of(work).id == "20261121T031500Z"
+    publish(work, "20261121T031500Z", level="failed")
+    publish(work, "20261122T031500Z", cloud=False)
+    assert work.latest.resolve().name == RunFolder.of(work, "latest").id == RunFolder.of(work).id == "20261122T031500Z"
+    assert work.latest_good.resolve().name == RunFolder.of(work, "latest-good").id == "20261120T031500Z"
+
+
+def test_work_folders_of_an_earlier_version_have_no_link_to_the_last_cloud(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z", level=None)
+    publish(work, "20261121T031500Z", cloud=False, level=None)
+    work.latest_good.unlink()
+    assert RunFolder.of(work, "latest-good").id == "20261120T031500Z"
+
+
+def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    newest = publish(work, "20261121T031500Z").paths
+    files = {path.name: path.read_bytes() for path in newest.folder.iterdir()}
+    work.start_writing()
+    for link in (work.latest, work.latest_good):
+        work.turn(link, "20261120T031500Z")  # as it was when the kill came
+    work.unfinished_run(work.latest.name).folder.symlink_to(newest.folder.name)
+    assert work.start_writing(), "somebody was killed"
+    turn_links(work)
+    assert {path.name: path.read_bytes() for path in newest.folder.iterdir()} == files
+    assert sorted(path.name for path in work.runs.iterdir()) == [
+        "20261120T031500Z",
+        "20261121T031500Z",
+        "latest",
+        "latest-good",
+    ]
+    assert {link.resolve().name for link in (work.latest, work.latest_good)} == {"20261121T031500Z"}
+
+
+def test_a_link_that_leads_nowhere_is_turned_to_the_newest_run(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    work.turn(work.latest, "20261121T031500Z")
+    turn_links(work)
+    assert work.latest.resolve().name == "20261120T031500Z"
+
+
+def test_ids_go_on_where_the_clock_was_set_back(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20991231T235959Z")
+    (work.runs / "copy-of-mine").mkdir()
+    name, moment = new_run(work)
+    assert name == "21000101T000000Z"
+    assert moment.year < 2099
 
 
 def test_what_happens_later_can_be_added_to_the_log(tmp_path: Path) -> None:
@@ -86,7 +138,7 @@ def test_runs_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     folder = publish(work, "20261120T031500Z", cloud=False)
     with pytest.raises(NoSuchRun, match="no run has made a cloud yet"):
-        RunFolder.of(work, "latest")
+        RunFolder.of(work, "latest-good")
     with pytest.raises(NoSuchRun, match="there is no run '19990101T000000Z'; the last ones are 20261120T031500Z"):
         RunFolder.of(work, "19990101T000000Z")
     folder.paths.record.write_text("{}")
@@ -110,7 +162,7 @@ def test_a_warning_in_words() -> None:
 def test_no_run_id_is_given_twice(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     first, moment = new_run(work)
-    work.run(first).folder.mkdir(parents=True)
+    publish(work, first)
     second, later = new_run(work)
     assert first == run_id(moment)
     assert second > first

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
-from ...errors import ExitCode
+from ...config.site import Measure
 from ...graph.pipeline import STAGES, Role, stage_with
 from ...store.events import Event, TaskEvent, WarningEvent
 from ...store.layout import WorkFolder
@@ -16,6 +16,7 @@ from ...store.run_folder import RunFolder
 from ...task import Subject, Task
 from ..record import reported
 from .graph import pair_graph_svg
+from .ground import sections
 
 STYLE = """
 :root { color-scheme: light dark; --good: #2a7d46; --bad: #c0392b; --line: #8886; --soft: #8882; }
@@ -34,11 +35,10 @@ th:first-child, td:first-child, td.words, th.words { text-align: left; }
 .graph circle.good { fill: var(--good); } .graph circle.bad { fill: var(--bad); }
 """
 
-EXITS = {
-    ExitCode.GOOD: "Complete: every camera and pair did its part.",
-    ExitCode.FAILED: "No cloud could be made.",
-    ExitCode.DEGRADED: "A cloud was made, but something failed.",
-    ExitCode.INTERRUPTED: "Interrupted; everything finished is kept.",
+LEVELS = {
+    "good": "Good: nothing to look at.",
+    "degraded": "Degraded: a cloud was made, but look at what is said here.",
+    "failed": "Failed.",
 }
 
 UNITS = {"deg": "°", "px": "px"}
@@ -71,8 +71,9 @@ def build_report(work: WorkFolder, record: RunRecord, events: Iterable[Event], c
     pictures = _pictures(work, events)
     body = [
         _head(record),
-        _faults(record, events),
+        _warnings(events),
         _cloud(record, pictures),
+        sections(record, pictures),
         _graph(record, cameras),
         _cameras(record, pictures),
         _pairs(record, pictures),
@@ -101,10 +102,11 @@ def _of_subject(pictures: Pictures, subject: Subject) -> list[str]:
 
 
 def _head(record: RunRecord) -> str:
-    words = EXITS.get(ExitCode(record.exit_code), f"Exit code {record.exit_code}.")
+    words = LEVELS[record.verdict.level] if record.verdict else f"Exit code {record.exit_code}."
     good = sum(pair.ok for pair in record.pairs)
     cameras = sum(camera.ok for camera in record.cameras)
-    facts = [f"{cameras} of {len(record.cameras)} cameras", f"{good} of {len(record.pairs)} pairs"]
+    usual = round(record.usual.figures.get(Measure.PAIRS, 0)) if record.usual else 0
+    facts = [f"{cameras} of {len(record.cameras)} cameras", f"{good} of {max(len(record.pairs), usual)} pairs"]
     if record.cloud:
         facts.append(f"{record.cloud.points:,} points")
     facts.append(f"{record.seconds.wall:.0f} s")
@@ -112,20 +114,26 @@ def _head(record: RunRecord) -> str:
     return (
         f"<h1>{escape(record.site)}, night of {escape(record.date)}</h1>"
         f'<p class="muted">run {record.run}, wbflow {escape(record.version)}; tasks: {tasks}</p>'
-        f'<p class="verdict{" bad" if record.exit_code else ""}">{words} {", ".join(facts)}.</p>'
+        f'<div class="verdict{" bad" if record.exit_code else ""}">{words} {", ".join(facts)}.{_findings(record)}</div>'
     )
 
 
-def _faults(record: RunRecord, events: Iterable[Event]) -> str:
-    """Whatever failed, and why: what an operator has to act on comes first."""
-    failed = [(str(e.task), e.reason or "") for e in events if isinstance(e, TaskEvent) and e.outcome == "failed"]
-    if record.reason:
-        failed.append(("cloud", record.reason))
-    changed = list(record.poses.suspects.items()) if record.poses else []
+def _findings(record: RunRecord) -> str:
+    """What an operator has to look at, and what to do about it."""
+    items = []
+    for finding in record.verdict.findings if record.verdict else ():
+        subject = f"<b>{escape('--'.join(finding.subject))}</b>: " if finding.subject else ""
+        remedy = f'<br><span class="muted">{escape(finding.remedy)}</span>' if finding.remedy else ""
+        items.append(f'<li class="finding">{subject}{escape(finding.text)}{remedy}</li>')
+    return f"<ul>{''.join(items)}</ul>" if items else ""
+
+
+def _warnings(events: Iterable[Event]) -> str:
+    """What went wrong and was survived."""
     survived = [
         (str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in events if isinstance(e, WarningEvent)
     ]
-    return _told("What failed", failed) + _told("What has changed", changed) + _told("Warnings", survived)
+    return _told("Warnings", survived)
 
 
 def _told(title: str, rows: Iterable[tuple[str, str]]) -> str:

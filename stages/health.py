@@ -1,0 +1,241 @@
+"""How a camera is tonight, compared with what it was when the reference was pinned: still there, turned, covered, elsewhere.
+
+What cannot be decided is `ok`, and says that it is unverified: a night without light is no fault of the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from .twoview.elsewhere import compare_widely
+from .twoview.registration import Found, Turn, corners, find_again, fit_turn
+from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
+
+_TILE_PX = 16
+_FLAT = 2.5
+"""Grey levels of standard deviation of a smoothed tile: one with less shows nothing."""
+_SATURATED, _COLOURLESS = 250, 0.03
+"""Grey level of pixels that are blinded; saturation below which a picture is one of infrared light."""
+_NIGHT = 60.0
+"""Median grey level below which it is night."""
+_USUAL_NIGHTS = 5
+"""So many nights show what is usual."""
+_GUESSED_FOCAL = 1.2
+"""Of the width, where nothing is known: a turn in pixels does not depend on it."""
+_SIGMAS = 3.0
+_ZOOMED = 0.003
+"""So much zoom is no turn: the lens was touched."""
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """What a picture looks like, by itself."""
+
+    brightness: float
+    """Median grey level."""
+    contrast: float
+    """Grey levels between the 5 % darkest and the 5 % brightest pixels."""
+    saturation: float
+    """Median, 0 to 1."""
+    blinded: float
+    """Share of pixels that are saturated."""
+    structured: Float64s
+    """(rows, columns) standard deviation of the tiles of the smoothed picture, nan where masked."""
+
+    @property
+    def flat(self) -> float:
+        """Share of the picture that shows nothing."""
+        tiles = self.structured[np.isfinite(self.structured)]
+        return float((tiles < _FLAT).mean()) if tiles.size else 1.0
+
+    @property
+    def mode(self) -> str:
+        """Kind of light."""
+        if self.saturation < _COLOURLESS:
+            return "infrared"
+        return "night" if self.brightness < _NIGHT else "day"
+
+
+@dataclass
+class _Case:
+    """What has been found so far."""
+
+    figures: dict[str, float | str] = field(default_factory=dict)
+    expected: dict[str, float | str] = field(default_factory=dict)
+    turn: Turn | None = None
+
+    def closed(self, state: str, text: str, remedy: str = "") -> CameraHealth:
+        """The finding."""
+        turned = (self.turn.R, self.turn.homography) if self.turn else (None, None)
+        return CameraHealth(state, text, remedy, self.figures, self.expected, *turned)
+
+
+def examine(
+    frame: Frame,
+    pinned_frame: Frame | None = None,
+    pinned_camera: Camera | None = None,
+    usual: Usual | None = None,
+    *,
+    nudged_px: float = 1.5,
+    moved_deg: float = 0.4,
+    flat: float = 0.9,
+    dark: float = 6.0,
+) -> CameraHealth:
+    """Compare a camera's frame with that of the reference.
+
+    Parameters
+    ----------
+    frame
+        Tonight's.
+    pinned_frame, pinned_camera
+        The reference's, and the camera that took it; without them only what the frame itself shows is judged.
+    usual
+        What earlier nights measured: a camera that sways is not nudged whenever it does.
+    nudged_px
+        A camera whose picture has moved by more (median over the picture) is nudged, in pixels of the frame; and its pose is
+        corrected.  Where it usually sways by more, three standard deviations of that count.
+    moved_deg
+        One that has turned by more is moved, and solved anew from the others, in degrees.
+    flat
+        A picture of which a larger share than this shows nothing (covered, fog, no light) is blind.
+    dark
+        So is one whose contrast (5 to 95 %) is below this, in grey levels of 255.
+    """
+    now = _looks(frame)
+    case = _Case(
+        {"brightness": now.brightness, "contrast": now.contrast, "flat": now.flat, "blinded": now.blinded, "mode": now.mode}
+    )
+    case.expected |= {"flat": flat, "contrast": dark}
+    if now.flat > flat or now.contrast < dark:
+        light = "no light" if now.brightness < _NIGHT / 2 else "covered, dirty, or in fog"
+        what = f"{100 * now.flat:.0f} % of the picture show nothing ({light})"
+        return case.closed("blind", what, "look at the camera: is the lens clear, does a lamp burn?")
+    if pinned_frame is None:
+        return case.closed("ok", "nothing to compare with")
+    if pinned_frame.image.shape != frame.image.shape:
+        sizes = [f"{f.image.shape[1]}x{f.image.shape[0]}" for f in (pinned_frame, frame)]
+        return case.closed("moved", f"its pictures have another size: {sizes[1]}, were {sizes[0]}", "pin a new reference")
+    then = _looks(pinned_frame)
+    case.figures["covered"] = _covered(then, now)
+    K = _intrinsics(frame, pinned_camera)
+    grey1, grey2 = _grey(pinned_frame), _grey(frame)
+    found = find_again(grey1, grey2, corners(grey1, pinned_frame.mask & frame.mask))
+    case.figures["found_again"] = len(found.x1) / max(found.searched, 1)
+    case.turn = fit_turn(found, K, grey1.shape[1], grey1.shape[0])
+    if case.turn is None:
+        return _far(case, grey1, grey2, pinned_frame, frame, K)
+    case.figures["sharpness"] = _sharpness(grey1, grey2, found, case.turn)
+    return _turned(case, case.turn, usual, nudged_px, moved_deg)
+
+
+def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
+    """The state of a camera whose turn is known."""
+    limit = max(nudged_px, _sway(usual))
+    case.figures |= _figures(turn)
+    case.expected |= {"motion_px": limit}
+    zoomed = abs(turn.zoom - 1) > _ZOOMED
+    sigma = float(np.linalg.norm(turn.shift_sigma))
+    how = f"turned by {turn.angle_deg:.3f} ± {turn.angle_sigma_deg:.3f} degrees ({turn.motion_px:.1f} px)"
+    if turn.motion_px <= max(limit, _SIGMAS * sigma):
+        note = f"; {100 * float(case.figures['covered']):.0f} % of it covered" if float(case.figures["covered"]) > 0.3 else ""
+        return case.closed("ok", f"where it was, within {turn.motion_px:.2f} px{note}")
+    if zoomed or turn.angle_deg > moved_deg:
+        also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
+        case.expected["turn_deg"] = moved_deg
+        return case.closed("moved", how + also, "turn it back, or pin a new reference")
+    return case.closed("nudged", f"{how}: corrected", "fasten it; if it stays so, pin a new reference")
+
+
+def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
+    """The state of a camera whose picture does not fit near its old place."""
+    wide = compare_widely(grey1, grey2, pinned.mask, frame.mask, K)
+    case.figures |= {"matches": float(wide.matches), "agreeing": float(wide.agreeing)}
+    if wide.turn_deg is not None:
+        case.figures["turn_deg"] = wide.turn_deg
+        return case.closed("moved", f"turned by {wide.turn_deg:.2f} degrees", "turn it back, or pin a new reference")
+    if wide.shared:
+        return case.closed("moved", "it looks at the same things from another place", "move it back, or pin a new reference")
+    then, now = _looks(pinned), _looks(frame)
+    if wide.distinct and now.mode == then.mode and now.contrast > 0.5 * then.contrast:
+        text = f"it shows another place: of {wide.keypoints} features, {wide.agreeing} agree with the reference"
+        return case.closed("foreign", text, "is it the right camera on this input? If it was moved for good, pin a new reference")
+    return case.closed("ok", f"unverified: too little of the reference is seen again ({now.mode})")
+
+
+def _figures(turn: Turn) -> dict[str, float | str]:
+    return {
+        "motion_px": turn.motion_px,
+        "shift_x_px": float(turn.shift[0]),
+        "shift_y_px": float(turn.shift[1]),
+        "shift_sigma_px": float(np.linalg.norm(turn.shift_sigma) / np.sqrt(2)),
+        "turn_deg": turn.angle_deg,
+        "turn_sigma_deg": turn.angle_sigma_deg,
+        "roll_deg": turn.roll_deg,
+        "roll_sigma_deg": turn.roll_sigma_deg,
+        "zoom": turn.zoom,
+        "patches": float(turn.inliers.sum()),
+    }
+
+
+def _sway(usual: Usual | None) -> float:
+    """Three robust standard deviations of the shifts of earlier nights, pixels."""
+    if usual is None or len(usual.shift_x_px) < _USUAL_NIGHTS:
+        return 0.0
+    shifts = np.stack([usual.shift_x_px, usual.shift_y_px])
+    off = np.linalg.norm(shifts - np.median(shifts, axis=1, keepdims=True), axis=0)
+    return float(_SIGMAS * 1.4826 * np.median(off))
+
+
+def _looks(frame: Frame) -> _Looks:
+    grey, seen = _grey(frame), frame.mask
+    if not seen.any():
+        return _Looks(0.0, 0.0, 0.0, 0.0, np.full((1, 1), np.nan))
+    low, middle, high = np.percentile(grey[seen], [5, 50, 95])
+    highest, lowest = frame.image.max(axis=2).astype(np.float32), frame.image.min(axis=2).astype(np.float32)
+    saturation = float(np.median((highest - lowest)[seen] / np.maximum(highest[seen], 1)))
+    smooth = cv2.GaussianBlur(grey, (0, 0), 2.0).astype(np.float64)
+    h, w = (side // _TILE_PX * _TILE_PX for side in grey.shape)
+    tiles = [a[:h, :w].reshape(h // _TILE_PX, _TILE_PX, w // _TILE_PX, _TILE_PX) for a in (smooth, seen)]
+    structured = tiles[0].std(axis=(1, 3))
+    structured[~tiles[1].all(axis=(1, 3))] = np.nan
+    return _Looks(float(middle), float(high - low), saturation, float((grey[seen] >= _SATURATED).mean()), structured)
+
+
+def _covered(then: _Looks, now: _Looks) -> float:
+    """Share of what showed something in the reference that shows nothing now."""
+    if then.structured.shape != now.structured.shape:
+        return 0.0
+    clear = np.nan_to_num(then.structured) > 2 * _FLAT
+    return float((now.structured[clear] < _FLAT).mean()) if clear.any() else 0.0
+
+
+def _sharpness(grey1: Uint8s, grey2: Uint8s, found: Found, turn: Turn) -> float:
+    """Strength of the finest detail for the contrast of its surroundings, tonight's over the reference's."""
+    measured = []
+    for grey, at in ((grey1, found.x1), (grey2, found.x2)):
+        fine = np.abs(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.CV_32F))
+        values = np.asarray(grey, dtype=np.float32)
+        mean = cv2.blur(values, (15, 15))
+        spread = np.sqrt(np.maximum(cv2.blur(values * values, (15, 15)) - mean * mean, 1.0))
+        ratio = cv2.blur(fine, (15, 15)) / spread
+        x, y = np.rint(at[turn.inliers]).astype(int).T
+        measured.append(ratio[y.clip(0, grey.shape[0] - 1), x.clip(0, grey.shape[1] - 1)])
+    return float(np.median(measured[1] / np.maximum(measured[0], 1e-6)))
+
+
+def _intrinsics(frame: Frame, camera: Camera | None) -> Float64s:
+    """(3, 3), as well as they are known."""
+    if camera is not None:
+        return camera.K
+    if frame.view.K is not None:
+        return frame.view.K
+    h, w = frame.image.shape[:2]
+    f = _GUESSED_FOCAL * w
+    return np.array([[f, 0.0, (w - 1) / 2], [0.0, f, (h - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def _grey(frame: Frame) -> Uint8s:
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)

@@ -1,0 +1,149 @@
+"""Geometry that is not computed again: what the reference knows of the cameras, put right for those that have turned or moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from .poses import solve_poses
+from .reasons import Reason, Rejected
+from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View
+
+_ITSELF: Float64s = np.eye(3)
+
+
+def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHealth) -> Geometry | Rejected:
+    """The geometry of a pair whose cameras have turned since: a turn moves all pixels by a homography.
+
+    Parameters
+    ----------
+    pinned
+        The reference's.
+    left, right
+        How the cameras have turned; one that is not `nudged` counts as where it was.
+
+    References
+    ----------
+    Hartley & Zisserman (2004), section 8.4: a camera that turns about its centre; F' = H2^-T F H1^-1.
+    """
+    if pinned is None:
+        return Rejected(Reason.NOTHING_KNOWN)
+    (H1, R1), (H2, R2) = _motion(left), _motion(right)
+    x1, inside1 = _moved(pinned.x1, H1, pinned.view1)
+    x2, inside2 = _moved(pinned.x2, H2, pinned.view2)
+    keep = inside1 & inside2
+    F = np.linalg.inv(H2).T @ pinned.F @ np.linalg.inv(H1)
+    R, t = pinned.cam2_R_cam1, pinned.cam2_t_cam1
+    return replace(
+        pinned,
+        F=F / np.linalg.norm(F),
+        x1=x1[keep],
+        x2=x2[keep],
+        i1=None,
+        i2=None,
+        probability=pinned.probability[keep],
+        noise_px=None if pinned.noise_px is None else pinned.noise_px[keep],
+        cam2_R_cam1=None if R is None else R2 @ R @ R1.T,
+        cam2_t_cam1=None if t is None else R2 @ t,
+        inliers=int(keep.sum()),
+    )
+
+
+def hold_poses(
+    pinned: Poses | None,
+    healths: Mapping[str, CameraHealth],
+    views: Mapping[str, View],
+    geometries: Mapping[Pair, Geometry],
+    survey: Survey | None = None,
+    *,
+    max_rotation_error_deg: float = 4.0,
+    max_epipolar_px: float = 2.0,
+    min_angle_deg: float = 0.7,
+) -> Poses | Rejected:
+    """The cameras of the reference: those that were nudged are turned, those that were moved or are new are solved.
+
+    Parameters
+    ----------
+    pinned
+        The reference's poses.
+    healths
+        How the cameras are; one that shows nothing of the site is not among them.
+    views
+        The pinholes of tonight's frames.
+    geometries
+        Of the pairs; those of moved cameras are looked at.
+    survey
+        Known distances and control points.
+    max_rotation_error_deg
+        As of the stage `poses`, degrees.
+    max_epipolar_px
+        As of the stage `poses`, pixels.
+    min_angle_deg
+        As of the stage `poses`, degrees.
+    """
+    if pinned is None:
+        return Rejected(Reason.NOTHING_KNOWN)
+    lost = [n for n, health in healths.items() if health.state == "moved" or n not in pinned.cameras]
+    cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in lost}
+    turned = [n for n in cameras if n in healths and healths[n].state == "nudged"]
+    sources = {n: "corrected" if n in turned else source for n, source in pinned.sources.items() if n in cameras}
+    notes = tuple(f"{name}: {healths[name].text}" for name in (*turned, *(n for n in lost if n in pinned.cameras)))
+    held = replace(pinned, cameras=cameras, sources=sources, notes=(*notes, *pinned.notes))
+    if not lost:
+        return held
+    around = {pair: g for pair, g in geometries.items() if set(pair) & set(lost) and set(pair) <= {*cameras, *lost}}
+    known = {n: replace(view, K=pinned.cameras[n].K, focal_known=True) for n, view in views.items() if n in pinned.cameras}
+    main = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
+    placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main.items()}
+    asked = {n: known.get(n, view) for n, view in views.items() if n in main or n in lost}
+    limits = {
+        "max_rotation_error_deg": max_rotation_error_deg,
+        "max_epipolar_px": max_epipolar_px,
+        "min_angle_deg": min_angle_deg,
+    }
+    found = solve_poses(asked, placements, around, survey, **limits) if around else Rejected(Reason.NO_POSED_CAMERA)
+    return _with_solved(held, found, lost)
+
+
+def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses:
+    """The held cameras, and those of the lost ones that could be solved in their world."""
+    theirs = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(lost)}
+    others = {name: reason for name, reason in held.unsolved.items() if name not in lost}
+    if isinstance(found, Rejected):
+        return replace(held, pair_checks=theirs, unsolved=others | dict.fromkeys(lost, f"moved, and not solved: {found.reason}"))
+    solved = {name: found.cameras[name] for name in lost if name in found.cameras and found.cameras[name].component == 0}
+    unsolved = {n: f"moved, and not solved: {found.unsolved.get(n, 'its pairs do not join it to the others')}" for n in lost}
+    components = tuple(tuple(n for n in group if n not in lost) for group in held.components) or ((),)
+    return replace(
+        held,
+        cameras={**held.cameras, **solved},
+        unsolved=others | {name: why for name, why in unsolved.items() if name not in solved},
+        pair_checks={**theirs, **{name: check for name, check in found.pair_checks.items() if set(name.split("--")) & set(lost)}},
+        components=((*components[0], *solved), *components[1:]),
+        sources={**held.sources, **dict.fromkeys(solved, "solved")},
+        source="mixed",
+        points=found.points,
+        reprojection_px=found.reprojection_px,
+    )
+
+
+def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
+    """Of a nudged camera, old pixels to new ones and old axes to new ones."""
+    if health.state != "nudged" or health.homography is None or health.turn is None:
+        return _ITSELF, _ITSELF
+    return health.homography, health.turn
+
+
+def _turned(camera: Camera, health: CameraHealth | None) -> Camera:
+    return camera if health is None else replace(camera, R=_motion(health)[1] @ camera.R)
+
+
+def _moved(points: Float64s, H: Float64s, view: View) -> tuple[Float64s, Bools]:
+    """Points (n, 2) where a homography takes them, and whether they are in the picture still."""
+    if H is _ITSELF:
+        return points, np.ones(len(points), dtype=bool)
+    at = np.column_stack([points, np.ones(len(points))]) @ H.T
+    at = at[:, :2] / at[:, 2:]
+    return at, np.asarray((at >= -0.5).all(axis=1) & (at < [view.width - 0.5, view.height - 0.5]).all(axis=1))

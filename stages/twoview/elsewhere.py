@@ -1,0 +1,122 @@
+"""Two pictures of one camera that do not fit near their old places: was it turned far, carried elsewhere, or exchanged?
+
+Keypoints (SIFT; Lowe 2004) are matched over the whole picture; a homography of a pure rotation, or else a fundamental matrix,
+tells whether the pictures show the same things at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Bools, Float32s, Float64s, Uint8s
+
+_LONG_SIDE = 1000
+_KEYPOINTS = 2500
+_RATIO = 0.75
+_AGREE_PX = 3.0
+_FEWEST = 20
+"""So many matches must agree."""
+_SHARE = 0.25
+"""...and this share of all."""
+_CELLS = 5
+"""...in so many cells of a 6 x 4 grid: a clock that is burnt into the picture lies in one or two."""
+_DISTINCT = 300
+"""A picture with so many keypoints shows enough to be known again."""
+
+
+@dataclass(frozen=True)
+class Wide:
+    """What two pictures have in common anywhere."""
+
+    keypoints: int
+    """Of the second picture."""
+    matches: int
+    agreeing: int
+    """With the best homography, or epipolar geometry."""
+    turn_deg: float | None
+    """The rotation between them, where one explains the matches."""
+    shared: bool
+    """They show the same things."""
+    distinct: bool
+    """Both show enough that the same things would have been found again."""
+
+
+def compare_widely(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K: Float64s) -> Wide:
+    """Look for the first picture anywhere in the second.
+
+    Parameters
+    ----------
+    grey1, grey2
+        (h, w) uint8, of one size.
+    mask1, mask2
+        (h, w), True where a pixel may be used.
+    K
+        (3, 3) intrinsics of both, pixels.
+    """
+    scale = min(1.0, _LONG_SIDE / max(grey1.shape))
+    sides = [_keypoints(grey, mask, scale) for grey, mask in ((grey1, mask1), (grey2, mask2))]
+    (xy1, d1), (xy2, d2) = sides
+    distinct = min(len(xy1), len(xy2)) >= _DISTINCT
+    x1, x2 = _matched(xy1, d1, xy2, d2)
+    n = len(x1)
+    if n < _FEWEST:
+        return Wide(len(xy2), n, 0, None, False, distinct)
+    needed = max(_FEWEST, _SHARE * n)
+    H, agree = _fit(cv2.findHomography, x1, x2)
+    if H is not None and agree.sum() >= needed and _spread(x1[agree], grey1.shape):
+        turn = np.linalg.inv(K) @ H @ K
+        U, _, Vt = np.linalg.svd(turn / np.cbrt(np.linalg.det(turn)))
+        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        angle = float(np.degrees(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0))))
+        return Wide(len(xy2), n, int(agree.sum()), angle, True, distinct)
+    F, obey = _fit(cv2.findFundamentalMat, x1, x2)
+    shared = F is not None and obey.sum() >= max(2 * _FEWEST, 2 * _SHARE * n) and _spread(x1[obey], grey1.shape)
+    return Wide(len(xy2), n, int(max(agree.sum(), obey.sum() if shared else 0)), None, bool(shared), distinct)
+
+
+def _keypoints(grey: Uint8s, mask: Bools, scale: float) -> tuple[Float64s, Float32s]:
+    small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    allowed = cv2.resize(mask.astype(np.uint8), (small.shape[1], small.shape[0]), interpolation=cv2.INTER_NEAREST)
+    equalised = cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(small)
+    found, descriptors = cv2.SIFT.create(nfeatures=_KEYPOINTS).detectAndCompute(equalised, allowed)
+    if descriptors is None:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    return np.array([point.pt for point in found], dtype=np.float64) / scale, np.asarray(descriptors, dtype=np.float32)
+
+
+def _matched(xy1: Float64s, d1: Float32s, xy2: Float64s, d2: Float32s) -> tuple[Float64s, Float64s]:
+    """Places (n, 2) of keypoints whose nearest descriptor is clearly nearer than the next, in both directions."""
+    if min(len(d1), len(d2)) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = {m.queryIdx: m.trainIdx for m in matcher.match(d2, d1)}
+    pairs = [
+        (best.queryIdx, best.trainIdx)
+        for best, next_best in matcher.knnMatch(d1, d2, k=2)
+        if best.distance < _RATIO * next_best.distance and back[best.trainIdx] == best.queryIdx
+    ]
+    rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return xy1[rows[:, 0]], xy2[rows[:, 1]]
+
+
+def _fit(fit: object, x1: Float64s, x2: Float64s) -> tuple[Float64s | None, Bools]:
+    """A matrix and the matches that agree with it, by USAC with a fixed seed."""
+    settings = cv2.UsacParams()
+    settings.threshold = _AGREE_PX
+    settings.confidence = 0.999
+    settings.maxIterations = 5000
+    settings.randomGeneratorState = 0
+    assert callable(fit)
+    matrix, mask = fit(x1, x2, settings)
+    if matrix is None or mask is None or matrix.shape != (3, 3):
+        return None, np.zeros(len(x1), dtype=bool)
+    return np.asarray(matrix, dtype=np.float64), np.asarray(mask).ravel() > 0
+
+
+def _spread(points: Float64s, shape: tuple[int, ...]) -> bool:
+    """Do they lie in several parts of the picture?"""
+    columns, rows = (points[:, 0] * 6 / shape[1]).astype(int), (points[:, 1] * 4 / shape[0]).astype(int)
+    return len(np.unique(rows * 6 + columns)) >= _CELLS

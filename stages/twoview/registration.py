@@ -1,0 +1,279 @@
+"""Two pictures of one camera: by how much it has turned between them, from small patches found again near their old places.
+
+Patches around corners of the first picture are searched in the second by normalised cross-correlation (Lewis 1995), which does
+not mind how bright a place is; the turn that most of them agree on (random samples of two, Fischler & Bolles 1981) is fitted by
+least squares as a rotation about the camera's centre with a zoom.  That works between noon and lamps, where descriptors of
+keypoints find nothing; a camera that was turned farther than the search reaches is left to these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
+
+REACH_PX = 40
+"""Patches are searched so far from their old places."""
+
+_COLUMNS, _ROWS = 12, 8
+"""Cells over which patches are spread..."""
+_PER_CELL = 4
+"""...so many in each."""
+_LEAST_CORRELATION = 0.6
+"""Below this a patch was not found."""
+_LEAST_STD = 2.0
+"""Grey levels: a patch with less is nothing to look for."""
+_TRIALS = 400
+_AGREE_PX = 1.5
+"""So far a patch may lie from where the turn puts it."""
+_FEWEST, _FEWEST_CELLS = 10, 5
+"""So many patches, of so many cells, must agree: what agrees by chance, or is a clock that is burnt into the picture, is less."""
+_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class Found:
+    """Patches of one picture, and where they are in another."""
+
+    x1: Float64s
+    """(n, 2) their old places, pixels."""
+    x2: Float64s
+    """(n, 2) their new ones."""
+    correlation: Float64s
+    """(n,) -1 to 1."""
+    searched: int
+    """How many were looked for."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """How a camera has turned."""
+
+    R: Float64s
+    """(3, 3) from its old axes to the new ones."""
+    zoom: float
+    """New focal length over the old one."""
+    homography: Float64s
+    """(3, 3) old pixels to new ones."""
+    shift: Float64s
+    """(2,) by which the middle of the picture has moved, pixels."""
+    shift_sigma: Float64s
+    """(2,) its standard deviation."""
+    roll_deg: float
+    """Turn about the optical axis, positive from x to y."""
+    roll_sigma_deg: float
+    angle_deg: float
+    """The whole rotation."""
+    angle_sigma_deg: float
+    motion_px: float
+    """Median motion of the pixels of the picture."""
+    inliers: Bools
+    """(n,) of the patches, which agree."""
+    residual_px: float
+    """Their median distance from where the turn puts them."""
+
+
+def corners(image: Uint8s, mask: Bools) -> Float64s:
+    """(n, 2) corners of a grey image, spread over cells, away from the border and from masked pixels."""
+    h, w = image.shape
+    margin = patch_radius(w) * 2 + 2
+    usable = np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((margin, margin), np.uint8)))
+    usable[:margin], usable[-margin:], usable[:, :margin], usable[:, -margin:] = 0, 0, 0, 0
+    strength = np.asarray(cv2.cornerMinEigenVal(cv2.GaussianBlur(image, (0, 0), 1.0), 5), dtype=np.float32)
+    strength[usable == 0] = 0
+    found = []
+    for row in range(_ROWS):
+        for column in range(_COLUMNS):
+            y0, y1 = h * row // _ROWS, h * (row + 1) // _ROWS
+            x0, x1 = w * column // _COLUMNS, w * (column + 1) // _COLUMNS
+            cell = strength[y0:y1, x0:x1].copy()
+            apart = max(min(cell.shape) // 5, 2)
+            for _ in range(_PER_CELL):
+                y, x = np.unravel_index(int(cell.argmax()), cell.shape)
+                if cell[y, x] <= 0:
+                    break
+                found.append((x0 + x, y0 + y))
+                cell[max(y - apart, 0) : y + apart + 1, max(x - apart, 0) : x + apart + 1] = 0
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def patch_radius(width: int) -> int:
+    """Half the side of a patch, for pictures of a width."""
+    return int(np.clip(width // 100, 5, 12))
+
+
+def find_again(image1: Uint8s, image2: Uint8s, points: Float64s, reach_px: int = REACH_PX) -> Found:
+    """Search patches of one grey image in another: at half the size, then finely.
+
+    Parameters
+    ----------
+    image1, image2
+        (h, w) uint8, of one size.
+    points
+        (n, 2) middles of the patches, pixels of the first.
+    reach_px
+        They are searched so far from there.
+    """
+    radius = patch_radius(image1.shape[1])
+    reach = reach_px // 2
+    half1, half2 = _padded(_halved(image1), radius), _padded(_halved(image2), radius + reach)
+    coarse, _ = _search(half1, half2, points / 2, points / 2, radius, reach)
+    found, score = _search(_padded(image1, radius), _padded(image2, radius + 3), points, coarse * 2, radius, 3)
+    inside = (found >= 0).all(axis=1) & (found < [image1.shape[1], image1.shape[0]]).all(axis=1)
+    keep = (score >= _LEAST_CORRELATION) & inside
+    return Found(points[keep], found[keep], score[keep], len(points))
+
+
+def _halved(image: Uint8s) -> Uint8s:
+    return np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _padded(image: Uint8s, by: int) -> tuple[Float32s, int]:
+    return np.asarray(cv2.copyMakeBorder(image, by, by, by, by, cv2.BORDER_REPLICATE), dtype=np.float32), by
+
+
+def _search(
+    first: tuple[Float32s, int], second: tuple[Float32s, int], points: Float64s, near: Float64s, radius: int, reach: int
+) -> tuple[Float64s, Float64s]:
+    """Best place (n, 2) and its correlation (n,) of each patch within `reach` of `near`; nan and -1 where there is none."""
+    image1, pad1 = first
+    image2, pad2 = second
+    places, scores = np.full(points.shape, np.nan), np.full(len(points), -1.0)
+    for k, (point, centre) in enumerate(zip(points, near, strict=True)):
+        if not np.isfinite(centre).all():
+            continue
+        x, y = np.rint(point).astype(int) + pad1
+        u, v = np.rint(centre).astype(int) + pad2
+        size = radius + reach
+        patch = image1[y - radius : y + radius + 1, x - radius : x + radius + 1]
+        window = image2[max(v - size, 0) : v + size + 1, max(u - size, 0) : u + size + 1]
+        if min(window.shape) < 2 * radius + 1 or patch.shape != (2 * radius + 1,) * 2 or patch.std() < _LEAST_STD:
+            continue
+        surface = np.asarray(cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
+        row, column = np.unravel_index(int(surface.argmax()), surface.shape)
+        at = np.array([_peak(surface[row], column), _peak(surface[:, column], row)])
+        corner = np.array([max(u - size, 0), max(v - size, 0)])
+        places[k] = corner + radius + at - pad2 + (point - np.rint(point))
+        scores[k] = surface[row, column]
+    return places, scores
+
+
+def _peak(values: Float32s, at: np.intp) -> float:
+    """Where a parabola through a maximum and its two neighbours is highest."""
+    k = int(at)
+    if not 0 < k < len(values) - 1:
+        return float(k)
+    a, b, c = float(values[k - 1]), float(values[k]), float(values[k + 1])
+    curve = a - 2 * b + c
+    return k + (0.5 * (a - c) / curve if curve < 0 else 0.0)
+
+
+def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float = _AGREE_PX) -> Turn | None:
+    """The turn that most patches agree on, or None where too few do.
+
+    Parameters
+    ----------
+    found
+        Patches and where they are now.
+    K
+        (3, 3) intrinsics, pixels.
+    width, height
+        Size of the pictures.
+    agree_px
+        So far a patch may lie from where the turn puts it.
+    """
+    if len(found.x1) < _FEWEST:
+        return None
+    inliers = _agreeing(found, agree_px)
+    parameters = np.zeros(4)
+    rays = np.column_stack([found.x1, np.ones(len(found.x1))]) @ np.linalg.inv(K).T
+    jacobian = np.zeros((0, 4))
+    for _ in range(_ROUNDS):
+        if inliers.sum() < _FEWEST:
+            return None
+        residual, jacobian = _residuals(parameters, rays[inliers], found.x2[inliers], K)
+        step = np.linalg.lstsq(jacobian, -residual.ravel(), rcond=None)[0]
+        parameters = parameters + step
+        residual = _residuals(parameters, rays, found.x2, K)[0]
+        inliers = np.linalg.norm(residual, axis=1) <= agree_px
+    if inliers.sum() < _FEWEST or len(_cells(found.x1[inliers], width, height)) < _FEWEST_CELLS:
+        return None
+    return _turn(parameters, _residuals(parameters, rays[inliers], found.x2[inliers], K), inliers, found, K, (width, height))
+
+
+def _agreeing(found: Found, agree_px: float) -> Bools:
+    """The patches that agree with the best of many similarities through two of them."""
+    n = len(found.x1)
+    rng = np.random.default_rng(0)
+    pairs = rng.integers(0, n, (_TRIALS, 2))
+    z1, z2 = found.x1 @ np.array([1, 1j]), found.x2 @ np.array([1, 1j])
+    base = z1[pairs[:, 1]] - z1[pairs[:, 0]]
+    usable = np.abs(base) > 0.05 * np.abs(z1 - z1.mean()).max()
+    pairs, base = pairs[usable], base[usable]
+    a = (z2[pairs[:, 1]] - z2[pairs[:, 0]]) / base
+    plausible = (np.abs(np.abs(a) - 1) < 0.05) & (np.abs(np.angle(a)) < 0.2)
+    if not plausible.any():
+        return np.zeros(n, dtype=bool)
+    a, first = a[plausible], pairs[plausible, 0]
+    off = np.abs(a[:, None] * (z1[None] - z1[first][:, None]) + z2[first][:, None] - z2[None])
+    return np.asarray(off[int((off <= agree_px).sum(axis=1).argmax())] <= agree_px)
+
+
+def _residuals(parameters: Float64s, rays: Float64s, x2: Float64s, K: Float64s) -> tuple[Float64s, Float64s]:
+    """Distances (n, 2) of turned rays (n, 3) from pixels, and their derivatives (2 n, 4) by rotation vector and log zoom."""
+    R, zoom = cv2.Rodrigues(parameters[:3])[0], float(np.exp(parameters[3]))
+    X = rays @ R.T
+    f = np.array([K[0, 0], K[1, 1]]) * zoom
+    plane = X[:, :2] / X[:, 2:]
+    at = plane * f + K[:2, 2]
+    u, v = plane.T
+    one = np.ones_like(u)
+    du = f[0] * np.stack([-u * v, one + u * u, -v, u], axis=1)
+    dv = f[1] * np.stack([-(one + v * v), u * v, u, v], axis=1)
+    return at - x2, np.stack([du, dv], axis=1).reshape(-1, 4)
+
+
+def _turn(
+    parameters: Float64s, fit: tuple[Float64s, Float64s], inliers: Bools, found: Found, K: Float64s, size: tuple[int, int]
+) -> Turn:
+    residual, jacobian = fit
+    width, height = size
+    cells = len(_cells(found.x1[inliers], width, height))
+    # patches of one cell err alike (a shadow, one thing that moved): they count as one
+    variance = float(np.mean(residual**2)) * max(len(residual) / cells, 1.0)
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+    R, zoom = np.asarray(cv2.Rodrigues(parameters[:3])[0], dtype=np.float64), float(np.exp(parameters[3]))
+    H = np.diag([zoom, zoom, 1.0]) @ K
+    H[:2, 2] = K[:2, 2]
+    H = H @ R @ np.linalg.inv(K)
+    middle = np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
+    _, at_middle = _residuals(parameters, (np.linalg.inv(K) @ middle)[None], middle[None, :2], K)
+    shift_covariance = at_middle @ covariance @ at_middle.T
+    grid = np.stack(np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 7), [1.0]), axis=-1).reshape(-1, 3)
+    moved = grid @ H.T
+    motion = np.linalg.norm(moved[:, :2] / moved[:, 2:] - grid[:, :2], axis=1)
+    shifted = H @ middle
+    sigmas = np.sqrt(np.diag(covariance)[:3])
+    return Turn(
+        R,
+        zoom,
+        H / H[2, 2],
+        shifted[:2] / shifted[2] - middle[:2],
+        np.sqrt(np.diag(shift_covariance)),
+        float(np.degrees(parameters[2])),
+        float(np.degrees(sigmas[2])),
+        float(np.degrees(np.linalg.norm(parameters[:3]))),
+        float(np.degrees(np.linalg.norm(sigmas))),
+        float(np.median(motion)),
+        inliers,
+        float(np.median(np.linalg.norm(residual, axis=1))),
+    )
+
+
+def _cells(points: Float64s, width: int, height: int) -> Int64s:
+    """The cells that points lie in."""
+    columns = (points[:, 0] * _COLUMNS / width).astype(np.int64)
+    return np.unique((points[:, 1] * _ROWS / height).astype(np.int64) * _COLUMNS + columns)

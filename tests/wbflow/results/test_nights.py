@@ -1,0 +1,74 @@
+"""Nights of a site, one after the other: what is said of each, and where it is found."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from tests.helpers.toy_site import ToySite
+
+
+def kinds(record: dict[str, Any]) -> list[tuple[str, list[str]]]:
+    return [(finding["kind"], finding["subject"]) for finding in record["verdict"]["findings"]]
+
+
+def test_two_cameras_down_for_a_night(toy: ToySite) -> None:
+    first = toy.run()
+    assert first["verdict"] == {"level": "good", "findings": []}
+    for name in ("crane", "roof"):
+        toy.capture(name).write_text("broken")
+    second = toy.run(code=3)
+    assert second["verdict"]["level"] == "degraded"
+    assert kinds(second) == [
+        ("camera-lost", ["roof"]),
+        ("camera-lost", ["crane"]),
+        ("fewer-points", []),
+        ("fewer-pairs", []),
+    ]
+    assert second["verdict"]["findings"][3]["text"] == "1 pairs, 17 % of the usual 6"
+    for name in ("crane", "roof"):
+        toy.capture(name).write_text(f"the next view from {name}")
+    third = toy.run()
+    assert third["verdict"] == {"level": "good", "findings": []}
+    concerned = {task for task in toy.ran() if "crane" in task or "roof" in task}
+    whole = {"overlap", "pairs", "poses", "fuse", *(f"depth {name}" for name in toy.cameras)}
+    assert toy.ran() - concerned <= whole
+    assert {"frames crane", "frames roof", "matches crane--mast-1"} & toy.ran()
+
+
+def test_the_morning_after_a_night_without_any_camera(toy: ToySite) -> None:
+    good = toy.run()
+    for name in toy.cameras:
+        toy.capture(name).write_text("broken")
+    result = toy.wbflow("run", "-q", "--jobs", "1")
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr.splitlines()[0].endswith(": failed")
+    assert all(f"{name}: {name}.txt is not an image" in result.stderr for name in toy.cameras)
+    runs = toy.work / "runs"
+    record = json.loads((runs / "latest" / "run.json").read_text())
+    assert record["run"] != good["run"]
+    assert record["verdict"]["level"] == "failed"
+    page = (runs / "latest" / "report.html").read_text()
+    body = page[page.index("<body>") :]
+    assert body.index("no cloud: no camera has a usable capture") < body.index("<h2>")
+    assert (runs / "latest-good").resolve().name == good["run"]
+
+
+def test_quiet_says_nothing_of_a_good_night_and_the_findings_of_another(toy: ToySite) -> None:
+    result = toy.wbflow("run", "-q", "--jobs", "1")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    toy.capture("roof").write_text("broken")
+    result = toy.wbflow("run", "-q", "--jobs", "1")
+    assert result.returncode == 3
+    assert result.stderr.count("roof.txt is not an image") == 1
+    assert "look at the camera: it is used again by itself as soon as its captures are" in result.stderr
+
+
+def test_what_is_expected_stands_in_the_site_file(toy: ToySite) -> None:
+    toy.run()
+    toy.capture("roof").write_text("broken")
+    site = json.loads(toy.file.read_text())
+    toy.file.write_text(json.dumps(site | {"expect": {"points": 0.3, "pairs": 3, "cameras": 0.75}}))
+    assert kinds(toy.run()) == [("camera-lost", ["roof"])]
+    toy.file.write_text(json.dumps(site | {"expect": {"pionts": 0.3}}))
+    assert "did you mean 'points'?" in toy.wbflow("run").stderr

@@ -1,0 +1,49 @@
+"""The reference: what later nights are compared with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..errors import ExitCode, UsageError
+from ..screen import say, stop
+from .common import load, place_of, run_argument, site_argument, work_option
+
+
+@click.command()
+@site_argument
+@run_argument
+@click.option("--list", "listed", is_flag=True, help="Say what is pinned.")
+@click.option("--drop", is_flag=True, help="Forget the reference.")
+@work_option
+def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | None) -> None:
+    """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
+
+    The first good run becomes it by itself, unless the site file says `pin: none`.
+    """
+    if listed + drop + (run_id is not None) > 1:
+        raise UsageError("--list, --drop and RUN exclude each other")
+    loaded = load(site, work)
+    place = place_of(loaded)
+    from ..store.lock import hold
+    from ..store.reference import drop_reference, read_reference
+
+    if listed:
+        reference = read_reference(place)
+        if reference is None:
+            stop(ExitCode.GOOD, f"{loaded.name} has no reference")
+        for line in reference.lines():
+            say(line)
+        return
+    with hold(place.lock, wait=False):
+        if drop:
+            say("the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference")
+            return
+        from ..night.pin import good_run
+        from ..night.pin import pin as make
+
+        reference = make(place, good_run(place, run_id))
+    say(f"run {reference.run} (night of {reference.date}) is the reference now: {place.reference}")
+    if loaded.pin == "none":
+        say("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)

@@ -1,0 +1,224 @@
+"""Where the inputs of a task come from: from tasks that are settled, from the site file and the captures, from the reference."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from ..config.site import Site, SiteCamera
+from ..graph.pipeline import (
+    SITE_TYPES,
+    FromPast,
+    FromReference,
+    FromSite,
+    FromStage,
+    Need,
+    Part,
+    Role,
+    SiteValue,
+    Stage,
+    Which,
+    stage_named,
+    stage_with,
+)
+from ..store.cache import Cache
+from ..task import Subject, Task
+from .captures import CaptureFile
+from .obstacles import Impossible, Waiting, because
+from .pinned import Pinned
+from .spec import Absent, Files, Input, Joined, Stored, Value
+from .state import Cause, State
+from .stated import side, stated, stated_of_site, subject_of
+from .subjects import Subjects
+
+
+@dataclass
+class Inputs:
+    """Finds the inputs of a night's tasks."""
+
+    site: Site
+    captures: dict[str, list[CaptureFile]]
+    masks: dict[str, CaptureFile]
+    expectations: dict[str, str]
+    cache: Cache
+    subjects: Subjects
+    stages: Collection[Stage]
+    """Those that take part tonight."""
+    states: dict[Task, State]
+    """Settled tasks: the plan's own, which it changes."""
+    pinned: Pinned
+
+    def of(self, stage: Stage, task: Task, needs: Mapping[str, Need], among: set[Task]) -> dict[str, Input]:
+        """All inputs of a task by argument name.
+
+        Parameters
+        ----------
+        stage, task : Stage, Task
+            Whose.
+        needs : mapping
+            What it needs, by argument name.
+        among : set of Task
+            Inputs made by these may still be unresolved.
+
+        Raises
+        ------
+        Waiting, Impossible
+            One depends on what is not settled yet, or will not come.
+        """
+        found: dict[str, Input] = {}
+        impossible: dict[str, Impossible] = {}
+        for name, need in needs.items():
+            try:
+                found[name] = self.one(stage, task, need, among)
+            except Impossible as error:
+                if not (isinstance(need, FromStage) and need.unless):
+                    raise
+                found[name], impossible[name] = Absent(), error
+        for name, why in impossible.items():
+            need = needs[name]
+            if isinstance(need, FromStage) and any(isinstance(found.get(other, Absent()), Absent) for other in need.unless):
+                raise why
+        return found
+
+    def one(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
+        """An input of a task.
+
+        Parameters
+        ----------
+        stage, task : Stage, Task
+            Whose.
+        need : Need
+            What it needs.
+        among : set of Task
+            An input made by one of these may still be unresolved.
+
+        Raises
+        ------
+        Waiting, Impossible
+            It depends on what is not settled yet, or will not come.
+        """
+        if isinstance(need, FromSite):
+            return self._from_site(need, task)
+        if isinstance(need, FromReference):
+            return self.pinned.input(need, stage, task)
+        if isinstance(need, FromPast):
+            return self.pinned.observed(need, task)
+        if need.unless_posed and self.site.posed:
+            return Joined({})
+        origin = stage_named(need.stage)
+        if need.which in {Which.ALL, Which.AROUND}:
+            return self._join(origin, need, task)
+        part = need.part
+        if part and origin.scope == "site" and stage.scope != "site":
+            camera = side(need, task)
+            part = dataclasses.replace(part, entry="--".join(camera or task.subject))
+        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, among)
+
+    def upstreams(self, task: Task, needs: Mapping[str, Need]) -> list[Task]:
+        """The tasks that a task takes its inputs from, as far as they are listed yet."""
+        found: list[Task] = []
+        for need in needs.values():
+            if not isinstance(need, FromStage) or (need.unless_posed and self.site.posed):
+                continue
+            origin = stage_named(need.stage)
+            if need.optional and origin not in self.stages:
+                continue
+            if need.which in {Which.ALL, Which.AROUND} and origin.scope != "site":
+                found += self.subjects.joined(origin, need, task)
+            else:
+                found.append(Task(origin.name, subject_of(origin, need, task)))
+        return list(dict.fromkeys(found))
+
+    def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
+        if upstream in among:
+            return Stored(upstream, part)
+        if need.optional and stage_named(upstream.stage) not in self.stages:
+            return Absent()
+        state = self.states.get(upstream)
+        if state is None:
+            raise Waiting(upstream)
+        if not state.usable or state.receipt is None:
+            if need.optional:
+                return Absent()
+            raise because(upstream, state)
+        if part and str(part) not in state.receipt.parts:
+            if need.optional:
+                return Absent()
+            raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
+        return Stored(upstream, part).resolved(self.cache, state.receipt)
+
+    def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
+        if origin not in self.stages and need.optional:
+            return Joined({})
+        if self.subjects.pairs() is None and (origin.scope == "pair" or need.which is Which.AROUND):
+            raise Waiting(None)
+        if origin.scope == "site":
+            return self._entries(origin, need, task)
+        items: dict[Subject, Value | Stored] = {}
+        faults: list[Impossible] = []
+        useless = self.pinned.useless() if stage_named(task.stage).role is not Role.HEALTH else frozenset()
+        for upstream in self.subjects.joined(origin, need, task):
+            state = self.states.get(upstream)
+            if state is None:
+                raise Waiting(upstream)
+            if useless & set(upstream.subject):
+                faults.append(self.pinned.unfit(upstream.subject))
+            elif state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):
+                items[upstream.subject] = Stored(upstream, need.part).resolved(self.cache, state.receipt)
+            else:
+                faults.append(because(upstream, state))
+        if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):
+            raise self._nothing(origin, faults)
+        return Joined(items)
+
+    def _entries(self, origin: Stage, need: FromStage, task: Task) -> Input:
+        """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question."""
+        assert need.part
+        items: dict[Subject, Value | Stored] = {}
+        for camera in self.subjects.around(task.subject[0]):
+            part = dataclasses.replace(need.part, entry=camera)
+            stored = self._stored(Task(origin.name), dataclasses.replace(need, optional=True), part, set())
+            if isinstance(stored, Stored):
+                items[camera,] = stored
+        if not items:
+            raise because(Task(origin.name), self.states[Task(origin.name)])
+        return Joined(items)
+
+    def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
+        """Why a stage that joins many has none to join."""
+        frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
+        first = f": {faults[0]}" if faults else ""
+        usable = [c.id for c in self.site.cameras if (state := self.states.get(Task(frame, (c.id,)))) and state.usable]
+        if len(usable) < 2:
+            have = f"only camera {usable[0]} has" if usable else "no camera has"
+            why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
+            return Impossible(why, Cause.TOO_FEW_CAMERAS)
+        pairs = self.states.get(graph)
+        if origin.scope == "pair" and not faults:
+            if pairs and not pairs.usable:
+                return because(graph, pairs)
+            return Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
+        return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
+
+    def _from_site(self, need: FromSite, task: Task) -> Input:
+        what = need.value
+        if what is SiteValue.SURVEY or need.which is Which.ALL:
+            return stated_of_site(self.site, what)
+        camera = self.subjects.camera(task.subject[0])
+        if what is SiteValue.MASK:
+            file = self.masks.get(camera.id)
+            return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+        if what is SiteValue.CAPTURES:
+            return Files(SITE_TYPES[what], self._captured(camera))
+        return stated(camera, what)
+
+    def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
+        """A camera's files that can be read."""
+        files = self.captures[camera.id]
+        if not files:
+            raise Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}", Cause.NO_CAPTURE)
+        readable = tuple(file for file in files if file.digest)
+        if not readable:
+            raise Impossible(f"no capture: {files[0].name} cannot be read", Cause.NO_CAPTURE)
+        return readable

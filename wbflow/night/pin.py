@@ -1,0 +1,112 @@
+"""Pinning: a run becomes the reference that later nights are compared with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..errors import ExitCode, WbflowError
+from ..graph.pipeline import STAGES
+from ..store.cache import Cache, Receipt
+from ..store.layout import WorkFolder
+from ..store.record import RunRecord
+from ..store.reference import PinnedArtifact, Reference, restore, write_reference
+from ..store.run_folder import NoSuchRun, RunFolder
+from .journal import Journal
+from .night import Night
+
+
+class CannotPin(WbflowError, ValueError):
+    """A run is no reference."""
+
+    exit_code = ExitCode.USAGE
+
+
+def pin(work: WorkFolder, run: RunFolder, automatic: bool = False) -> Reference:
+    """Make a run the reference.  The caller holds the lock.
+
+    Parameters
+    ----------
+    work : WorkFolder
+        Whose reference.
+    run : RunFolder
+        Which of its runs.
+    automatic : bool
+        Nobody has asked for it.
+
+    Raises
+    ------
+    CannotPin
+        The run has made no cloud, or the cache no longer holds what it made.
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    record = run.record()
+    if record.cloud is None:
+        why = record.reason or "it was not asked to"
+        raise CannotPin(f"run {run.id} made no cloud: {why}", remedy="pin a run that did: wbflow history SITE.yaml")
+    receipts = _receipts(work, run)
+    artifacts = {
+        receipt.preimage.task: PinnedArtifact(receipt.preimage.task, receipt.key, receipt.outcome, receipt.digest)
+        for receipt in receipts
+    }
+    reference = Reference(run.id, record.date, _cameras(record, run), artifacts, automatic)
+    write_reference(work, reference, receipts)
+    return reference
+
+
+def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
+    """The run that is to be pinned: the named one, else the newest good one.
+
+    Raises
+    ------
+    CannotPin, NoSuchRun
+        There is none.
+    """
+    if name is not None:
+        return RunFolder.of(work, name)
+    for run in reversed(work.run_ids()):
+        folder = RunFolder.of(work, run)
+        try:
+            if fit_to_pin(folder.record()):
+                return folder
+        except NoSuchRun:  # not to be read: an older one may be
+            continue
+    remedy = "name one that is good enough: wbflow pin SITE.yaml RUN; wbflow history SITE.yaml lists them"
+    raise CannotPin(f"{work.root} has no good run yet", remedy=remedy)
+
+
+def fit_to_pin(record: RunRecord) -> bool:
+    """Is a run good enough to be pinned without being named?"""
+    return record.exit_code == ExitCode.GOOD and record.cloud is not None
+
+
+def prepare(night: Night, journal: Journal) -> None:
+    """Have at hand what the reference holds, and tell where it cannot be used.  The caller holds the lock."""
+    plan = night.plan
+    if plan.misfit:
+        what = f"the reference is not used: {plan.misfit}"
+        journal.warn(what, remedy="this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference")
+    for lost in restore(plan.cache.work, plan.reference) if plan.reference else ():
+        journal.warn(lost, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
+
+
+def _receipts(work: WorkFolder, run: RunFolder) -> list[Receipt]:
+    """Of all that a run made or rejected and the reference keeps."""
+    cache, kept = Cache(work), {stage.name for stage in STAGES if stage.kept}
+    found = []
+    for task, event in run.tasks().items():
+        if task.stage not in kept or event.key is None:
+            continue
+        receipt = cache.by_key(task, event.key)
+        if receipt is None:
+            remedy = f"run its night again (wbflow run SITE.yaml --date {run.record().date}), and pin that run"
+            raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
+        found.append(receipt)
+    return found
+
+
+def _cameras(record: RunRecord, run: RunFolder) -> dict[str, dict[str, Any]]:
+    """All cameras of the site, each as the run has solved it."""
+    solved = run.cameras()
+    solved = solved.get("cameras", solved)
+    return {camera.id: dict(solved.get(camera.id, {})) for camera in record.cameras}

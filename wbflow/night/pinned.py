@@ -1,0 +1,200 @@
+"""What tonight takes from the pinned reference: inputs, whole results, and how each camera stands compared with it.
+
+The reference answers for the results of a row with `held` as long as the cameras in question stand as they did; the stage with
+the role HEALTH says of each camera whether it does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..graph.pipeline import (
+    FromPast,
+    FromReference,
+    Held,
+    Rework,
+    Role,
+    Stage,
+    Which,
+    ancestors,
+    stage_named,
+    stage_with,
+)
+from ..store.cache import Cache, Receipt
+from ..store.record import Health
+from ..store.reference import Reference
+from ..task import Subject, Task
+from .obstacles import Impossible, Waiting
+from .past import Past
+from .spec import Absent, Input, Joined, Stored, Value
+from .state import Cause, State
+from .stated import subject_of
+
+HELD = frozenset({"ok", "nudged"})
+"""States of a camera whose pose is known from the reference."""
+USELESS = frozenset({"blind", "stale", "foreign"})
+"""States of a camera that shows nothing of the site tonight."""
+FEWEST = 2
+"""So many cameras must stand where they did, for the reference to tell where the others are."""
+
+
+@dataclass
+class Pinned:
+    """The reference as tonight's plan sees it."""
+
+    cache: Cache
+    cameras: Collection[str]
+    """Of the site."""
+    stages: Collection[Stage]
+    """Those that take part tonight."""
+    states: dict[Task, State]
+    """Settled tasks: the plan's own, which it changes."""
+    reference: Reference | None = None
+    past: Past = field(default_factory=Past)
+    forced: frozenset[str] = frozenset()
+    """Stages that are to be done again."""
+    known: Mapping[str, Health] = field(default_factory=dict)
+    """What is wrong with cameras by what is known of their captures."""
+    frame_keys: dict[Subject, str] = field(default_factory=dict)
+    """Keys of tonight's frames by camera, as far as they are known."""
+
+    def input(self, need: FromReference, stage: Stage, task: Task) -> Input:
+        """An input that the reference holds.  Raises Waiting."""
+        everywhere = need.which is Which.ALL
+        if self.reference is None or self._own_night(task.subject or tuple(self.cameras)):
+            return Joined({}) if everywhere else Absent()
+        origin = stage_named(need.stage)
+        if everywhere and origin.scope != "site":
+            tasks = [t for t in self.reference.artifacts if t.stage == origin.name]
+            found = {t.subject: self._stored(need, t, False) for t in tasks}
+            return Joined({subject: item for subject, item in found.items() if isinstance(item, Stored)})
+        whole = origin.scope != "site" or stage.scope == "site"
+        subject = subject_of(origin, need, task)
+        return self._stored(need, Task(origin.name, subject), not whole, task.subject)
+
+    def observed(self, need: FromPast, task: Task) -> Input:
+        """What earlier nights found of a camera.  Raises Waiting."""
+        if self.reference is None or self._own_night(task.subject):
+            return Absent()
+        return Value(need.kind, self.past.figures(task.subject[0], need.figures, need.nights))
+
+    def instead(self, stage: Stage, task: Task) -> Receipt | Rework | None:
+        """What takes the place of working a task out: the reference's result, or another function.
+
+        Raises
+        ------
+        Waiting
+            The health of a camera is not known yet.
+        Impossible
+            A camera shows nothing of the site.
+        """
+        if stage.held is None or self.reference is None or not any(s.role is Role.HEALTH for s in self.stages):
+            return None
+        for camera in task.subject:
+            if self.state_of(camera) in USELESS:
+                raise self.unfit((camera,))
+        if not self._in_force() or self.forced & _held_before(stage):
+            return None
+        place = self._place(stage.held, task.subject)
+        if place == "kept":
+            return self._receipt(task)
+        return place if isinstance(place, Rework) else None
+
+    def state_of(self, camera: str) -> str:
+        """How a camera is.  Raises Waiting."""
+        if health := self.known.get(camera):
+            return health.state
+        task = Task(stage_with(Role.HEALTH).name, (camera,))
+        state = self.states.get(task)
+        if state is None:
+            raise Waiting(task)
+        if not state.usable:
+            frame = self.states.get(Task(stage_with(Role.FRAME).name, (camera,)))
+            return "ok" if frame and frame.usable else "blind"
+        health = judged(state)
+        return health.state if health else "ok"
+
+    def health(self, camera: str) -> Health | None:
+        """What is known of a camera's health; None where nobody has looked."""
+        if camera in self.known:
+            return self.known[camera]
+        return judged(self.states.get(Task(stage_with(Role.HEALTH).name, (camera,))))
+
+    def useless(self) -> frozenset[str]:
+        """The cameras of which it is known that they show nothing of the site tonight."""
+        if self.reference is None:
+            return frozenset()
+        return frozenset(c for c in self.cameras if (health := self.health(c)) and health.state in USELESS)
+
+    def unfit(self, subject: Subject) -> Impossible:
+        """Why what one of these cameras shows is not used."""
+        camera = next((c for c in subject if c in self.useless()), subject[0])
+        health = self.health(camera)
+        why = f"{health.state}: {health.text}" if health else "without a frame"
+        return Impossible(f"camera {camera} is {why}", Cause.UNFIT)
+
+    def lose(self, task: Task) -> None:
+        """An artifact was found damaged: where it was the reference's, that has it no longer."""
+        if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
+            left = {t: p for t, p in self.reference.artifacts.items() if t != task}
+            self.reference = dataclasses.replace(self.reference, artifacts=left)
+
+    def _place(self, held: Held, subject: Subject) -> Any:
+        if self._own_night(tuple(self.cameras)):
+            return "kept"
+        cameras = subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
+        states = {"moved" if self._homeless(c) else self.state_of(c) for c in cameras}
+        if "moved" in states:
+            return held.moved
+        return held.nudged if "nudged" in states else "kept"
+
+    def _homeless(self, camera: str) -> bool:
+        """Has the reference no pose for it?"""
+        return self.reference is not None and camera not in self.reference.placed
+
+    def _in_force(self) -> bool:
+        """Do enough cameras stand where they did?  Raises Waiting."""
+        states = [self.state_of(camera) for camera in self.cameras]
+        still = [c for c, state in zip(self.cameras, states, strict=True) if state in HELD and not self._homeless(c)]
+        return len(still) >= FEWEST
+
+    def _own_night(self, cameras: Subject) -> bool:
+        """Are the frames of these cameras those of the reference itself?"""
+        if self.reference is None:
+            return False
+        frame = stage_with(Role.FRAME).name
+        keys = [(self.frame_keys.get((c,)), self.reference.artifacts.get(Task(frame, (c,)))) for c in cameras]
+        return all(pinned is not None and key == pinned.key for key, pinned in keys)
+
+    def _receipt(self, task: Task) -> Receipt | None:
+        pinned = self.reference.artifacts.get(task) if self.reference else None
+        return self.cache.by_key(task, pinned.key) if pinned else None
+
+    def _stored(self, need: FromReference, upstream: Task, entry: bool, subject: Subject = ()) -> Input:
+        receipt = self._receipt(upstream)
+        if receipt is None or receipt.outcome == "rejected":
+            return Absent()
+        part = need.part
+        if part and entry:
+            part = dataclasses.replace(part, entry="--".join(subject))
+        if part and str(part) not in receipt.parts:
+            return Absent()
+        return Stored(upstream, part).resolved(self.cache, receipt)
+
+
+def judged(state: State | None) -> Health | None:
+    """What a task of the stage with the role HEALTH found."""
+    judges = stage_with(Role.HEALTH).judges
+    if state is None or not state.usable or state.receipt is None or judges is None:
+        return None
+    told = state.receipt.figures
+    numbers = told.get(judges.figures) or {}, told.get(judges.expected) or {}
+    return Health(told[judges.state], told.get(judges.text) or "", *numbers, told.get(judges.remedy) or "")
+
+
+def _held_before(stage: Stage) -> set[str]:
+    """Names of a stage and of those before it that the reference may answer for."""
+    return {name for name in ancestors(stage.name) if stage_named(name).held}

@@ -1,0 +1,268 @@
+"""Was it a good night?  The findings of a run, its level, and its exit code: the one place that decides.
+
+A night is good where there is nothing to look at; it has failed where there is no cloud; it is degraded where a camera that
+should give something gave nothing or is not as it should be, where a task failed, and where much less came of it than is usual
+(the last good nights with the same settings) or, without these, than its own plan expected.  A pair that finds nothing is no
+failure.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from ..config.site import Expected, Measure
+from ..errors import ExitCode
+from ..graph.pipeline import Role, stage_with
+from ..night.plan import Plan
+from ..night.state import Cause, State
+from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
+from ..task import Task
+from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
+
+PLANNED_PAIRS = 0.5
+"""Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
+FOUND_SHARE = 0.25
+"""A camera of whose pairs fewer than this share of the usual share find common points shows something else."""
+SHARP_SHARE = 0.4
+"""A picture with less than this share of its usual sharpness is out of focus, or behind drops or dirt."""
+_BACK = "it is used again by itself as soon as its captures are"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the verdict rests on, besides the record."""
+
+    failed: tuple[tuple[Task, State], ...] = ()
+    """Tasks that failed."""
+    product: bool = True
+    """Was a cloud asked for?"""
+    interrupted: bool = False
+
+    @staticmethod
+    def of(plan: Plan, interrupted: bool) -> Facts:
+        """Those of a plan that is settled."""
+        failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
+        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted)
+
+
+def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunRecord:
+    """A record with what it was compared with, how its cameras are, its verdict and its exit code.
+
+    Parameters
+    ----------
+    record : RunRecord
+        Of a run that ends now.
+    plan : Plan
+        With the states of all its tasks.
+    past : Past
+        The runs before it.
+    interrupted : bool
+        Was it stopped from outside?
+    """
+    site = plan.site
+    settings = settings_of(site)
+    usual = past.usual(settings, site.expected.since)
+    if plan.reference and not plan.reference.automatic:
+        usual = pinned_usual(plan.cache.work, plan.reference.run, settings, usual)
+    record = replace(record, settings=settings, usual=usual)
+    return judge(record, Facts.of(plan, interrupted), past, site.expected)
+
+
+def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> RunRecord:
+    """The same from the record alone.
+
+    Parameters
+    ----------
+    record : RunRecord
+        With what it is compared with in it.
+    facts : Facts
+        What the record does not tell.
+    past : Past
+        The runs before it.
+    expected : Expected
+        What the site file says of good nights.
+    """
+    night = _shares(record)
+    cameras = tuple(_with_health(camera, record, night, expected) for camera in record.cameras)
+    record = replace(record, cameras=cameras)
+    cameras = tuple(_with_down(camera, record, past) for camera in cameras)
+    record = replace(record, cameras=cameras)
+    found = (*_whole(record, facts), *_of_cameras(record), *_of_tasks(record, facts), *_of_figures(record, facts, expected))
+    verdict = Verdict("good", found)
+    if facts.interrupted or (facts.product and not record.cloud):
+        verdict = Verdict("failed", found)
+    elif any(not _tolerated(finding, record, expected) for finding in found):
+        verdict = Verdict("degraded", found)
+    return replace(record, verdict=verdict, exit_code=exit_code(verdict, facts.interrupted))
+
+
+def exit_code(verdict: Verdict, interrupted: bool = False) -> ExitCode:
+    """How a run with a verdict ends."""
+    if interrupted:
+        return ExitCode.INTERRUPTED
+    return {"good": ExitCode.GOOD, "degraded": ExitCode.DEGRADED, "failed": ExitCode.FAILED}[verdict.level]
+
+
+def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+    if facts.interrupted:
+        yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
+    elif facts.product and not record.cloud:
+        yield Finding("no-cloud", (), f"no cloud: {record.reason or 'nothing says why'}")
+
+
+def _of_cameras(record: RunRecord) -> Iterator[Finding]:
+    for camera in record.cameras:
+        if trouble := _trouble(camera, record):
+            down = camera.down
+            nights = f"; {down}" if down and down.nights > 1 else ""
+            figures = {"since": down.since, "nights": down.nights} if down else {}
+            yield replace(trouble, text=trouble.text + nights, figures={**trouble.figures, **figures})
+
+
+def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    """What is wrong with a camera tonight: the first thing that is."""
+    subject, pairs = (camera.id,), [pair for pair in record.pairs if camera.id in (pair.left, pair.right)]
+    if not camera.ok:
+        kind = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
+        text = f"{camera.reason or camera.outcome}; left out tonight"
+        return Finding(kind, subject, text, remedy=_remedy_of_lost(camera))
+    if (health := camera.health) and not health.ok:
+        return Finding(f"camera-{health.state}", subject, health.text, health.figures, health.expected, health.remedy)
+    if record.poses and camera.id in record.poses.suspects:
+        remedy = "look at it; calibrate it anew if it has been moved"
+        return Finding("camera-moved", subject, record.poses.suspects[camera.id], remedy=remedy)
+    if record.pairs and not pairs:
+        text = "no other camera seems to see enough of what it sees: it is in no pair"
+        return Finding("camera-alone", subject, text, remedy="look at where it points, and at `pairs:` in the site file")
+    tried = [pair for pair in pairs if pair.outcome != "skipped"]
+    if tried and not any(pair.ok for pair in tried):
+        text = f"none of its {len(tried)} pairs could be used: {_most_common(tried)}"
+        remedy = "look at where it points, and whether anything stands before it"
+        return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
+    return None
+
+
+def _remedy_of_lost(camera: CameraRecord) -> str:
+    if camera.code == Cause.UNSOLVED:
+        return "a camera nearby that sees the same things from an angle between would tie it in"
+    if camera.code == Cause.NO_CAPTURE:
+        return f"see that it delivers: {_BACK}"
+    return f"look at the camera: {_BACK}"
+
+
+def _of_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+    """Failed tasks, those that failed for the same cause together; the cause of a lost camera is told with the camera."""
+    told = {camera.id for camera in record.cameras if not camera.ok}
+    groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
+    for task, state in facts.failed:
+        if not (len(task.subject) == 1 and task.subject[0] in told):
+            groups.setdefault((task.stage, state.code), []).append((task, state))
+    for (_, code), tasks in groups.items():
+        task, state = tasks[0]
+        more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
+        remedy = "wbflow run -v SITE.yaml  shows where" if code == Cause.FAULT else ""
+        yield Finding("task-failed", task.subject, f"{task} failed: {state.reason}{more}", {"tasks": len(tasks)}, remedy=remedy)
+
+
+def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator[Finding]:
+    """What came of the night as a whole, compared with what is usual, or stated, or planned."""
+    if facts.interrupted or not facts.product or not record.cloud:
+        return
+    usual = record.usual or Usual(0, {})
+    figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
+    for name, value in figures.items():
+        limit = expected.limit(name)
+        base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)
+        if limit > 1:
+            if value < limit:
+                yield _fewer(name, value, limit, f"{value:,.0f} {name}, at least {limit:,.0f} are expected")
+        elif name == Measure.CAMERAS:
+            continue  # each one that is lost is a finding of its own
+        elif base is not None and value < limit * base:
+            whose = "the reference's" if usual.reference else "the usual"
+            yield _fewer(name, value, base, f"{value:,.0f} {name}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
+        elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
+            why = _most_common([pair for pair in record.pairs if not pair.ok])
+            planned = float(len(record.pairs))
+            yield _fewer(name, value, planned, f"only {value:.0f} of {planned:.0f} pairs could be used; most others: {why}")
+
+
+def _fewer(name: str, value: float, base: float, text: str) -> Finding:
+    remedy = "wbflow compare  shows what differs; if this is usual from now on, say so: expect: {since: DATE} in the site file"
+    return Finding(f"fewer-{name}", (), text, {name: round(value)}, {name: round(base)}, remedy)
+
+
+def _tolerated(finding: Finding, record: RunRecord, expected: Expected) -> bool:
+    """Is it about a camera of a site that may do without some?"""
+    limit = expected.limit(Measure.CAMERAS)
+    if not finding.kind.startswith("camera-") or limit >= 1:
+        return False
+    well = sum(camera.down is None for camera in record.cameras)
+    return well >= limit * len(record.cameras)
+
+
+def _shares(record: RunRecord) -> dict[str, float]:
+    """How the pictures of most cameras look, as shares of what is usual: what they have in common is the night's, not theirs."""
+    shares: dict[str, list[float]] = {}
+    for camera in record.cameras:
+        looks, usual = looks_of(record, camera.id), record.usual.cameras.get(camera.id, {}) if record.usual else {}
+        for name in looks.keys() & usual.keys():
+            if usual[name] > 0:
+                shares.setdefault(name, []).append(looks[name] / usual[name])
+    return {name: min(median(found), 1.0) for name, found in shares.items()}
+
+
+def _with_health(camera: CameraRecord, record: RunRecord, night: Mapping[str, float], expected: Expected) -> CameraRecord:
+    """Its looks compared with the usual, where nobody who looked more closely has found anything."""
+    usual = record.usual.cameras.get(camera.id, {}) if record.usual else {}
+    if not camera.ok or not usual or (camera.health and not camera.health.ok):
+        return camera
+    health = _health(looks_of(record, camera.id), usual, night, expected)
+    return camera if camera.health and health.ok else replace(camera, health=health)
+
+
+def _health(looks: Mapping[str, float], usual: Mapping[str, float], night: Mapping[str, float], expected: Expected) -> Health:
+    """How a camera is by its looks.
+
+    Parameters
+    ----------
+    looks, usual : mapping
+        Figures of its picture, tonight's and the usual ones.
+    night : mapping
+        The share of the usual that most cameras have tonight.
+    expected : Expected
+        What the site file says of good nights.
+    """
+    shared = [name for name in looks if name in usual]
+    figures, base = {name: looks[name] for name in shared}, {name: usual[name] for name in shared}
+    shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
+    if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * night.get(Measure.BRIGHTNESS, 1.0):
+        text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
+        return Health("blind", text, figures, base, "look at its light, its exposure, and what stands before it")
+    if shares.get("sharpness", 1.0) < SHARP_SHARE * night.get("sharpness", 1.0):
+        text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
+        return Health("blind", text, figures, base, "look at its focus and its glass: drops, dirt, fog")
+    if shares.get("matched_share", 1.0) < FOUND_SHARE:
+        now, then = (f"{100 * entry['matched_share']:.0f} %" for entry in (looks, usual))
+        text = f"{now} of its pairs find common points, usually {then} do: it shows something else, or has been turned"
+        return Health("foreign", text, figures, base, "look at its picture, and where it points")
+    return Health("ok", figures=figures, expected=base)
+
+
+def _with_down(camera: CameraRecord, record: RunRecord, past: Past) -> CameraRecord:
+    """Counted over the nights; a camera that is well again says so."""
+    before = past.camera(camera.id)
+    last = before[1].down if before else None
+    if _trouble(camera, record):
+        nights = last.nights + (before is not None and before[0] != record.date) if last else 1
+        return replace(camera, down=Down(last.since if last else record.date, nights))
+    if last:
+        note = f"back after {last.nights} night{'s' * (last.nights != 1)}: it was down since {last.since}"
+        return replace(camera, notes=(*camera.notes, note))
+    return camera
+
+
+def _most_common(pairs: Iterable[PairRecord]) -> str:
+    return Counter(str(pair.reason) for pair in pairs).most_common(1)[0][0]

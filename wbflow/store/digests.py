@@ -1,0 +1,86 @@
+"""Digests of files from outside, remembered from run to run as long as a file does not change."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import WbflowError
+from .artifact import file_digest
+from .signed import Damaged, read_signed, write_signed
+
+_SETTLED_NS = 2_000_000_000  # a file younger than this may change again within its time stamp's resolution
+_OF = "digests of captures"
+_FORMER = 2000
+"""So many files that were not asked for this time are remembered besides those that were."""
+
+
+class ChangedFile(WbflowError):
+    """A file from outside does not hold any more what it held when its digest was taken."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} has changed while the night was being worked on")
+        self.path = path
+
+    def __reduce__(self) -> tuple[type[ChangedFile], tuple[Path]]:  # it comes back from worker processes
+        return type(self), (self.path,)
+
+
+Stamp = tuple[int, int, int, int]
+"""Size, time of the last change of content, time of the last change of anything, inode."""
+
+
+@dataclass
+class Digests:
+    """Digests of files by path, size, time stamps and inode, kept in a signed file between runs."""
+
+    memo: Path | None
+    damage: str | None = None
+    """What was wrong with the memo, if anything was: then every file is read again."""
+    _known: dict[str, list[int | str]] = field(default_factory=dict)
+    _asked: dict[str, None] = field(default_factory=dict)
+    _changed: bool = False
+
+    def __post_init__(self) -> None:
+        try:
+            known = read_signed(self.memo, _OF) if self.memo else None
+        except Damaged as damage:
+            self.damage = f"{damage.what}: captures are read again"
+            self._changed = True
+            known = None
+        self._known = dict(known.get("files", {})) if known else {}
+
+    def of(self, path: Path) -> str:
+        """The content digest of a file.  Raises OSError."""
+        name = str(path)
+        self._asked[name] = None
+        status = path.stat()
+        stamp = list(_stamp(status))
+        known = self._known.get(name)
+        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
+        if known and known[:-1] == stamp and settled:
+            return str(known[-1])
+        digest = file_digest(path)
+        # remembered only if the file is the one that was looked at before it was read
+        if settled and list(_stamp(path.stat())) == stamp:
+            self._known[name] = [*stamp, digest]
+            self._changed = True
+        return digest
+
+    def forget(self, path: Path) -> None:
+        """What is remembered of a file is wrong: it is read again."""
+        self._changed |= self._known.pop(str(path), None) is not None
+
+    def save(self) -> None:
+        """Keep what was learnt.  Raises OSError."""
+        if self.memo and self._changed:
+            former = [name for name in self._known if name not in self._asked][-_FORMER:]
+            kept = [*former, *(name for name in self._asked if name in self._known)]
+            write_signed(self.memo, _OF, {"files": {name: self._known[name] for name in kept}})
+            self._changed = False
+
+
+def _stamp(status: os.stat_result) -> Stamp:
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino

@@ -1,0 +1,65 @@
+"""Products that are the same as an earlier run's share its bytes on disk: a night in which nothing changed costs nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from pathlib import Path
+
+from .atomic import write_atomic
+
+_FICLONE = 0x40049409
+"""The request of Linux that lets a file share another's blocks until either is written (ioctl_ficlone(2))."""
+
+
+def write_product(path: Path, data: bytes, earlier: Path | None = None) -> None:
+    """Write a file that is not to be changed any more.
+
+    Where an earlier file holds the same bytes, they are shared: as a clone, where the file system can make one (then nobody can
+    tell), else as a second name of the same file.  Products can be read only, so that no program writes through one name what is
+    then read under the other; wbflow itself only ever puts new files in the place of old ones.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    data : bytes
+        What.
+    earlier : Path, optional
+        A product of an earlier run.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    if earlier is None or not _holds(earlier, data) or not _shared(earlier, path):
+        write_atomic(path, data)
+    with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
+        path.chmod(0o444)
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return path.stat().st_size == len(data) and path.read_bytes() == data
+    except OSError:
+        return False
+
+
+def _shared(earlier: Path, path: Path) -> bool:
+    """Give `path` the bytes of `earlier`, if the file system can."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    try:
+        with earlier.open("rb") as source, path.open("wb") as target:
+            fcntl.ioctl(target, _FICLONE, source.fileno())
+            os.fsync(target.fileno())
+        return True
+    except OSError:
+        path.unlink(missing_ok=True)
+    try:
+        path.hardlink_to(earlier)
+    except OSError:
+        return False
+    return True

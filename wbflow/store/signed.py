@@ -1,0 +1,101 @@
+"""What is remembered carries a checksum of its own content, and says what it is of.
+
+A receipt or memo is one JSON object whose first entry is the checksum of all bytes that follow it: it is checked without being
+written anew, and people and programs read it as what it is.  The checksum finds chance and mistakes (a failing disk, an editor,
+two files exchanged), not malice: whoever may write to the work folder is trusted with it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import WbflowError
+from .artifact import digest
+from .atomic import write_atomic
+
+_HEAD, _TAIL, _LENGTH = b'{"signed":"', b'",', 32
+_BODY = len(_HEAD) + _LENGTH + len(_TAIL)
+
+
+class Damaged(WbflowError, ValueError):
+    """Bytes that are not as they were written, or that belong to something else."""
+
+
+class Unsigned(Damaged):
+    """Bytes of an earlier version, which signed nothing: they are not believed."""
+
+
+def signed(of: str, content: Mapping[str, Any], indent: int | None = None) -> bytes:
+    """A JSON object with its checksum and what it is of.
+
+    Parameters
+    ----------
+    of : str
+        What it belongs to: a task and its key, the name of a memo.
+    content : mapping
+        Its entries; none may be called "signed" or "of".
+    indent : int, optional
+        For files that people read.
+    """
+    separators = None if indent else (",", ":")
+    body = json.dumps({"of": of, **content}, indent=indent, separators=separators).encode()[1:]
+    return b"".join([_HEAD, digest(body).encode(), _TAIL, body])
+
+
+def unsigned(data: bytes, of: str) -> dict[str, Any]:
+    """The entries of what `signed` gave.
+
+    Raises
+    ------
+    Unsigned
+        It carries no checksum.
+    Damaged
+        The checksum is wrong, or it belongs to something else.
+    """
+    body = data[_BODY:]
+    if data[: len(_HEAD)] != _HEAD:
+        raise Unsigned("carries no checksum")
+    if data[len(_HEAD) : _BODY] != digest(body).encode() + _TAIL:
+        raise Damaged("is damaged")
+    content: dict[str, Any] = json.loads(b"{" + body)
+    if (whose := content.pop("of", None)) != of:
+        raise Damaged(f"belongs to {whose}")
+    return content
+
+
+def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: bool = True) -> None:
+    """Put a signed file into its place (see `write_atomic`).  Raises OSError.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    of : str
+        What it belongs to.
+    content : mapping
+        Entries.
+    settle : bool
+        Wait until it is on disk.
+    """
+    write_atomic(path, signed(of, content), settle=settle)
+
+
+def read_signed(path: Path, of: str) -> dict[str, Any] | None:
+    """The entries of a signed file; None where there is none, or one of an earlier version.
+
+    Raises
+    ------
+    Damaged
+        Its checksum is wrong, it belongs to something else, or it cannot be read; the message names the file.
+    """
+    try:
+        return unsigned(path.read_bytes(), of)
+    except (FileNotFoundError, Unsigned):
+        return None
+    except OSError as error:
+        raise Damaged(f"{path} cannot be read: {error.strerror or error}") from None
+    except Damaged as error:
+        raise Damaged(f"{path} {error}") from None
