@@ -126,7 +126,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.HEALTH,
         optional=True,
         section="health",
-        judges=Judges("state", "text", "figures", "expected", "remedy"),
+        judges=Judges("state", "text", "figures", "expected", "remedy", "corrected"),
         kept=False,
     ),
     Stage(

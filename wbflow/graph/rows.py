@@ -170,6 +170,8 @@ class Judges:
     figures: str
     expected: str
     remedy: str
+    corrected: str
+    """Its pose is known from the reference and from how it has turned, whatever the state."""
 
 
 @dataclass(frozen=True)
