@@ -25,6 +25,7 @@ from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
+from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
@@ -156,8 +157,10 @@ def run(
     until: str | None = None,
     force: Iterable[str] = (),
     wait: bool = False,
-    backend: str = "loky",
+    backend: str = "processes",
     scheduler: str | None = None,
+    memory: str | None = None,
+    time_limit: float | None = None,
     listen: Listener | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
@@ -177,9 +180,13 @@ def run(
     wait : bool
         Wait for another run of the same work folder.
     backend : str
-        Where tasks run: loky (processes), threading or dask.
+        Where tasks run: processes, threading or dask.
     scheduler : str, optional
         Address of the Dask scheduler.
+    memory : str, optional
+        What all workers together may hold, such as "4GB"; four fifths of what the machine has, if not given.
+    time_limit : float, optional
+        Seconds that a task may take; told by what its stage took before, if not given.
     listen : callable, optional
         Told of every event as it happens.
 
@@ -200,7 +207,8 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler)
+    most = bytes_of(memory) if memory else None
+    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit)
     options.check()
     try:
         return _run(site, options, listen or _quiet)
@@ -250,7 +258,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         _mend_ledger(place, journal)
         prepare(night, journal)
         worked = work(night, options, journal, costs)
-        finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
+        finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
         _afterwards(finished, site, journal)
         if not options.until and not worked.interrupted:
             _tell_people(site, finished, journal)

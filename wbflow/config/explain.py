@@ -70,9 +70,10 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:
     """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
-    data = {**data, "cameras": list(data.get("cameras") or [])}
+    cameras = data.get("cameras")
+    data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
     for item in error.errors():
-        section, *rest = item["loc"]
+        section, *rest = item["loc"] or ("",)
         if section == "cameras" and rest and isinstance(rest[0], int):
             camera = data["cameras"][rest[0]]
             data["cameras"][rest[0]] = (

@@ -23,7 +23,7 @@ Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 class Section(BaseModel):
     """A mapping of a site file: unknown keys are refused, and nothing is converted."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class CapturesSection(Section):

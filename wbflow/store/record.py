@@ -221,7 +221,7 @@ class RunRecord:
     reference: str | None = None
     """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
-    """Keys of a later version."""
+    """What site-wide stages report, by stage; and keys of a later version."""
 
     def __repr__(self) -> str:
         points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not asked for'})"
@@ -252,7 +252,7 @@ class RunRecord:
             "repaired": list(self.repaired),
             "files": dict(self.files),
             "reference": self.reference,
-            **self.later,
+            **rounded(self.later),
         }
 
     @staticmethod

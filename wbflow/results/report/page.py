@@ -16,6 +16,7 @@ from ...store.run_folder import RunFolder
 from ...task import Subject, Task
 from ..record import reported
 from .graph import pair_graph_svg
+from .ground import sections
 
 STYLE = """
 :root { color-scheme: light dark; --good: #2a7d46; --bad: #c0392b; --line: #8886; --soft: #8882; }
@@ -72,6 +73,7 @@ def build_report(work: WorkFolder, record: RunRecord, events: Iterable[Event], c
         _head(record),
         _warnings(events),
         _cloud(record, pictures),
+        sections(record, pictures),
         _graph(record, cameras),
         _cameras(record, pictures),
         _pairs(record, pictures),
