@@ -127,6 +127,8 @@ def _explain(site: Site, date: datetime.datetime | None, until: str | None, forc
     Options(until=until, force=force).check()
     plan = open_night(site, day_of(date), until, force).plan
     plan.refresh()
+    if plan.misfit:
+        say(f"the reference is not used: {plan.misfit}", err=True)
     for line in explain(plan):
         say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):

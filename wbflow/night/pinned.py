@@ -27,7 +27,7 @@ from ..store.cache import Cache, Receipt
 from ..store.record import Health
 from ..store.reference import Reference
 from ..task import Subject, Task
-from .obstacles import Impossible, Waiting
+from .obstacles import Impossible, Waiting, because
 from .past import Past
 from .spec import Absent, Input, Joined, Stored, Value
 from .state import Cause, State
@@ -132,9 +132,10 @@ class Pinned:
     def unfit(self, subject: Subject) -> Impossible:
         """Why what one of these cameras shows is not used."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
-        health = self.health(camera)
-        why = f"{health.state}: {health.text}" if health else "without a frame"
-        return Impossible(f"camera {camera} is {why}", Cause.UNFIT)
+        if health := self.health(camera):
+            return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
+        frame = Task(stage_with(Role.FRAME).name, (camera,))
+        return because(frame, self.states[frame])
 
     def lose(self, task: Task) -> None:
         """An artifact was found damaged: where it was the reference's, that has it no longer."""
