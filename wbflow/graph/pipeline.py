@@ -282,6 +282,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": FromStage("frames"), "frames": FromStage("frames", Which.AROUND)},
         role=Role.DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
     ),
     Stage(
         "refine",
@@ -296,6 +297,7 @@ STAGES: tuple[Stage, ...] = (
             "scene": FromStage("scene", optional=True),
         },
         role=Role.REFINED_DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
         picture=Picture("wbflow_stages.exports.previews:depth_preview"),
         optional=True,
     ),

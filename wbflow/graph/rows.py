@@ -304,6 +304,8 @@ class Stage:
     kept: bool = True
     """The reference keeps its results."""
     judges: Judges | None = None
+    pooled: str = ""
+    """Dotted function: results of many nights, as a mapping by night -> one."""
 
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""
