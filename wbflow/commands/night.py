@@ -151,6 +151,8 @@ def _explain(site: Site, date: datetime.date | None, until: str | None, force: t
         known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
         say(json.dumps({"site": site.name, "night": plan.night, **known}, indent=1))
         return
+    if plan.misfit:
+        say(f"the reference is not used: {plan.misfit}", err=True)
     for line in lines:
         say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):

@@ -152,7 +152,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.HEALTH,
         optional=True,
         section="health",
-        judges=Judges("state", "text", "figures", "expected", "remedy"),
+        judges=Judges("state", "text", "figures", "expected", "remedy", "corrected"),
         kept=False,
     ),
     Stage(
@@ -308,6 +308,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": FromStage("frames"), "frames": FromStage("frames", Which.AROUND)},
         role=Role.DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
     ),
     Stage(
         "refine",
@@ -322,6 +323,7 @@ STAGES: tuple[Stage, ...] = (
             "scene": FromStage("scene", optional=True),
         },
         role=Role.REFINED_DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
         picture=Picture("wbflow_stages.exports.previews:depth_preview"),
         optional=True,
     ),
