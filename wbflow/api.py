@@ -34,7 +34,6 @@ from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener
-from .store.keep import Keep
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.lock import hold
@@ -251,9 +250,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         prepare(night, journal)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
-        if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
-            pin(place, finished.folder, automatic=True)
-        _afterwards(finished, site.keep, journal)
+        _afterwards(finished, site, journal)
         place.done_writing()
     return Run(finished)
 
@@ -268,8 +265,11 @@ def _mend_ledger(place: WorkFolder, journal: Journal) -> None:
         journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
 
 
-def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
-    """Index the run, and remove what need not stay.  The night is published: a fault here costs nothing, but is told of."""
+def _afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
+    """Index the run, pin the first good one, and remove what need not stay.
+
+    The night is published: a fault here costs nothing, but is told of.
+    """
     told = len(journal.events)
     try:
         with Ledger(run.work, writes=True) as ledger:
@@ -278,9 +278,11 @@ def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
+        if site.pin == "auto" and fit_to_pin(run.record) and not run.work.reference_record.exists():
+            pin(run.work, run.folder, automatic=True)
         share_pictures(run.work, run.folder.id)
-        if not keep.everything:
-            over = clean(run.work, keep, asked=False).over
+        if not site.keep.everything:
+            over = clean(run.work, site.keep, asked=False).over
             if over:
                 what = f"the cache holds {in_words(over)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")

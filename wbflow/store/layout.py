@@ -249,8 +249,9 @@ class WorkFolder:
         """
         killed = self._writing.exists()
         if killed:
-            for path in self.cache.rglob(f".*{_UNFINISHED}"):
-                path.unlink(missing_ok=True)
+            for folder in (self.cache, self.reference):
+                for path in folder.rglob(f".*{_UNFINISHED}"):
+                    path.unlink(missing_ok=True)
             for path in self.runs.glob(f".*{_UNFINISHED}"):
                 if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
                     shutil.rmtree(path)

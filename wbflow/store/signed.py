@@ -67,7 +67,24 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
 
 
 def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: bool = True) -> None:
-    """Put a signed file into its place (see `write_atomic`).  Raises OSError."""
+    """Put a signed file into its place.
+
+    Parameters
+    ----------
+    path : Path
+        Where.
+    of : str
+        What it belongs to.
+    content : mapping
+        Its entries (see `signed`).
+    settle : bool
+        See `write_atomic`.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
     write_atomic(path, signed(of, content), settle=settle)
 
 
