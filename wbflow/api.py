@@ -25,22 +25,24 @@ from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
+from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
+from .results.notify import NotTold, notify
 from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
-from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
-from .store.run_folder import RunFolder, new_run, turn_links
+from .store.run_folder import RunFolder, new_run
 from .store.sizes import in_words
+from .store.writing import hold_to_write
 from .task import Task
 
 if TYPE_CHECKING:
@@ -155,8 +157,10 @@ def run(
     until: str | None = None,
     force: Iterable[str] = (),
     wait: bool = False,
-    backend: str = "loky",
+    backend: str = "processes",
     scheduler: str | None = None,
+    memory: str | None = None,
+    time_limit: float | None = None,
     listen: Listener | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
@@ -176,9 +180,13 @@ def run(
     wait : bool
         Wait for another run of the same work folder.
     backend : str
-        Where tasks run: loky (processes), threading or dask.
+        Where tasks run: processes, threading or dask.
     scheduler : str, optional
         Address of the Dask scheduler.
+    memory : str, optional
+        What all workers together may hold, such as "4GB"; four fifths of what the machine has, if not given.
+    time_limit : float, optional
+        Seconds that a task may take; told by what its stage took before, if not given.
     listen : callable, optional
         Told of every event as it happens.
 
@@ -199,7 +207,8 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler)
+    most = bytes_of(memory) if memory else None
+    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit)
     options.check()
     try:
         return _run(site, options, listen or _quiet)
@@ -235,11 +244,9 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
     place = WorkFolder(site.work)
-    with hold(place.lock, options.wait), terminate_as_interrupt():
+    with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        if place.start_writing():
-            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:
@@ -249,9 +256,10 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         _mend_ledger(place, journal)
         prepare(night, journal)
         worked = work(night, options, journal, costs)
-        finished = publish(name, place, night, worked, journal, costs, own_process=options.jobs == 1)
+        finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
         _afterwards(finished, site, journal)
-        place.done_writing()
+        if not options.until and not worked.interrupted:
+            _tell_people(site, finished, journal)
     return Run(finished)
 
 
@@ -293,6 +301,17 @@ def _afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
     with contextlib.suppress(OSError):  # a full disk: it has been told
         for event in journal.events[told:]:
             run.folder.add(event)
+
+
+def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, but is told of."""
+    if site.notify is None:
+        return
+    try:
+        notify(site.notify, run.work, run.folder.paths, run.record)
+    except (NotTold, OSError) as error:
+        journal.warn(str(error), remedy="the command is called again after the next run")
+        run.folder.add(journal.events[-1])
 
 
 def _quiet(event: Event) -> None:

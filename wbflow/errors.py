@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from enum import IntEnum
+
+LONGEST = 500
+"""Characters of a reason or a name from outside that are kept."""
+LONGEST_TRACE = 8000
+"""Of a traceback."""
+_UNFIT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters but for the end of a line and the tabulator, what turns the direction of writing, halves of characters."""
 
 
 class ExitCode(IntEnum):
@@ -53,3 +61,23 @@ class UsageError(WbflowError, ValueError):
     """What was asked for cannot be meant."""
 
     exit_code = ExitCode.USAGE
+
+
+def printable(text: object, most: int = LONGEST) -> str:
+    """Words from outside (a file's name, an id, what a stage raised) as they may be shown, logged and published.
+
+    Control characters, which a terminal would obey, and bytes that are no text are written as escapes; of what is longer than
+    `most` characters the middle is left out.
+    """
+    words = str(text)
+    if len(words) > most:
+        half = most // 2
+        words = f"{words[:half]} ... ({len(words):,} characters) ... {words[-half:]}"
+    return words if words.isprintable() else _UNFIT.sub(_escaped, words)
+
+
+def _escaped(found: re.Match[str]) -> str:
+    code = ord(found.group())
+    if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name that is no text (PEP 383)
+        return f"\\x{code - 0xDC00:02x}"
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

@@ -14,7 +14,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from tests.helpers.toy_site import ToySite
 
@@ -23,6 +23,9 @@ from .operations import arm
 HANG_SECONDS = 60.0
 QUICK = ("--jobs", "1", "--backend", "threading")
 """In one process: the one that is struck."""
+
+
+KINDS = ("wrong cloud", "manual step", "traceback", "hang", "wrong exit", "done twice")
 
 
 @dataclass
@@ -34,7 +37,7 @@ class Row:
     losses: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
 
-    HEAD = f"{'fault':34} {'tries':>6}  wrong cloud  manual step  traceback  hang  wrong exit  done twice"
+    HEAD: ClassVar[str] = f"{'fault':34} {'tries':>6}  wrong cloud  manual step  traceback  hang  wrong exit  done twice"
 
     def lost(self, kind: str, what: str) -> None:
         self.counts[kind] += 1
@@ -46,9 +49,6 @@ class Row:
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
-
-
-KINDS = ("wrong cloud", "manual step", "traceback", "hang", "wrong exit", "done twice")
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Bench:
         self.random = random.Random(seed)
         self.clouds: dict[str, bytes] = {}
         """What undisturbed runs give, by night."""
-        _import_all()
+        _import_all(folder)
         self._made = 0
 
     def site(self, cameras: int = 2, **settings: Any) -> ToySite:
@@ -182,8 +182,9 @@ class Bench:
         if "Traceback" in ended.said or "itself failed" in ended.said:
             row.lost("traceback", f"{what}: {ended.said[-500:]}")
 
-    def receipts(self, toy: ToySite) -> int:
-        return len(list((toy.work / "cache").glob("*/*/*.json")))
+    def receipts(self, toy: ToySite) -> set[str]:
+        """Of the tasks that are finished."""
+        return {str(path.relative_to(toy.work)) for path in (toy.work / "cache").glob("*/*/*.json")}
 
     def _wait(self, child: int, output: Path) -> Ended:
         end = time.monotonic() + HANG_SECONDS
@@ -217,7 +218,10 @@ def _become(toy: ToySite, output: Path, arguments: list[str], strike: Strike | N
         os.dup2(descriptor, 2)
         os.environ.update(toy.env())
         from wbflow.cli import main
+        from wbflow.store import digests, run_folder
 
+        digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
+        run_folder._SET_BACK_S = -1.0  # ids of runs in one second don't wait for the next
         if strike:
             arm(counter, strike.at, strike.kind)
         main.main(args=arguments, prog_name="wbflow", standalone_mode=True)
@@ -238,11 +242,17 @@ def _heed() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def _import_all() -> None:
-    """What a run imports is imported once, before processes are split off."""
-    import importlib
+def _import_all(folder: Path) -> None:
+    """What a run imports is imported once, before processes are split off: by a run."""
+    toy = ToySite(folder / "first", ["gate", "roof"])
+    before = dict(os.environ)
+    os.environ.update(toy.env())
+    from click.testing import CliRunner
 
-    for name in ("numpy", "networkx", "joblib", "zstandard", "sqlite3", "toy_stages", "wbflow.api", "wbflow.cli"):
-        importlib.import_module(name)
-    for name in ("night.executor", "night.worker", "results.report.page", "results.check", "store.clean", "config.load"):
-        importlib.import_module(f"wbflow.{name}")
+    from wbflow.cli import main
+
+    for command in (["run", str(toy.file), *QUICK], ["history", str(toy.file)], ["status", str(toy.file)]):
+        ended = CliRunner().invoke(main, command)
+        assert ended.exit_code == 0, ended.output
+    os.environ.clear()
+    os.environ.update(before)

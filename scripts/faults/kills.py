@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def kills(bench: Bench, reduced: bool) -> Row:
             row.tries += 1
             if ended.code != -signal.SIGKILL:
                 bench.sane(row, ended, what, {0})  # an operation more or less, by chance
-            missing = max(receipts - bench.receipts(twin), 0) if scene.command == "run" else 0
+            missing = len(receipts - bench.receipts(twin)) if scene.command == "run" else 0
             bench.recovered(row, twin, scene.cloud, what, at_most=missing)
             bench.discard(twin)
     return row
@@ -105,24 +106,24 @@ def workers(bench: Bench, reduced: bool) -> Row:
             bench.night(toy, "one")
             fault = "die" if k % 3 == 2 else "once"
             toy.fault(fault, stage)
-            process = bench.start(toy, "--jobs", "2", "-q")
             what = f"{stage}, {'every time' if fault == 'die' else 'once'}"
             row.tries += 1
-            _expect(row, what, process.communicate, {1, 3} if fault == "die" else {0}, lambda p=process: p.returncode)
+            _expect(row, what, bench.start(toy, "--jobs", "2", "-q"), {1, 3} if fault == "die" else {0})
             (toy.folder / "faults" / fault).unlink(missing_ok=True)
             bench.recovered(row, toy, cloud, what)
             bench.discard(toy)
     return row
 
 
-def _expect(row: Row, what: str, wait: Callable[..., tuple[str, str]], codes: set[int], code: Callable[[], int]) -> None:
+def _expect(row: Row, what: str, process: subprocess.Popen[str], codes: set[int]) -> None:
     try:
-        said = wait(timeout=120)[1]
-    except TimeoutError:
+        said = process.communicate(timeout=120)[1]
+    except subprocess.TimeoutExpired:
         row.lost("hang", what)
+        os.killpg(process.pid, signal.SIGKILL)
         return
-    if code() not in codes:
-        row.lost("wrong exit", f"{what}: {code()}: {said[-300:]}")
+    if process.returncode not in codes:
+        row.lost("wrong exit", f"{what}: {process.returncode}: {said[-300:]}")
     if "Traceback" in said or "itself failed" in said:
         row.lost("traceback", f"{what}: {said[-500:]}")
 

@@ -28,7 +28,7 @@ def full_disks(bench: Bench, reduced: bool) -> Row:
         bench.sane(row, ended, what, {0, 1, 3})
         if ended.code == 1 and "disk is full" not in ended.said and "No space" not in ended.said:
             row.lost("wrong exit", f"{what}: it does not say so: {ended.said[-300:]}")
-        bench.recovered(row, twin, cloud, what, at_most=receipts - bench.receipts(twin))
+        bench.recovered(row, twin, cloud, what, at_most=len(receipts - bench.receipts(twin)))
         bench.discard(twin)
     for size in () if reduced else (8_000_000, 15_000_000, 16_100_000, 16_200_000):
         place = bench.folder / f"disk-{size}"

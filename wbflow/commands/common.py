@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..config.site import Site
     from ..store.layout import WorkFolder
 
+BACKENDS = ("processes", "loky", "threading", "dask")
 PATH = click.Path(path_type=Path)
 site_argument = click.argument("site", metavar="SITE.yaml", type=PATH)
 run_argument = click.argument("run_id", metavar="[RUN]", required=False)

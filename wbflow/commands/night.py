@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING
 import click
 
 from ..screen import findings, listener, say, summary
-from .common import date_option, day_of, force_option, jobs_option, load, site_argument, until_option, verbose_option, work_option
+from .common import (
+    BACKENDS,
+    date_option,
+    day_of,
+    force_option,
+    jobs_option,
+    load,
+    site_argument,
+    until_option,
+    verbose_option,
+    work_option,
+)
 
 if TYPE_CHECKING:
     import datetime
@@ -28,8 +39,10 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="Say what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
-@click.option("--backend", type=click.Choice(["loky", "threading", "dask"]), default="loky", help="Where tasks run.")
+@click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
+@click.option("--memory", metavar="SIZE", help="What all workers together may hold: 4GB (default: 80 % of what there is).")
+@click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")
 @verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Only what went wrong.")
 def run(
@@ -44,6 +57,8 @@ def run(
     as_json: bool,
     backend: str,
     scheduler: str | None,
+    memory: str | None,
+    time_limit: float | None,
     verbose: bool,
     quiet: bool,
 ) -> None:
@@ -63,6 +78,8 @@ def run(
         wait=wait,
         backend=backend,
         scheduler=scheduler,
+        memory=memory,
+        time_limit=time_limit,
         listen=listener(loaded, verbose, quiet or as_json),
     )
     if as_json:

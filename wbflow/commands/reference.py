@@ -26,8 +26,8 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | N
         raise UsageError("--list, --drop and RUN exclude each other")
     loaded = load(site, work)
     place = place_of(loaded)
-    from ..store.lock import hold
     from ..store.reference import drop_reference, read_reference
+    from ..store.writing import hold_to_write
 
     if listed:
         reference = read_reference(place)
@@ -36,14 +36,17 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | N
         for line in reference.lines():
             say(line)
         return
-    with hold(place.lock, wait=False):
+    with hold_to_write(place, wait=False):
         if drop:
-            say("the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference")
-            return
-        from ..night.pin import good_run
-        from ..night.pin import pin as make
+            dropped = drop_reference(place)
+        else:
+            from ..night.pin import good_run
+            from ..night.pin import pin as make
 
-        reference = make(place, good_run(place, run_id))
-    say(f"run {reference.run} (night of {reference.date}) is the reference now: {place.reference}")
+            made = make(place, good_run(place, run_id))
+    if drop:
+        say("the reference is dropped" if dropped else f"{loaded.name} has no reference")
+        return
+    say(f"run {made.run} (night of {made.date}) is the reference now: {place.reference}")
     if loaded.pin == "none":
         say("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)

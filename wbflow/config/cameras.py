@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from pathlib import Path
 from typing import Any
 
+from ..errors import printable
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import LocalFrame
 from .positions import Document, Place, SiteProblem
@@ -17,9 +19,34 @@ ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """What a camera, and a site, may be called."""
 
 
-def beside(file: Path, path: str) -> Path:
-    """A path as a site file states it: relative to the file."""
-    return Path(os.path.normpath(file.resolve().parent / Path(path).expanduser()))
+def beside(path: str, place: Place, document: Document, problems: list[SiteProblem]) -> Path:
+    """A path as a site file states it: relative to the file.
+
+    Parameters
+    ----------
+    path : str
+        As it is written.
+    place : Place
+        Where that stands in the site file.
+    document : Document
+        The site file.
+    problems : list of SiteProblem
+        To which is added what is wrong: then the path is taken as it is written.
+    """
+    try:
+        if "\0" in path:
+            raise ValueError("a path holds no zero byte")
+        stated = Path(path).expanduser()
+    except (RuntimeError, ValueError) as error:
+        remedy = "write a path relative to the site file, or from the root: /srv/captures"
+        problems.append(document.problem(place, f"{path!r} is no path: {printable(error)}", remedy))
+        stated = Path(path.replace("\0", ""))
+    return Path(os.path.normpath(document.path.resolve().parent / stated))
+
+
+def is_name(name: str) -> bool:
+    """May a camera, or a site, be called so?  It becomes the name of a folder."""
+    return bool(ID.fullmatch(name) and name.strip("."))
 
 
 def read_cameras(
@@ -41,16 +68,15 @@ def read_cameras(
     calibrated: dict[str, Calibrated] = {}
     if model.calibration:
         try:
-            calibrated = read_calibration(beside(document.path, model.calibration))
+            calibrated = read_calibration(beside(model.calibration, ("calibration",), document, problems))
         except CalibrationError as error:
-            problems.append(
-                document.problem(("calibration",), str(error), "give the path of cameras.json or of a COLMAP text model")
-            )
+            remedy = error.remedy or "give the path of cameras.json or of a COLMAP text model"
+            problems.append(document.problem(("calibration",), f"{error.where}: {error.what}", remedy))
     seen: dict[str, int] = {}
     found = []
     for i, camera in enumerate(model.cameras):
         place: Place = ("cameras", i)
-        if not ID.fullmatch(camera.id) or not camera.id.strip("."):
+        if not is_name(camera.id):
             what, remedy = f"{camera.id!r} is not a camera id", "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
             problems.append(document.problem(place, what, remedy))
         if camera.id in seen:
@@ -64,14 +90,29 @@ def read_cameras(
             problems.append(
                 document.problem(place, what, "correct the id, add the camera to that file, or give its intrinsics here")
             )
-        mask = beside(document.path, camera.mask) if camera.mask else None
+        mask = beside(camera.mask, (*place, "mask"), document, problems) if camera.mask else None
         if mask and not mask.is_file():
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
             problems.append(document.problem((*place, "mask"), f"there is no file {mask}", remedy))
         lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
         found.append(SiteCamera(camera.id, lens, placement, mask, images, place))
+    _refuse_ambiguous([camera.id for camera in model.cameras], document, problems)
     return found
+
+
+def _refuse_ambiguous(ids: list[str], document: Document, problems: list[SiteProblem]) -> None:
+    """Pairs are called left--right: of ids with dashes in the wrong places, two pairs can have one name, and one folder."""
+    dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
+    if not dashed:
+        return
+    pairs: dict[str, tuple[str, str]] = {}
+    for left, right in itertools.combinations(dict.fromkeys(ids), 2):
+        other = pairs.setdefault(f"{left}--{right}", (left, right))
+        if other != (left, right):
+            what = f"the pairs {other[0]!r}, {other[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
+            problems.append(document.problem(("cameras", dashed[0]), what, "use ids without '--', and without '-' at their ends"))
+            return
 
 
 def _shown(names: dict[str, Any], most: int = 5) -> str:

@@ -15,6 +15,7 @@ from .schema import (
     ExpectSection,
     IntrinsicsSection,
     KeepSection,
+    NotifySection,
     PairsSection,
     PoseSection,
     SiteSection,
@@ -37,6 +38,7 @@ _REMEDIES = {
     "max_angle": "give degrees, e.g. max_angle: 60",
     "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
     "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
+    "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
@@ -59,7 +61,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern", "keep"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -68,9 +70,10 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:
     """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
-    data = {**data, "cameras": list(data.get("cameras") or [])}
+    cameras = data.get("cameras")
+    data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
     for item in error.errors():
-        section, *rest = item["loc"]
+        section, *rest = item["loc"] or ("",)
         if section == "cameras" and rest and isinstance(rest[0], int):
             camera = data["cameras"][rest[0]]
             data["cameras"][rest[0]] = (
@@ -95,6 +98,7 @@ def _fields_at(place: Place) -> list[str]:
         "control_points": ControlPoint,
         "keep": KeepSection,
         "expect": ExpectSection,
+        "notify": NotifySection,
     }
     for step in place:
         model = sections.get(str(step), model)

@@ -24,7 +24,7 @@ PLACE_REMEDY = (
 class Position(BaseModel):
     """A place: x, y, z in metres, or latitude, longitude, height."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     position: Vector3 | None = None
     latitude: float | None = Field(None, ge=-90, le=90)

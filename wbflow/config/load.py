@@ -12,12 +12,12 @@ from pydantic import ValidationError
 
 from ..graph.functions import FunctionReader
 from ..store.layout import WorkFolder
-from .cameras import ID, beside, read_cameras
+from .cameras import beside, is_name, read_cameras
 from .explain import explained, without_faults
 from .geodesy import Position, local_frame
 from .positions import Document, Place, SiteError, SiteProblem, load_yaml
 from .schema import SiteSection
-from .site import Expected, Site, SiteCamera, StageSettings
+from .site import Expected, Notify, Site, SiteCamera, StageSettings
 from .stages import read_stages
 from .survey import read_survey
 
@@ -57,16 +57,17 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     ids = [camera.id for camera in model.cameras]
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
     if work is None:
-        work = beside(path, model.work) if model.work else WorkFolder.beside(path, model.site).root
+        work = beside(model.work, ("work",), document, problems) if model.work else WorkFolder.beside(path, model.site).root
     reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
-    root = beside(path, model.captures.root)
+    root = beside(model.captures.root, ("captures", "root"), document, problems)
     if not root.is_dir():
         remedy = "check the path and the variables in it; it is relative to the site file"
         problems.append(document.problem(("captures", "root"), f"there is no folder {root}", remedy))
-    if not ID.fullmatch(model.site):
-        problems.append(document.problem(("site",), f"{model.site!r} is not a name", "use letters, digits, '_', '.', '-'"))
+    if not is_name(model.site):
+        remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
+        problems.append(document.problem(("site",), f"{model.site!r} is not a name", remedy))
     if problems:
         raise SiteError(sorted(problems, key=lambda p: (str(p.file), p.line, p.column)))
     pairs = {name: getattr(model.pairs, name) for name in ("degree", "min_angle", "max_angle", "include", "exclude")}
@@ -84,11 +85,20 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         reader,
         survey,
         Expected(model.expect.stated, str(model.expect.since or "")),
+        _notify(model, path),
         model.keep.kept(),
         tuple(notes),
         model.pin,
         model.health.model_dump(),
     )
+
+
+def _notify(model: SiteSection, path: Path) -> Notify | None:
+    if model.notify is None:
+        return None
+    command = model.notify.command
+    folder = path.resolve().parent
+    return Notify(command if isinstance(command, str) else tuple(command), folder, model.notify.heartbeat, model.notify.seconds)
 
 
 def _with_texts(document: Document) -> Any:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.constructor import ConstructorError
+from yaml.events import CollectionEndEvent, CollectionStartEvent
 
-from ..errors import ExitCode, WbflowError
+from ..errors import LONGEST, ExitCode, WbflowError, printable
+from ..store.outside import MOST_TEXT_BYTES, Unreadable, read_outside
 
 Place = tuple[str | int, ...]
 """Where a value is: keys and list positions from the top."""
@@ -17,6 +21,15 @@ try:
     from yaml import CSafeLoader as _Loader
 except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
     from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+
+_DEEPEST = 40
+"""Levels of values within values; a site file has eight."""
+_MOST_VALUES = 500_000
+"""Values that aliases may make of a file; a site of a thousand cameras has 30,000."""
+_INLINE = re.compile(r"[-?:] +(?=[-?])")
+"""Where block collections are nested on one line."""
+_LARGEST = 10**15
+"""Of whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +46,9 @@ class SiteProblem:
     remedy: str = ""
 
     def __str__(self) -> str:
+        return printable(self._words(), 4 * LONGEST)
+
+    def _words(self) -> str:
         place = f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
         head = f"{place}: {self.where}: {self.what}" if self.where else f"{place}: {self.what}"
         return f"{head}\n  {self.remedy}" if self.remedy else head
@@ -96,26 +112,40 @@ def load_yaml(path: Path) -> Document:
     Raises
     ------
     SiteError
-        It cannot be read, is not YAML, holds a key twice, or uses tags beyond plain data.
+        It cannot be read, is not YAML, holds a key twice, uses tags beyond plain data, or is made to exhaust whoever reads it.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
-        raise SiteError([SiteProblem(path, 0, 0, "", f"cannot be read: {reason}", "give the path of a site file")]) from None
-    loader = _Loader(text)
+        text = read_outside(path, MOST_TEXT_BYTES).decode("utf-8-sig")
+    except Unreadable as error:
+        raise SiteError([SiteProblem(path, 0, 0, "", error.what, "give the path of a site file")]) from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        column = error.start - error.object.rfind(b"\n", 0, error.start)
+        remedy = "save the file as UTF-8"
+        raise SiteError([SiteProblem(path, line, column, "", "cannot be read: is not UTF-8 text", remedy)]) from None
+    return parse_yaml(text, path)
+
+
+def parse_yaml(text: str, path: Path) -> Document:
+    """The same, of text that has been read.  path: for the words of an error."""
+    loader = None
     try:
+        _refuse_depth(text)
+        loader = _Careful(text)
         node = loader.get_single_node()
+        if "&" in text and "*" in text:
+            _refuse_bomb(node)
         data = loader.construct_document(node) if node is not None else None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         remedy = "check indentation, colons and quotes around this place"
-        raise SiteError([SiteProblem(path, line, column, "", f"not valid YAML: {error.problem}", remedy)]) from None
+        raise SiteError([SiteProblem(path, line, column, "", f"not valid YAML: {printable(error.problem)}", remedy)]) from None
     except yaml.YAMLError as error:
-        raise SiteError([SiteProblem(path, 1, 1, "", f"not valid YAML: {error}")]) from None
+        raise SiteError([SiteProblem(path, 1, 1, "", f"not valid YAML: {printable(error)}", "save it as plain text")]) from None
     finally:
-        loader.dispose()
+        if loader:
+            loader.dispose()
     document = Document(path, data)
     problems: list[SiteProblem] = []
     if node is not None:
@@ -123,6 +153,62 @@ def load_yaml(path: Path) -> Document:
     if problems:
         raise SiteError(problems)
     return document
+
+
+class _Careful(_Loader):
+    """Says where a value stands that is none (`!!int x`, `2026-99-99`), or that no computer reckons with."""
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        try:
+            value = super().construct_object(node, deep=deep)
+        except (ValueError, OverflowError, TypeError, KeyError, IndexError, AttributeError) as error:
+            raise ConstructorError(
+                None, None, f"{_shown(node)} cannot be read: {printable(error, 80)}", node.start_mark
+            ) from None
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            raise ConstructorError(None, None, f"{_shown(node)} is too large a number", node.start_mark)
+        return value
+
+
+def _shown(node: Any) -> str:
+    return printable(node.value if isinstance(node, yaml.ScalarNode) else "this", 40)
+
+
+def _refuse_depth(text: str) -> None:
+    """Told from the events alone: what is made of deep text is made recursively, and would overflow.  Raises MarkedYAMLError."""
+    if text.count("[") + text.count("{") + len(_INLINE.findall(text)) < _DEEPEST and " " * _DEEPEST not in text:
+        return
+    loader: Any = _Loader(text)
+    try:
+        depth = 0
+        while (event := loader.get_event()) is not None:
+            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if depth > _DEEPEST:
+                raise ConstructorError(None, None, f"values within values, {_DEEPEST} deep", event.start_mark)
+    finally:
+        loader.dispose()
+
+
+def _refuse_bomb(node: Any) -> None:
+    """An alias stands for all that its anchor holds: a few lines can mean more values than any machine has.  Raises YAMLError."""
+    sizes: dict[int, int] = {}
+
+    def size(part: Any) -> int:
+        if isinstance(part, yaml.ScalarNode):
+            return 1
+        if id(part) in sizes:
+            if sizes[id(part)] < 0:
+                raise ConstructorError(None, None, "an alias that stands for what it is in", part.start_mark)
+            return sizes[id(part)]
+        sizes[id(part)] = -1
+        inner = [n for entry in part.value for n in (entry if isinstance(entry, tuple) else (entry,))]
+        sizes[id(part)] = total = 1 + sum(map(size, inner))
+        if total > _MOST_VALUES:
+            raise ConstructorError(None, None, f"aliases that stand for more than {_MOST_VALUES:,} values", part.start_mark)
+        return total
+
+    if node is not None:
+        size(node)
 
 
 def _walk(node: Any, place: Place, document: Document, problems: list[SiteProblem]) -> None:

@@ -23,7 +23,7 @@ Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 class Section(BaseModel):
     """A mapping of a site file: unknown keys are refused, and nothing is converted."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class CapturesSection(Section):
@@ -182,11 +182,27 @@ class ExpectSection(Section):
         return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
 
 
+class NotifySection(Section):
+    """Who is told of a night."""
+
+    command: str | list[str]
+    heartbeat: bool = False
+    seconds: float = Field(60.0, gt=0, le=3600)
+
+    @field_validator("command", mode="before")
+    @classmethod
+    def _command(cls, command: object) -> object:
+        words = [command] if isinstance(command, str) else command
+        if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+            raise PydanticCustomError("notify", "a command is a text for the shell, or a list of program and arguments")
+        return command
+
+
 class HealthSection(Section):
     """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
 
     nudged_px: float = Field(1.5, gt=0)
-    moved_px: float = Field(8.0, gt=0)
+    moved_deg: float = Field(0.4, gt=0)
     flat: float = Field(0.9, gt=0, le=1)
     dark: float = Field(6.0, ge=0, le=255)
 
@@ -207,5 +223,6 @@ class SiteSection(Section):
     health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
+    notify: NotifySection | None = None
     keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
+from ..errors import printable
 from ..graph.binding import Binding, bind, method_parameters
 from ..graph.functions import FunctionReader
 from ..graph.modules import FunctionError
@@ -67,14 +68,15 @@ class _Section:
     def read(self, values: dict[str, Any]) -> StageSettings:
         """The settings; faults and notes are added to the lists."""
         use = values.pop("use", None)
-        use = use if isinstance(use, str) else None
+        if use is not None and not isinstance(use, str):
+            self._problem("use", f"{printable(repr(use), 80)} is no function", _USE)
+            return StageSettings()
         try:
             written = {new: old for old, new in self._renamed(values, use).items()}
             bound = bind(self.stage, use, values, self.reader)
         except FunctionError as error:
             chooser = self.stage.method.parameter if self.stage.method and use is None else "use"
-            remedy = "write package.module:function; the module is installed, or lies beside the site file"
-            self._problem(chooser, str(error), error.remedy or remedy)
+            self._problem(chooser, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
             return StageSettings()
         for fault in bound.faults():
             self._problem("use" if use else self.stage.method.parameter if self.stage.method else "", fault, _SIGNATURE)
@@ -152,4 +154,5 @@ class _Section:
         self.problems.append(self.document.problem(place, what, remedy, key))
 
 
+_USE = "write package.module:function; the module is installed, or lies beside the site file"
 _SIGNATURE = "name the inputs as they are offered, and put parameters with defaults behind a bare *"

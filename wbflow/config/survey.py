@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from .geodesy import ControlPoint, LocalFrame
@@ -37,14 +38,15 @@ def read_survey(
     number = {camera: k for k, camera in enumerate(cameras)}
 
     def camera_at(place: Place, camera: Any) -> int:
-        if camera not in number:
+        if not isinstance(camera, str) or camera not in number:
             problems.append(document.problem(place, f"there is no camera {camera!r}", "use ids from 'cameras'"))
-        return number.get(camera, 0)
+            return 0
+        return number[camera]
 
     rows = []
     for k, (left, right, metres) in enumerate(distances):
         i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
-        if not isinstance(metres, int | float) or isinstance(metres, bool) or metres <= 0:
+        if not isinstance(metres, int | float) or isinstance(metres, bool) or not 0 < metres < math.inf:
             what = f"{metres!r} is no distance in metres"
             problems.append(document.problem(("distances", k, 2), what, "write [camera, camera, metres]"))
         elif i == j:

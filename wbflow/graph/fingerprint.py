@@ -107,7 +107,7 @@ def fingerprint(own: str, module: str, codes: Mapping[str, ModuleCode]) -> str:
         if settled:
             break
     libraries = sorted({library for code in codes.values() for library in code.libraries})
-    versions = [f"{library} {_version(library)}" for library in libraries]
+    versions = [f"{library} {installed_version(library)}" for library in libraries]
     return _digest("\n".join([colours[module], *sorted(colours.values()), *versions]))
 
 
@@ -146,7 +146,8 @@ def _digest(text: str) -> str:
 
 
 @functools.cache
-def _version(library: str) -> str:
+def installed_version(library: str) -> str:
+    """Major and minor version of a library of `LIBRARIES`, or "absent"."""
     for distribution in LIBRARIES[library]:
         try:
             return ".".join(metadata.version(distribution).split(".")[:2])

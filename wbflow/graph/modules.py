@@ -85,7 +85,9 @@ class Modules:
         try:
             return ast.parse(path.read_bytes(), filename=str(path))
         except SyntaxError as error:
-            raise FunctionError(f"{path}:{error.lineno}: {error.msg}", remedy="correct the module") from None
+            raise FunctionError(error.msg, where=f"{path}:{error.lineno}", remedy="correct the module") from None
+        except (OSError, ValueError, RecursionError, MemoryError) as error:
+            raise FunctionError(f"cannot be read: {error}", where=str(path), remedy="correct the module") from None
 
     def names(self, module: str, path: Path) -> Names:
         """What the names at the top of a module stand for."""

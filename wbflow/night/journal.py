@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from ..store.cache import Damage
 from ..store.events import Event, Listener, TaskEvent, WarningEvent, now
 from ..store.record import Seconds, StageSeconds
 from ..task import Task
@@ -24,17 +26,22 @@ class Journal:
     """Damage on disk that was found and put right, in words."""
     _told: set[Task] = field(default_factory=set)
 
-    def tell(self, plan: Plan, done: Done | None = None) -> None:
-        """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache.
-
-        done: the one that a worker has just finished.
-        """
-        for damage in (*plan.cache.damages(), *(done.damages if done else ())):
-            self.repaired(f"{damage.what}: made again", task=damage.task)
+    def tell(self, plan: Plan) -> None:
+        """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache."""
+        self._damaged(plan.cache.damages())
         for task, state in plan.states.items():
-            if task not in self._told:
-                self._told.add(task)
-                self._add(_event(task, state, done if done and done.task == task else None))
+            self.finished(task, state)
+
+    def finished(self, task: Task, state: State, done: Done | None = None) -> None:
+        """Tell of a task, unless it has been told of.  done: what the worker said that has just finished it."""
+        self._damaged(done.damages if done else ())
+        if task not in self._told:
+            self._told.add(task)
+            self._add(_event(task, state, done))
+
+    def _damaged(self, damages: Iterable[Damage]) -> None:
+        for damage in damages:
+            self.repaired(f"{damage.what}: made again", task=damage.task)
 
     def retract(self, task: Task) -> None:
         """A task has to be done again, and will be told of again."""

@@ -24,10 +24,14 @@ class Options:
     """Stages, or tasks such as "matches gate--roof", that are done again."""
     wait: bool = False
     """Wait for another run of the same work folder, instead of giving up."""
-    backend: str = "loky"
-    """Where tasks run: loky (processes), threading or dask."""
+    backend: str = "processes"
+    """Where tasks run: processes (loky is another word for it), threading or dask."""
     scheduler: str | None = None
     """Address of the Dask scheduler."""
+    memory: int | None = None
+    """Bytes that all workers together may hold; None: four fifths of what the machine has."""
+    time_limit: float | None = None
+    """Seconds that a task may take; None: told by what its stage took before."""
 
     def check(self) -> None:
         """Raises UsageError for what cannot be meant."""

@@ -51,6 +51,8 @@ class Plan:
     """The rest, with what they wait for (None: for the pair graph)."""
     undrawn: dict[Task, TaskSpec] = field(default_factory=dict)
     """Settled tasks whose picture is missing, or out of date."""
+    busy: set[Task] = field(default_factory=set)
+    """Tasks that workers have in hand: neither looked up nor handed out again."""
     reference: Reference | None = None
     """What tonight is compared with."""
     misfit: str = ""
@@ -81,7 +83,7 @@ class Plan:
         self.ready, self.waiting = {}, {}
         for stage in self._stages:
             for task in self._subjects.tasks(stage):
-                if task not in self.states:
+                if task not in self.states and task not in self.busy:
                     self._settle(stage, task)
 
     def settle(self, task: Task, state: State) -> None:

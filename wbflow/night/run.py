@@ -8,20 +8,26 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import takewhile
+from typing import TYPE_CHECKING, Any
 
 from ..graph.pipeline import Role, stage_with
-from ..store.cache import DamagedArtifact
+from ..store.cache import Cache, DamagedArtifact
 from ..store.disk import DiskFloor
 from ..store.room import REMEDY
 from ..task import Task
 from .changes import Changes
-from .executor import Executor
 from .journal import Costs, Journal
 from .night import Night
 from .options import Options
 from .plan import Plan
+from .spec import TaskSpec
 from .state import Cause, State
+from .worker import Done
+
+if TYPE_CHECKING:
+    from .executor import Executor
+    from .supervisor import Report
 
 MOST_REPAIRS = 3
 """How often one task's damaged artifact is made again in one run, before its disk is given up."""
@@ -50,11 +56,10 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
     costs : Costs
         To which the costs of what runs are added.
     """
-    executor = Executor(options.jobs, options.backend, options.scheduler, journal.warn)
     try:
-        return Worked(_until_settled(night, executor, journal, costs))
+        with _Hands(options, night.plan.cache, journal) as hands:
+            return Worked(_until_settled(night, hands, journal, costs))
     except KeyboardInterrupt:
-        executor.stop()
         return Worked(interrupted=True)
     finally:
         try:
@@ -63,39 +68,79 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
             journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 
 
-def _until_settled(night: Night, executor: Executor, journal: Journal, costs: Costs) -> dict[Task, bytes]:
-    plan, changes, floor = night.plan, Changes(night, journal), DiskFloor(night.plan.cache.work)
-    repairs: Counter[Task] = Counter()
+class _Hands:
+    """The run's executor, which is only there once there is something to do; none is left at work behind it."""
+
+    def __init__(self, options: Options, cache: Cache, journal: Journal) -> None:
+        self._options = options
+        self._cache = cache
+        self._journal = journal
+        self._executor: Executor | None = None
+
+    def __enter__(self) -> _Hands:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._executor:
+            self._executor.close()
+
+    def submit(self, lanes: list[list[TaskSpec]]) -> None:
+        if self._executor is None:
+            from .executor import executor  # here: a night with nothing to do has no use for it
+
+            self._executor = executor(self._options, self._cache, lambda what, task: self._journal.warn(what, task=task))
+        self._executor.submit(lanes)
+
+    def reports(self) -> Iterator[Report]:
+        return self._executor.reports() if self._executor else iter(())
+
+
+def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+    plan, floor = night.plan, DiskFloor(night.plan.cache.work)
+    repairs, changes = _Repairs(plan, journal), Changes(night, journal)
     while True:
         plan.refresh()
         journal.tell(plan)
-        lanes = list(plan.lanes())
-        if not lanes:
-            try:
-                return _products(plan)
-            except DamagedArtifact as damage:
-                _repair(plan, damage.task, damage.what, repairs, journal)
-                continue
-        if lacks := floor.lacks(spec.task for lane in lanes for spec in lane):
+        lanes = [free for lane in plan.lanes() if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
+        if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):
             full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
             for first, *_ in lanes:
                 plan.settle(first.task, plan.states[first.task] if first.redraw else full)
-            continue
-        for finished in executor.run(lanes, plan.cache):
-            for done in finished:
-                for warning in done.warnings:
-                    journal.warn(warning, task=done.task)
-                if done.outcome == "damaged" and done.damaged is not None:
-                    _repair(plan, done.damaged, done.reason or "", repairs, journal)
-                    continue
-                if done.changed is not None:
-                    changes.look_again(done)
-                    continue
-                costs.add(done)
-                outcome: Any = done.outcome
-                plan.settle(done.task, State(outcome, done.reason, done.code, done.receipt))
-                plan.force -= {str(done.task)}
-                journal.tell(plan, done)
+        elif lanes:
+            plan.busy |= {spec.task for lane in lanes for spec in lane}
+            hands.submit(lanes)
+        elif not plan.busy:
+            try:
+                return _products(plan)
+            except DamagedArtifact as damage:
+                repairs.make_again(damage.task, damage.what)
+                continue
+        for report in hands.reports():
+            if report.done is None:
+                plan.busy -= {spec.task for spec in report.lane}
+            elif report.done.changed is not None:
+                changes.look_again(report.done)
+            else:
+                _settle(report.done, plan, repairs, journal, costs)
+
+
+def _settle(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: Costs) -> None:
+    for warning in done.warnings:
+        journal.warn(warning, task=done.task)
+    if done.outcome == "damaged" and done.damaged is not None:
+        repairs.make_again(done.damaged, done.reason or "")
+        return
+    before = plan.states.get(done.task)
+    if done.outcome == "failed" and before and before.usable:  # only its picture was to be drawn
+        plan.settle(done.task, before)
+        journal.warn(f"its picture could not be drawn: {done.reason}", task=done.task)
+        return
+    costs.add(done)
+    outcome: Any = done.outcome
+    state = State(outcome, done.reason, done.code, done.receipt)
+    plan.settle(done.task, state)
+    plan.force -= {str(done.task)}
+    journal.finished(done.task, state, done)
 
 
 def _products(plan: Plan) -> dict[Task, bytes]:
@@ -108,22 +153,31 @@ def _products(plan: Plan) -> dict[Task, bytes]:
     return found
 
 
-def _repair(plan: Plan, task: Task, reason: str, repairs: Counter[Task], journal: Journal) -> None:
-    """Have a damaged artifact made again, once for all tasks of a wave that found it damaged."""
-    if task not in plan.states:
-        return
-    journal.retract(task)
-    repairs[task] += 1
-    if repairs[task] > MOST_REPAIRS:
-        plan.settle(task, State("failed", f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?", Cause.DAMAGED))
-    else:
-        journal.repaired(f"{reason}; made again", task=task)
-        plan.forget(task)
+@dataclass
+class _Repairs:
+    """Damaged artifacts made again."""
+
+    plan: Plan
+    journal: Journal
+    _counts: Counter[Task] = field(default_factory=Counter)
+
+    def make_again(self, task: Task, reason: str) -> None:
+        """Have an artifact made again.  One with several readers is reported by each of them, and counts once."""
+        if task not in self.plan.states:
+            return
+        self.journal.retract(task)
+        self._counts[task] += 1
+        if self._counts[task] > MOST_REPAIRS:
+            why = f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?"
+            self.plan.settle(task, State("failed", why, Cause.DAMAGED))
+        else:
+            self.journal.repaired(f"{reason}; made again", task=task)
+            self.plan.forget(task)
 
 
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM (systemd, cron's timeout) ends a run as Ctrl-C does: everything finished is kept."""
+    """SIGTERM (systemd, cron's timeout) and SIGHUP (a terminal closed) end a run as Ctrl-C does: what is finished is kept."""
 
     def interrupt(signum: int, frame: object) -> None:
         raise KeyboardInterrupt
@@ -131,8 +185,10 @@ def terminate_as_interrupt() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # only that one is told of signals
         yield
         return
-    before = signal.signal(signal.SIGTERM, interrupt)
+    heeded = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores one
+    before = {heard: signal.signal(heard, interrupt) for heard in heeded}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for heard, handler in before.items():
+            signal.signal(heard, handler)

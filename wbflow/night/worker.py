@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import os
 import resource
-import signal
-import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..errors import LONGEST_TRACE, printable
 from ..graph.pipeline import REJECTED
 from ..graph.plugins import load, offer
 from ..store import artifact
@@ -57,26 +55,28 @@ class _Lane:
 
     cache: Cache
     receipts: dict[Task, Receipt] = field(default_factory=dict)
-    results: dict[Task, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
+    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
 
 
-def run_lane(specs: list[TaskSpec], cache: Cache, parent: int) -> list[Done]:
+def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt]) -> Iterator[Done]:
     """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
 
-    parent: process id of the run; in another process Ctrl-C is left to the parent, which decides what becomes of its workers.
+    receipts: of earlier tasks of the lane, where it goes on after a worker was lost.
     """
-    if os.getpid() != parent and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
     offer(specs[0].folder)
-    lane = _Lane(cache)
-    finished: list[Done] = []
+    lane = _Lane(cache, dict(receipts))
     for spec in specs:
         done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
-        finished.append(done)
+        yield done
         if done.receipt is None or done.receipt.outcome == "rejected":
-            break
+            return
         lane.receipts[spec.task] = done.receipt
-    return finished
+
+
+def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
+    """The same, all at once."""
+    return list(do_lane(specs, cache, {}))
 
 
 def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
@@ -99,13 +99,20 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
     except MemoryError:
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
         return Done(spec.task, "failed", reason=why, code=Cause.OUT_OF_MEMORY)
+    except SystemExit as error:
+        why = f"its function ended the program (sys.exit({error.code!r}))"
+        return Done(spec.task, "failed", reason=printable(why), code=Cause.FAULT, trace=_trace())
     except Exception as error:
-        words = str(error) or type(error).__name__
+        words = printable(error) or type(error).__name__
         foreseen = isinstance(error, ValueError | OSError)
         why, code = (words, Cause.BAD_INPUT) if foreseen else (f"{type(error).__name__}: {words}", Cause.FAULT)
         if isinstance(error, OSError) and error.errno in FULL:
             return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
-        return Done(spec.task, "failed", reason=why, code=code, trace=traceback.format_exc())
+        return Done(spec.task, "failed", reason=why, code=code, trace=_trace())
+
+
+def _trace() -> str:
+    return printable(traceback.format_exc(), LONGEST_TRACE)
 
 
 def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
@@ -125,7 +132,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         parts={} if data is None else artifact.parts(result),
         file=None if data is None else f"{key}{spec.suffix}",
         bytes=len(data or b""),
-        reason=result.reason if rejected else None,
+        reason=printable(result.reason) if rejected else None,
         code=_code(result) if rejected else None,
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
@@ -134,7 +141,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
     lane.cache.write(receipt, data)
-    lane.results[spec.task] = result
+    lane.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
 
@@ -180,7 +187,7 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
     except DamagedArtifact as damage:
         return (f"its picture has to wait: {damage.what}",)  # and is drawn by the next run, when that is made again
     except Exception as error:
-        failure = f"its picture could not be drawn: {type(error).__name__}: {error}"
+        failure = printable(f"its picture could not be drawn: {type(error).__name__}: {error}")
         write_drawing(lane.cache.work, spec.task, key, Drawing(digest, failure), None)
         return (failure,)
     write_drawing(lane.cache.work, spec.task, key, Drawing(digest), picture)
@@ -225,12 +232,12 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     if isinstance(value, Files):
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
-    result = lane.results.get(value.task)
+    result = lane.results.get(value.file_digest)
     if result is None:
         assert value.path is not None
         result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
-            lane.results[value.task] = result
+            lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 

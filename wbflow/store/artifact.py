@@ -11,11 +11,13 @@ import hashlib
 import importlib
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
+from .outside import open_outside
 
 MAGIC = b"WBF1"
 
@@ -62,8 +64,8 @@ def digest(data: bytes | bytearray | memoryview) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """`digest` of a file, read in pieces.  Raises OSError."""
-    with path.open("rb") as file:
+    """`digest` of a file from outside, read in pieces.  Raises OSError."""
+    with os.fdopen(open_outside(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 

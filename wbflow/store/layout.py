@@ -7,6 +7,7 @@ runs/latest-good                     link to the newest run with a cloud whose v
 reference/                           what nights are compared with: reference.json, and links to its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
+notified.json                        what somebody was told last
 lock                                 held by the one run that may write
 """
 
@@ -67,6 +68,11 @@ class RunPaths:
     def clouds(self) -> list[Path]:
         """Every cloud in the folder, by name."""
         return sorted(self.folder.glob("*.ply"))
+
+    @property
+    def metrics(self) -> Path:
+        """The run for Prometheus."""
+        return self.folder / "metrics.prom"
 
     @property
     def cloud(self) -> Path:
@@ -238,6 +244,11 @@ class WorkFolder:
         return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
 
     @property
+    def notified(self) -> Path:
+        """The state of the site that somebody was told of last."""
+        return self.root / "notified.json"
+
+    @property
     def lock(self) -> Path:
         """Held while somebody writes."""
         return self.root / "lock"
@@ -252,11 +263,11 @@ class WorkFolder:
             for folder in (self.cache, self.reference):
                 for path in folder.rglob(f".*{_UNFINISHED}"):
                     path.unlink(missing_ok=True)
-            for path in self.runs.glob(f".*{_UNFINISHED}"):
+            for path in [*self.runs.glob(f".*{_UNFINISHED}"), *self.runs.glob(f"*/.*{_UNFINISHED}")]:
                 if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
                     shutil.rmtree(path)
                 else:
-                    path.unlink()
+                    path.unlink(missing_ok=True)  # it may have been found by way of a link, too
         self._writing.parent.mkdir(parents=True, exist_ok=True)
         self._writing.touch()
         return killed

@@ -181,14 +181,29 @@ class UnfinishedRun:
         write_product(self._paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
         self.files[name] = hashlib.sha256(data).hexdigest()
 
-    def publish(self, record: RunRecord, events: Iterable[Event], report: str) -> RunFolder:
+    def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
         """Add what is told of the run and give the folder its name; the links lead there.
 
-        Raises OSError.
+        Parameters
+        ----------
+        record : RunRecord
+            The run in figures.
+        events : iterable of Event
+            What happened.
+        report : str
+            The run for people, HTML.
+        metrics : str
+            The run for Prometheus.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
         """
         write_atomic(self._paths.log, _lines(events))
         write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
         write_atomic(self._paths.report, report.encode())
+        write_atomic(self._paths.metrics, metrics.encode())
         final = self.work.run(self.name)
         self._paths.folder.rename(final.folder)
         sync_folder(self.work.runs)

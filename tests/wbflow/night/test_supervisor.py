@@ -1,0 +1,158 @@
+"""What a task does to its process costs that task alone, however many workers there are."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+from wbflow.errors import UsageError
+from wbflow.night import limits
+from wbflow.night.limits import Limits, bytes_of
+from wbflow.store.past import Past
+from wbflow.task import Task
+
+WICKED = '''
+import os, sys, time
+import numpy as np
+from toy_stages import detect as well
+
+def detect(frame, *, at: float = 0.0):
+    """Does to its process what the file `wicked` beside the faults says."""
+    features = well(frame)
+    what, _, where = open(os.path.join(os.environ["TOY_FAULTS"], "wicked")).read().partition(" ")
+    if str(int(features.xy[0, 1])) == where:
+        if what == "hang":
+            time.sleep(3600)
+        if what == "leave":
+            os._exit(3)
+        if what == "exit":
+            sys.exit("enough")
+        if what == "fill":
+            held = [np.ones(20_000_000, np.uint8) for _ in range(30)]
+            time.sleep(3600)
+        if what == "shout":
+            raise ValueError("\\x1b[2J" + "x" * 5_000_000)
+    return features
+'''
+
+
+@pytest.fixture
+def wicked(toy: ToySite) -> ToySite:
+    """A site one of whose tasks, `features roof`, behaves as the test says."""
+    (toy.folder / "wicked_stage.py").write_text(WICKED)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "wicked_stage:detect"}
+    toy.file.write_text(json.dumps(site))
+    return toy
+
+
+def behave(site: ToySite, what: str) -> None:
+    import hashlib
+
+    site.fault("wicked", f"{what} {hashlib.sha256(b'a view from roof').digest()[0]}")
+
+
+def reason_of(record: dict[str, Any]) -> str:
+    assert record["tasks"]["failed"] == 1
+    assert record["cloud"] is not None, "three cameras are left"
+    reason: str = next(camera for camera in record["cameras"] if camera["id"] == "roof")["reason"]
+    return reason
+
+
+@pytest.mark.parametrize(
+    ("what", "said", "options"),
+    [
+        ("hang", "took longer than 20 s", ("--jobs", "1", "--time-limit", "20")),  # a busy machine takes seconds for an import
+        ("leave", "exit code 3, twice", ("--jobs", "1")),
+        ("leave", "exit code 3, twice", ("--jobs", "2")),
+        ("exit", "sys.exit('enough')", ("--jobs", "1")),
+        ("fill", "ran out of memory: it held", ("--jobs", "2", "--memory", "500MB")),
+    ],
+)
+def test_a_task_at_fault_costs_itself_and_the_reason_is_said(
+    wicked: ToySite, what: str, said: str, options: tuple[str, ...]
+) -> None:
+    behave(wicked, what)
+    assert said in reason_of(wicked.run(*options, code=3))
+
+
+def test_five_megabytes_of_escape_codes_are_a_short_reason(wicked: ToySite) -> None:
+    behave(wicked, "shout")
+    result = wicked.wbflow("run", "--jobs", "1")
+    assert result.returncode == 3
+    assert "\x1b" not in result.stdout + result.stderr and r"\x1b[2J" in result.stderr
+    assert len(result.stderr) < 5000
+    newest = max((wicked.work / "runs").glob("2*"))
+    assert all(len(file.read_bytes()) < 500_000 for file in newest.iterdir())
+
+
+def test_what_a_lane_had_finished_before_its_worker_was_lost_is_kept(toy: ToySite) -> None:
+    toy.fault("once", "geometry")
+    result = toy.wbflow("run", "--jobs", "1")
+    assert result.returncode == 0, result.stderr
+    lost = [line for line in result.stderr.splitlines() if "SIGKILL" in line]
+    assert len(lost) == 1 and lost[0].startswith("warning: geometry "), "the task that was at work is named"
+    assert "memory" not in lost[0]
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
+    toy.fault("slow", "30")
+    process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), start_new_session=True)
+    until(lambda: len(workers_of(process.pid)) == 2)
+    workers = workers_of(process.pid)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+
+
+def workers_of(parent: int) -> list[int]:
+    """Processes whose parent is this one."""
+    return [int(child) for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+
+
+def until(so: Any, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not so():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy.run()
+
+    def refuse(*arguments: object, **more: object) -> None:
+        raise AssertionError("a worker was started")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    assert toy.run()["tasks"]["ran"] == 0
+
+
+def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
+    past = Past({"quick": 0.1, "slow": 300.0, "endless": 1e5})
+    told = Limits(past=past)
+    assert told.seconds_for(Task("quick")) == limits.SHORTEST
+    assert told.seconds_for(Task("slow")) == limits.TIMES * 300
+    assert told.seconds_for(Task("endless")) == told.seconds_for(Task("new")) == limits.LONGEST
+    assert Limits(seconds=5.0, past=past).seconds_for(Task("slow")) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("4GB", 4e9), ("1.5g", 1.5e9), ("800 MB", 8e8), ("2GiB", 2 * 1024**3), ("4096", 4096)]
+)
+def test_sizes_as_people_write_them(text: str, size: float) -> None:
+    assert bytes_of(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "0GB", "4 apples", "-1GB"])
+def test_what_is_no_size_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="is no size"):
+        bytes_of(text)

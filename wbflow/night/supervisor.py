@@ -1,0 +1,204 @@
+"""The supervisor of tasks: worker processes that are kept warm, each task under a limit of time and memory.
+
+What a task does to its process (it hangs, takes all memory, is killed, ends it) is that task's fault and costs it alone: what
+its lane had finished before is kept, the rest of the night goes on.  A worker that was lost is forgiven once: what it was at is
+done again, alone.  One that took too long is not: it has had its time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing.connection import wait
+
+from ..errors import WbflowError
+from ..store.cache import Cache, Receipt
+from ..task import Task
+from . import machine
+from .hand import Hand
+from .limits import Limits
+from .spec import TaskSpec
+from .state import Cause
+from .worker import Done
+
+LOOK_SECONDS = 0.25
+"""How often clocks and memory are looked at."""
+START_SECONDS = 120.0
+"""A worker process that has not started in this time never will."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of a task, or that its lane has come to an end."""
+
+    lane: list[TaskSpec]
+    done: Done | None
+    """None: nothing more will come of the lane."""
+
+
+@dataclass
+class _Lane:
+    """A lane on its way."""
+
+    specs: list[TaskSpec]
+    finished: int = 0
+    receipts: dict[Task, Receipt] = field(default_factory=dict)
+    """Of what it has finished."""
+    losses: int = 0
+    """Workers that the task now at work has lost."""
+
+    @property
+    def at_work(self) -> TaskSpec:
+        return self.specs[min(self.finished, len(self.specs) - 1)]
+
+    def count(self, done: Done) -> None:
+        self.finished, self.losses = self.finished + 1, 0
+        if done.receipt:
+            self.receipts[done.task] = done.receipt
+
+
+class Supervisor:
+    """Does lanes in worker processes of its own; see `executor.Executor`."""
+
+    def __init__(self, jobs: int, cache: Cache, limits: Limits, warn: Callable[[str, Task], None]) -> None:
+        self._jobs = jobs
+        self._cache = cache
+        self._limits = limits
+        self._warn = warn
+        self._queue: list[_Lane] = []
+        self._alone: list[_Lane] = []  # that have lost a worker, and wait until nothing else is at work
+        self._idle: list[Hand] = []
+        self._busy: dict[Hand, _Lane] = {}
+        self._kills = machine.kills_for_memory()
+
+    def submit(self, lanes: list[list[TaskSpec]]) -> None:
+        """Lanes to be done, longest expected first."""
+        self._queue += map(_Lane, lanes)
+        self._queue.sort(key=self._expected, reverse=True)
+
+    def reports(self) -> Iterator[Report]:
+        """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it."""
+        ended = False
+        while self._queue or (not ended and (self._busy or self._alone)):
+            self._assign()
+            for report in self._listen():
+                ended = ended or report.done is None
+                yield report
+
+    def close(self) -> None:
+        """End all workers, whatever they are at."""
+        for hand in [*self._idle, *self._busy]:
+            hand.end()
+        self._idle, self._busy, self._queue, self._alone = [], {}, [], []
+
+    def _expected(self, lane: _Lane) -> float:
+        past = self._limits.past
+        return sum(past.expected(spec.task.stage, str(spec.task)) for spec in lane.specs)
+
+    def _assign(self) -> None:
+        """Give work to who has none, and start workers for what is left."""
+        if self._queue:
+            waiting, room = self._queue, self._jobs if not any(lane.losses for lane in self._busy.values()) else 0
+        else:
+            waiting, room = self._alone, 1
+        while waiting and len(self._busy) < room:
+            lane = waiting.pop(0)
+            hand = self._idle.pop() if self._idle else Hand()
+            hand.give(lane.specs[lane.finished :], lane.receipts, self._cache)
+            self._busy[hand] = lane
+
+    def _listen(self) -> Iterator[Report]:
+        wait([hand.pipe for hand in self._busy], LOOK_SECONDS)
+        fullest = self._above_memory()
+        for hand, lane in list(self._busy.items()):
+            told, alive = hand.heard()
+            for done in told:
+                if not hand.ready:
+                    hand.ready = True
+                elif done is not None:
+                    lane.count(done)
+                    yield Report(lane.specs, done)
+                else:
+                    self._idle.append(hand)
+                    del self._busy[hand]
+                    yield Report(lane.specs, None)
+            if hand not in self._busy:
+                continue
+            if not alive:
+                yield from self._lost(hand, *self._why(hand))
+            elif hand is fullest:
+                yield from self._lost(hand, *self._took_all(hand))
+            elif not hand.ready and hand.age > START_SECONDS:
+                self.close()
+                raise WbflowError(f"a worker process has not started in {START_SECONDS:.0f} s", remedy="is the machine well?")
+            elif hand.age > self._limits.seconds_for(lane.at_work.task):
+                yield from self._too_slow(hand)
+
+    def _above_memory(self) -> Hand | None:
+        """Who has to go because all workers together hold too much: those without work at once, else the fullest."""
+        held = {hand: hand.holds() for hand in [*self._busy, *self._idle]}
+        if not self._limits.memory or sum(held.values()) <= self._limits.memory:
+            return None
+        for hand in self._idle:
+            hand.end()
+            del held[hand]
+        self._idle = []
+        return max(held, key=lambda hand: held[hand]) if sum(held.values()) > self._limits.memory else None
+
+    def _took_all(self, hand: Hand) -> tuple[str, Cause]:
+        hand.end()
+        limit = self._limits.memory
+        why = f"ran out of memory: it held {_gb(hand.most)}, and all workers together more than the {_gb(limit)} that they may"
+        return why, Cause.OUT_OF_MEMORY
+
+    def _why(self, hand: Hand) -> tuple[str, Cause]:
+        """Why a worker is not there any more."""
+        how = hand.ended()
+        kills, before = machine.kills_for_memory(), self._kills
+        self._kills = kills
+        if "SIGKILL" in how and kills > before:
+            return f"{how} because the machine ran out of memory (it held {_gb(hand.most)})", Cause.OUT_OF_MEMORY
+        if "SIGKILL" in how and self._limits.memory and hand.most > self._limits.memory / 2:
+            return f"{how} (out of memory? it held {_gb(hand.most)})", Cause.WORKER_LOST
+        return how, Cause.WORKER_LOST
+
+    def _lost(self, hand: Hand, why: str, cause: Cause) -> Iterator[Report]:
+        lane = self._busy.pop(hand)
+        if not hand.ready:
+            self.close()
+            raise WbflowError(f"no worker process can be started: the first {why.partition(',')[0]}", remedy=_INSTALLED)
+        task = lane.at_work.task
+        lane.losses += 1
+        if lane.losses == 1:
+            self._warn(f"it {why}: it is done again, alone", task)
+            self._alone.append(lane)
+            return
+        remedy = "lower `resolution`, or give it more with --memory" if cause is Cause.OUT_OF_MEMORY else "look at its function"
+        yield from _failed(lane, f"{why}, twice; {remedy}", cause)
+
+    def _too_slow(self, hand: Hand) -> Iterator[Report]:
+        lane = self._busy.pop(hand)
+        hand.end()
+        task = lane.at_work.task
+        before = self._limits.past.stages.get(task.stage)
+        usual = f" ({task.stage} takes {_time(before)} as a rule)" if before is not None else ""
+        why = f"took longer than {_time(self._limits.seconds_for(task))}{usual} and was ended; --time-limit gives more"
+        yield from _failed(lane, why, Cause.TOO_SLOW)
+
+
+_INSTALLED = "the words above say why; is wbflow installed for this Python?"
+
+
+def _failed(lane: _Lane, why: str, cause: Cause) -> Iterator[Report]:
+    yield Report(lane.specs, Done(lane.at_work.task, "failed", reason=why, code=cause))
+    yield Report(lane.specs, None)
+
+
+def _gb(size: int) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.0f} MB"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.3g} hours"
