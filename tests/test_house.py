@@ -47,7 +47,7 @@ OTHERS = {
 CONTRACTS = {
     "config/load.py": {"pairs"},  # the section of the site file
     "config/explain.py": {"pairs"},
-    "config/site.py": {"pairs"},  # in the section `expect`
+    "config/site.py": {"pairs", "coverage"},  # in the section `expect`
     "results/pair.py": {"pairs"},
     "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
     "store/record.py": {"pairs", "poses", "health"},  # keys of run.json

@@ -131,7 +131,19 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
 
 
 def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
-    """(n,) bool: is a point on the surface that a camera saw?"""
+    """(n,) bool: is a point on the surface that a camera saw?
+
+    Parameters
+    ----------
+    X : ndarray
+        (n, 3) points, metres.
+    sigma : ndarray
+        (n,) their standard deviations, metres.
+    epoch : Epoch
+        Cameras and depths of a night.
+    name : str
+        The camera.
+    """
     sight = look_at(X, sigma, epoch.cameras, [name], epoch.depth)
     return np.asarray(sight.agreeing > 0)
 

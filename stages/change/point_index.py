@@ -52,8 +52,19 @@ def one_of_each_cell(points: Float64s, edge: float) -> Int64s:
 
 
 def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius: float) -> Float64s:
-    """(m, 3) of unit length: mean normal of the cloud within a radius of each query (m, 3), nan without any; normals (n, 3): of
-    the cloud as it was indexed."""
+    """(m, 3) of unit length: mean normal of the cloud within a radius of each query, nan without any.
+
+    Parameters
+    ----------
+    queries : ndarray
+        (m, 3) places.
+    index : PointIndex
+        Of the cloud.
+    normals : ndarray
+        (n, 3) of the cloud, as it was indexed.
+    radius : float
+        Metres.
+    """
     out = np.full((len(queries), 3), np.nan)
     ordered = normals[index.order].astype(np.float64)
     _mean_normals(queries, index.points, ordered, index.starts, index.low, index.edge, index.shape, radius, out)

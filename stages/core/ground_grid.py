@@ -67,7 +67,19 @@ def cell_centres(grid: GroundGrid, heights: Float64s) -> Float64s:
 
 
 def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: float) -> Float64s:
-    """(count,) a quantile of the values (n,) in each cell, nan where there are none; cells (n,): their numbers, or -1."""
+    """(count,) a quantile of the values (n,) in each cell, nan where there are none; cells (n,): their numbers, or -1.
+
+    Parameters
+    ----------
+    cells : Int64s
+        (n,) number of each value's cell, or -1.
+    values : ndarray
+        (n,)
+    count : int
+        Cells.
+    quantile : float
+        0 to 1.
+    """
     inside = cells >= 0
     cells, values = cells[inside], values[inside]
     order = np.lexsort((values, cells))

@@ -108,7 +108,19 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
 
 
 def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """A delivery van of 4.8 m; `look`: textures of paint, sides, tyres, glass."""
+    """A delivery van of 4.8 m.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    place : Place
+        x, y, metres.
+    yaw : float
+        Radians.
+    look : tuple of int
+        Textures of paint, sides, tyres, glass.
+    """
     paint, board, dark, glass = look
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
     p = np.array(place)

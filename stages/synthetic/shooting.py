@@ -158,7 +158,19 @@ def render_pixels(
 
 
 def look_at_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Seen:
-    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet."""
+    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    pixels : ndarray
+        (n,) indices in the image, row by row.
+    """
     y, x = np.divmod(pixels[:, None], camera.width)
     sub_y, sub_x = _in_pixel()
     column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
