@@ -38,11 +38,11 @@ from .store.clean import clean
 from .store.events import Event, Listener
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
-from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
-from .store.run_folder import RunFolder, new_run, turn_links
+from .store.run_folder import RunFolder, new_run
 from .store.sizes import in_words
+from .store.writing import hold_to_write
 from .task import Task
 
 if TYPE_CHECKING:
@@ -247,11 +247,9 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
     place = WorkFolder(site.work)
-    with hold(place.lock, options.wait), terminate_as_interrupt():
+    with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        if place.start_writing():
-            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:
@@ -265,7 +263,6 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         _afterwards(finished, site, journal)
         if not options.until and not worked.interrupted:
             _tell_people(site, finished, journal)
-        place.done_writing()
     return Run(finished)
 
 
@@ -292,9 +289,9 @@ def _afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
-        share_pictures(run.work, run.folder.id)
         if site.pin == "auto" and fit_to_pin(run.record) and not run.work.reference_record.exists():
             pin(run.work, run.folder, automatic=True)
+        share_pictures(run.work, run.folder.id)
         if not site.keep.everything:
             over = clean(run.work, site.keep, asked=False).over
             if over:
