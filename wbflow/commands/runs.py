@@ -127,9 +127,9 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     place = place_of(load(site, work))
     from ..store.clean import clean as remove
     from ..store.keep import Keep
-    from ..store.lock import hold
+    from ..store.writing import hold_to_write
 
-    with hold(place.lock, wait=False):
+    with hold_to_write(place, wait=False):
         done = remove(place, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"
     say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")

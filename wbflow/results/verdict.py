@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 from ..config.site import Expected, Measure
 from ..errors import ExitCode
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
@@ -42,12 +43,15 @@ class Facts:
     product: bool = True
     """Was a cloud asked for?"""
     interrupted: bool = False
+    stopped: tuple[State, ...] = ()
+    """Of tasks that were not begun since the time was over."""
 
     @staticmethod
     def of(plan: Plan, interrupted: bool) -> Facts:
         """Those of a plan that is settled."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
-        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted)
+        stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
+        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted, stopped)
 
 
 def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunRecord:
@@ -109,6 +113,10 @@ def exit_code(verdict: Verdict, interrupted: bool = False) -> ExitCode:
 
 
 def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+    if facts.stopped:
+        text = f"{facts.stopped[0].reason}: {len(facts.stopped)} tasks were not done"
+        remedy = "run it again without --stop-at: it goes on from there; begin earlier, or lower `resolution`"
+        yield Finding("stopped", (), text, {"tasks": len(facts.stopped)}, remedy=remedy)
     if facts.interrupted:
         yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
     elif facts.product and not record.cloud:
