@@ -3,31 +3,39 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow.graph import pipeline
-from wbflow.graph.pipeline import Reports, Role
+from wbflow.graph.pipeline import Reports
 
 MODULE = """
+from wbflow_stages.types import Poses, Scene
 calls = []
+def look(poses: Poses) -> Scene:
+    return Scene()
 def files(result):
     calls.append(1)
-    yield "toy.txt", b"%s: a world of " + str(len(result.cameras)).encode()
+    yield "toy.txt", b"%s"
     if %s:
         raise ValueError("no map has the place")
 """
+ROW = next(row for row in pipeline.STAGES if row.files)
+"""A row that publishes files, on which no other rests."""
 
 
 @pytest.fixture
 def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
-    """A toy site whose solved world is published as a text, too."""
-    world = pipeline.stage_with(Role.WORLD)
-    mine = dataclasses.replace(world, files="toyfiles:files", title="The toy world", reports=Reports({"metric": "metric"}))
-    rows = tuple(mine if row is world else row for row in pipeline.STAGES)
+    """A toy site with one more stage, whose result is published as a text."""
+    monkeypatch.syspath_prepend(str(toy.folder))
+    site = json.loads(toy.file.read_text())
+    site["stages"][ROW.name] = {"use": "toyfiles:look"}
+    toy.file.write_text(json.dumps(site))
+    mine = dataclasses.replace(ROW, files="toyfiles:files", picture=None, reports=Reports({"box": "box"}), title="The toy")
+    rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
     for module in ("wbflow.night.plan", "wbflow.results.beside", "wbflow.results.report.ground"):
         monkeypatch.setattr(f"{module}.STAGES", rows)
     write(toy, "first")
@@ -47,11 +55,10 @@ def latest(toy: ToySite) -> Path:
 
 def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> None:
     record = toy_with_files.run()
-    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first: a world of 4"
-    told: dict[str, Any] = record[pipeline.stage_with(Role.WORLD).name]
-    assert told == {"metric": True, "files": ["toy.txt"], "reason": None}
+    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
+    assert record[ROW.name] == {"box": None, "files": ["toy.txt"], "reason": None}
     page = (latest(toy_with_files) / "report.html").read_text()
-    assert "The toy world" in page
+    assert "<h2>The toy</h2>" in page
     assert "href='toy.txt'" in page
 
 
@@ -74,7 +81,7 @@ def test_a_damaged_one_is_made_again(toy_with_files: ToySite) -> None:
     (kept,) = (toy_with_files.work / "cache").rglob("*.toy.txt.beside")
     kept.write_bytes(b"rubbish")
     toy_with_files.run()
-    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first: a world of 4"
+    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
 
 
 def test_what_cannot_be_made_is_told_and_the_night_is_not_lost(toy_with_files: ToySite) -> None:
