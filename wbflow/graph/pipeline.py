@@ -23,42 +23,11 @@ from .rows import (
     Reports,
     Rework,
     Role,
-    Scope,
     SiteValue,
     Stage,
     Which,
     WorldReports,
 )
-
-__all__ = [
-    "REJECTED",
-    "SITE_TYPES",
-    "STAGES",
-    "Entry",
-    "FromPast",
-    "FromReference",
-    "FromSite",
-    "FromStage",
-    "Held",
-    "Judges",
-    "Method",
-    "Need",
-    "Part",
-    "Picture",
-    "PointTable",
-    "Renamed",
-    "Reports",
-    "Rework",
-    "Role",
-    "Scope",
-    "SiteValue",
-    "Stage",
-    "Which",
-    "WorldReports",
-    "ancestors",
-    "stage_named",
-    "stage_with",
-]
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
@@ -67,12 +36,17 @@ REJECTED = "wbflow_stages.types:Rejected"
 SITE_TYPES = {
     SiteValue.CAPTURES: "wbflow_stages.types:Capture",
     SiteValue.MASK: "wbflow_stages.types:Capture",
+    SiteValue.PRIVACY: "wbflow_stages.types:Privacy",
     SiteValue.LENS: "wbflow_stages.types:Lens",
     SiteValue.PLACEMENT: "wbflow_stages.types:Placement",
     SiteValue.SURVEY: "wbflow_stages.types:Survey",
 }
 """The type that a value of the site is handed over as."""
 
+_OF_A_FRAME = (
+    "brightness", "contrast", "saturated", "sharpness", "frames_used", "doubtful", "unchanged",
+    "taken_first", "taken_last", "taken_in_order",
+)  # fmt: skip
 _SIDES: dict[str, Need] = {"left": FromStage("features", Which.LEFT), "right": FromStage("features", Which.RIGHT)}
 _FRAMES: dict[str, Need] = {"left": FromStage("frames", Which.LEFT), "right": FromStage("frames", Which.RIGHT)}
 _FRAMES_TOO: dict[str, Need] = {f"{side}_frame": need for side, need in _FRAMES.items()}
@@ -125,12 +99,13 @@ STAGES: tuple[Stage, ...] = (
             "captures": FromSite(SiteValue.CAPTURES),
             "lens": FromSite(SiteValue.LENS),
             "mask": FromSite(SiteValue.MASK, optional=True),
+            "privacy": FromSite(SiteValue.PRIVACY, optional=True),
         },
         role=Role.FRAME,
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        reports=Reports({name: name for name in ("brightness", "contrast", "saturated", "sharpness")}, notes="notes"),
+        reports=Reports({name: name for name in _OF_A_FRAME}, notes="notes"),
     ),
     Stage(
         "health",
@@ -146,7 +121,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.HEALTH,
         optional=True,
         section="health",
-        judges=Judges("state", "text", "figures", "expected", "remedy"),
+        judges=Judges("state", "text", "figures", "expected", "remedy", "corrected"),
         kept=False,
     ),
     Stage(
@@ -302,6 +277,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": FromStage("frames"), "frames": FromStage("frames", Which.AROUND)},
         role=Role.DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
     ),
     Stage(
         "refine",
@@ -316,6 +292,7 @@ STAGES: tuple[Stage, ...] = (
             "scene": FromStage("scene", optional=True),
         },
         role=Role.REFINED_DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
         picture=Picture("wbflow_stages.exports.previews:depth_preview"),
         optional=True,
     ),
@@ -346,7 +323,17 @@ STAGES: tuple[Stage, ...] = (
         needs={"poses": FromStage("poses"), **_SURFACE},
         optional=True,
         picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
-        reports=_told("area", "seen_by_one", "seen_by_two", "median_angle_deg", "median_error", "lost_without"),
+        reports=Reports(
+            {
+                "area_m2": "area",
+                "seen_by_one": "seen_by_one",
+                "seen_by_two": "seen_by_two",
+                "angle_deg": "median_angle_deg",
+                "error_m": "median_error",
+                "lost_without": "lost_without",
+            },
+            expects=("area_m2", "seen_by_two"),
+        ),
         files="wbflow_stages.exports.ground:coverage_files",
         title="What the cameras see of the ground",
         kept=False,

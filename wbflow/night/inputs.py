@@ -7,21 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from ..config.site import Site, SiteCamera
-from ..graph.pipeline import (
-    SITE_TYPES,
-    FromPast,
-    FromReference,
-    FromSite,
-    FromStage,
-    Need,
-    Part,
-    Role,
-    SiteValue,
-    Stage,
-    Which,
-    stage_named,
-    stage_with,
-)
+from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
+from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
 from ..store.cache import Cache
 from ..task import Subject, Task
 from .captures import CaptureFile
@@ -209,6 +196,8 @@ class Inputs:
         if what is SiteValue.MASK:
             file = self.masks.get(camera.id)
             return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+        if what is SiteValue.PRIVACY and not camera.privacy.counts:
+            return Absent()
         if what is SiteValue.CAPTURES:
             return Files(SITE_TYPES[what], self._captured(camera))
         return stated(camera, what)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,8 @@ def test_two_clouds_exchanged_give_the_distance_with_the_other_sign() -> None:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("py4dgeo") is None, reason="py4dgeo (the extra oracle) is not installed")
-def test_py4dgeo_finds_the_same_within_its_uncertainty() -> None:
+def test_py4dgeo_finds_the_same_within_its_uncertainty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # it writes a log where it stands
     import py4dgeo
 
     first, second = surface(0), surface(1, step=0.1)
