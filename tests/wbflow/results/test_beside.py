@@ -12,11 +12,13 @@ from tests.helpers.toy_site import ToySite
 from wbflow.graph import pipeline
 from wbflow.graph.pipeline import Reports
 
-MODULE = """
+STAGE = """
 from wbflow_stages.types import Poses, Scene
-calls = []
 def look(poses: Poses) -> Scene:
     return Scene()
+"""
+FILES = """
+calls = []
 def files(result):
     calls.append(1)
     yield "toy.txt", b"%s"
@@ -32,8 +34,9 @@ def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     """A toy site with one more stage, whose result is published as a text."""
     monkeypatch.syspath_prepend(str(toy.folder))
     site = json.loads(toy.file.read_text())
-    site["stages"][ROW.name] = {"use": "toyfiles:look"}
+    site["stages"][ROW.name] = {"use": "toylook:look"}
     toy.file.write_text(json.dumps(site))
+    (toy.folder / "toylook.py").write_text(STAGE)
     mine = dataclasses.replace(ROW, files="toyfiles:files", picture=None, reports=Reports({"box": "box"}), title="The toy")
     rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
     for module in ("wbflow.night.plan", "wbflow.results.beside", "wbflow.results.report.ground"):
@@ -46,7 +49,7 @@ def write(toy: ToySite, words: str, fails: bool = False) -> None:
     import sys
 
     sys.modules.pop("toyfiles", None)
-    (toy.folder / "toyfiles.py").write_text(MODULE % (words, fails))
+    (toy.folder / "toyfiles.py").write_text(FILES % (words, fails))
 
 
 def latest(toy: ToySite) -> Path:
