@@ -44,8 +44,6 @@ def main() -> None:
             row = fault(bench, options.reduced)
             rows.append(row)
             print(f"{row}   {time.monotonic() - began:6.0f} s", flush=True)
-            for loss in row.losses[:5]:
-                print(f"    {loss}", flush=True)
     if options.json:
         options.json.write_text(json.dumps([row.to_json() for row in rows], indent=1))
     sys.exit(any(row.losses for row in rows))

@@ -11,7 +11,14 @@ import pytest
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "fault_campaign.py"
 
 
-@pytest.mark.parametrize("faults", [("kills",), ("damage", "exchanges"), ("disks", "clocks")], ids=lambda names: names[0])
+GROUPS = {
+    "kills": ("kills-first", "kills-idle", "kills-clean"),
+    "damage": ("damage", "exchanges"),
+    "disks": ("disks", "clocks"),
+}
+
+
+@pytest.mark.parametrize("faults", GROUPS.values(), ids=GROUPS)
 def test_nothing_is_lost(faults: tuple[str, ...]) -> None:
     only = [word for name in faults for word in ("--only", name)]
     ended = subprocess.run([sys.executable, str(SCRIPT), "--reduced", *only], capture_output=True, text=True, check=False)

@@ -41,6 +41,7 @@ class Row:
 
     def lost(self, kind: str, what: str) -> None:
         self.counts[kind] += 1
+        print(f"    {kind}: {what}", flush=True)
         self.losses.append(f"{kind}: {what}")
 
     def __str__(self) -> str:
@@ -194,7 +195,7 @@ class Bench:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(child, signal.SIGKILL)
                 return Ended(os.waitstatus_to_exitcode(status), output.read_text(errors="replace"))
-            time.sleep(0.005)
+            time.sleep(0.02)
         os.killpg(child, signal.SIGKILL)
         os.waitpid(child, 0)
         return Ended(-9, output.read_text(errors="replace"), hung=True)

@@ -7,8 +7,8 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests.helpers.toy_site import STAGES, ToySite
@@ -28,47 +28,79 @@ class Scene:
     command: str = "run"
 
 
-def scenes(bench: Bench) -> Iterator[Scene]:
-    """A first night; one in which nothing runs; one with other captures, after which old ones go; a cleaning; a pinning."""
+def first_night(bench: Bench) -> Scene:
+    """Everything is to be done."""
     toy = bench.site()
     bench.night(toy, "one")
-    yield Scene("first night", toy, bench.cloud(2, "one"))
-    done = bench.copy(toy)
-    bench.run(done)
-    yield Scene("nothing to do", done, bench.cloud(2, "one"))
-    kept = bench.site(keep={"nights": 1, "clouds": 1, "reports": 1})
-    bench.night(kept, "one")
-    bench.run(kept, "--date", "2026-11-01")
-    bench.night(kept, "two")
-    yield Scene("another night, keep: 1", kept, bench.cloud(2, "two"), ("--date", "2026-11-02"))
-    yield Scene("pin", done, bench.cloud(2, "one"), command="pin")
-    many = bench.copy(done)
+    return Scene("first night", toy, bench.cloud(2, "one"))
+
+
+def nothing_to_do(bench: Bench) -> Scene:
+    """The same night again."""
+    scene = first_night(bench)
+    bench.run(scene.toy)
+    return replace(scene, name="nothing to do")
+
+
+def next_night(bench: Bench) -> Scene:
+    """Other captures, and the night before is not to be kept."""
+    toy = bench.site(keep={"nights": 1, "clouds": 1, "reports": 1})
+    bench.night(toy, "one")
+    bench.run(toy, "--date", "2026-11-01")
+    bench.night(toy, "two")
+    return Scene("next night, keep: 1", toy, bench.cloud(2, "two"), ("--date", "2026-11-02"))
+
+
+def pinning(bench: Bench) -> Scene:
+    """Another run becomes the reference."""
+    return replace(nothing_to_do(bench), name="pin", command="pin")
+
+
+def cleaning(bench: Bench) -> Scene:
+    """All goes but the newest of three nights."""
+    scene = nothing_to_do(bench)
     for view in ("two", "one"):
-        bench.night(many, view)
-        bench.run(many)
-    yield Scene("clean", many, bench.cloud(2, "one"), ("--keep", "1", "--clouds", "1", "--reports", "1"), "clean")
+        bench.night(scene.toy, view)
+        bench.run(scene.toy)
+    return replace(scene, name="clean", command="clean", arguments=("--keep", "1", "--clouds", "1", "--reports", "1"))
 
 
-def kills(bench: Bench, reduced: bool) -> Row:
-    """The run and all its processes, right before each operation that writes."""
-    row = Row("killed at a file operation")
-    for scene in scenes(bench):
+def kills_in(make: Callable[[Bench], Scene], together: int) -> Callable[[Bench, bool], Row]:
+    """The fault for a scene: the run and all its processes end right before each operation that writes.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the scene.
+    together : int
+        So many runs are killed one after the other before a plain run has to put everything right.
+    """
+
+    def kills(bench: Bench, reduced: bool) -> Row:
+        scene = make(bench)
+        row = Row(f"killed: {scene.name}")
         twin = bench.copy(scene.toy)
         count = bench.operations(twin, *scene.arguments, command=scene.command)
         receipts = bench.receipts(twin)
         bench.discard(twin)
-        points = range(1, count + 1)
-        for at in sorted(bench.random.sample(points, 2)) if reduced else points:
+        points = list(range(1, count + 1))
+        bench.random.shuffle(points)
+        for start in range(0, 2 if reduced else count, together):
             twin = bench.copy(scene.toy)
-            ended = bench.run(twin, *scene.arguments, strike=Strike(at), command=scene.command)
-            what = f"{scene.name}, operation {at} of {count}"
-            row.tries += 1
-            if ended.code != -signal.SIGKILL:
-                bench.sane(row, ended, what, {0})  # an operation more or less, by chance
+            group = points[start : start + together]
+            what = f"operations {group} of {count}"
+            for at in group:
+                ended = bench.run(twin, *scene.arguments, strike=Strike(at), command=scene.command)
+                if ended.code == -signal.SIGKILL:
+                    row.tries += 1
+                else:  # the runs before had left it less to do
+                    bench.sane(row, ended, what, {0})
             missing = len(receipts - bench.receipts(twin)) if scene.command == "run" else 0
             bench.recovered(row, twin, scene.cloud, what, at_most=missing)
             bench.discard(twin)
-    return row
+        return row
+
+    return kills
 
 
 def parents(bench: Bench, reduced: bool) -> Row:
