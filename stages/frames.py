@@ -15,8 +15,12 @@ import numpy as np
 
 from .core.cameras import scaled_intrinsics
 from .io.exif import focal_in_long_sides
+from .io.header import picture_size
 from .io.jpeg import SCAN, jpeg_segments
 from .types import Bools, Capture, Float64s, Frame, Lens, Uint8s, View
+
+MOST_PIXELS = 200_000_000
+"""Of an image that is decoded, unless its size is stated: 0.6 GB, and twice that while colours are put in order."""
 
 
 class BadCapture(ValueError):
@@ -33,6 +37,10 @@ class NotAnImage(BadCapture):
 
 class TruncatedImage(BadCapture):
     """The file ends before the image does."""
+
+
+class OversizedImage(BadCapture):
+    """More pixels than are decoded: a few bytes can promise gigabytes."""
 
 
 class FeaturelessImage(BadCapture):
@@ -80,7 +88,7 @@ def clean_frame(
     notes: list[str] = []
     for capture in _spread(captures, max_captures):
         try:
-            image = decode(capture)
+            image = decode(capture, lens)
             camera = _Pinhole.of(image, _as_written(lens, capture, image), capture.name)
             clean.append((camera, capture.name, _resize(camera.undistort(image), resolution)))
         except BadCapture as error:
@@ -110,18 +118,22 @@ def working_size(width: int, height: int, resolution: int | None) -> tuple[int, 
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def decode(capture: Capture) -> Uint8s:
+def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
     """Decode an image file into (h, w, 3) uint8 RGB, turned upright as its EXIF data say.
+
+    lens: where it states the size of captures, one whose header promises another is not decoded at all.
 
     Raises
     ------
     BadCapture
-        Empty, no image, truncated, or without any content (black, white, uniform).
+        Empty, no image, truncated, too large, of another size, or without any content (black, white, uniform).
     """
     data = np.ascontiguousarray(capture.data)
     if data.size == 0:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
-    _refuse_truncated(capture.name, data.tobytes())
+    written = data.tobytes()
+    _refuse_truncated(capture.name, written)
+    _refuse_size(capture.name, picture_size(written), lens)
     image = _decoded(data, cv2.IMREAD_COLOR)
     if image is None:
         raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
@@ -158,13 +170,7 @@ class _Pinhole:
     def of(cls, image: Uint8s, lens: Lens, name: str) -> _Pinhole:
         height, width = image.shape[:2]
         if lens.width and lens.height and (width, height) != (lens.width, lens.height):
-            turned = (height, width) == (lens.width, lens.height)
-            remedy = "state the intrinsics for the size captured, or set the camera back"
-            if turned:
-                remedy = "is the camera turned, or the EXIF orientation wrong?"
-            raise WrongSize(
-                f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}"
-            )
+            raise _wrong_size(name, width, height, lens)
         return cls(width, height, *_intrinsics(lens, width, height), lens.distortion)
 
     def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
@@ -217,6 +223,27 @@ def _most_common_size(
             notes.append(f"{name} has {camera.width} x {camera.height} pixels, most have {width} x {height}; left out")
     kept = [entry for entry, size in zip(clean, sizes, strict=True) if size == (width, height)]
     return kept[0][0], [name for _, name, _ in kept], [image for _, _, image in kept]
+
+
+def _wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
+    turned = (height, width) == (lens.width, lens.height)
+    remedy = "state the intrinsics for the size captured, or set the camera back"
+    if turned:
+        remedy = "is the camera turned, or the EXIF orientation wrong?"
+    return WrongSize(f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}")
+
+
+def _refuse_size(name: str, size: tuple[int, int] | None, lens: Lens | None = None) -> None:
+    """By the header alone, before memory is asked for what it promises.  The image may lie on its side: EXIF data turn it."""
+    if size is None:
+        return
+    width, height = size
+    if lens and lens.width and lens.height and sorted(size) != sorted((lens.width, lens.height)):
+        raise _wrong_size(name, width, height, lens)
+    if width * height > MOST_PIXELS:
+        raise OversizedImage(
+            f"{name} has {width} x {height} pixels, {MOST_PIXELS // 10**6} million are the most that are decoded"
+        )
 
 
 def _refuse_truncated(name: str, data: bytes) -> None:
@@ -306,13 +333,20 @@ def _decode_mask(mask: Capture, camera: _Pinhole) -> Uint8s:
     if mask.data.size == 0:
         raise EmptyCapture(f"mask {mask.name} is empty (0 bytes)")
     _refuse_truncated(f"mask {mask.name}", mask.data.tobytes())
+    promised = picture_size(mask.data.tobytes())
+    if promised and sorted(promised) != sorted((camera.width, camera.height)):
+        raise _wrong_mask(mask.name, *promised, camera)
     image = _decoded(np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise NotAnImage(f"mask {mask.name} is no image that can be read ({mask.data.size:,} bytes)")
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
-        raise WrongSize(
-            f"mask {mask.name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
-            "draw the mask over a capture as it comes from the camera"
-        )
+        raise _wrong_mask(mask.name, width, height, camera)
     return np.where(image > 0, 255, 0).astype(np.uint8)
+
+
+def _wrong_mask(name: str, width: int, height: int, camera: _Pinhole) -> WrongSize:
+    return WrongSize(
+        f"mask {name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
+        "draw the mask over a capture as it comes from the camera"
+    )

@@ -10,7 +10,7 @@ from ..store.cache import Cache
 from ..store.digests import Digests
 from ..store.layout import WorkFolder
 from ..store.reference import BadReference, Reference, read_reference
-from .captures import CaptureFile, expected, find_captures, night
+from .captures import CaptureFile, expected, find_captures, find_masks, night
 from .plan import Plan
 
 
@@ -45,7 +45,7 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     digests = Digests(work.captures_memo)
     date = night(site, date)
     captures = find_captures(site, date, digests)
-    masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
+    masks = find_masks(site, digests)
     missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     reference, misfit = _reference(site, work)
     plan = Plan(

@@ -16,6 +16,7 @@ from ..graph.pipeline import REJECTED
 from ..graph.plugins import load, offer
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
+from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..task import Task
@@ -240,4 +241,4 @@ def _from_plain(value: Value) -> Any:
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    return load(kind)(name=file.name, data=np.fromfile(file.path, dtype=np.uint8))
+    return load(kind)(name=file.name, data=np.frombuffer(read_outside(file.path), dtype=np.uint8))
