@@ -1,13 +1,17 @@
 #!/usr/bin/env python3
-"""Are right pairs believed and wrong ones not?  All pairs of fountain, entry and the demo site, each labelled by its truth.
+"""Are right pairs believed and wrong ones not?  Every scene judged by a score that was fitted on the others.
 
-Per set of pairs: those with a geometry, how many of them are right and wrong, right ones kept and wrong ones accepted by the
-pair's score alone, and after the site's check.  Sets without any right pair: the first five views of fountain with entry (the
-others look at entry's facade), the demo's walls with entry, and mirrored images.  Then random small sites of the demo: turned
-cameras, and usable pairs lost.
+Without arguments: pairs of photographed and rendered scenes, labelled by their truth (`verdict_scenes`).  For each scene left
+out: usable pairs kept and wrong ones accepted, by the pair's score alone and after the site's check (that with the weights of the
+product); how often p is right, in ten bins; random small sites and those that end with a turned camera; and the weights of a fit
+on all scenes.
 
+With --sets, the weights as they are on pairs matched anew.  Sets without any right pair: the first five views of fountain with
+entry (the others look at entry's facade), the demo's walls with entry, and mirrored images.
+
+    scripts/bench_verdict.py --plot reliability.png --check
     scripts/bench_verdict.py --sets fountain-768 walls sites
-    scripts/bench_verdict.py --cache DIR       renderings are kept there (else in the temporary folder)
+    scripts/bench_verdict.py --cache DIR       renderings and pairs are kept there (else in the temporary folder)
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from time import process_time
 
 import numpy as np
 from pairs_with_truth import TrueView, correct, on_one_thread, photographed, pose_error_deg, rendered, walls
+from verdict_table import leave_one_out
 
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.geometry import estimate_geometry
@@ -174,32 +179,29 @@ def worst_turn_deg(believed: set[Pair], geometries: dict[Pair, Geometry], views:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", nargs="+", default=list(SETS), choices=list(SETS))
+    parser.add_argument("--sets", nargs="+", choices=list(SETS), help="judge these by the weights as they are, instead")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "wbflow-bench")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
-    parser.add_argument("--pairs-json", type=Path, help="write every judged pair with its evidence, to calibrate with")
+    parser.add_argument("--plot", type=Path, help="draw the reliability of the probability into this PNG")
+    parser.add_argument("--check", action="store_true", help="exit 1 unless what is promised holds on every scene")
     given = parser.parse_args()
     on_one_thread()
+    if not given.sets:
+        return leave_one_out(given.cache, given.json, given.plot, given.check)
     print(HEAD)
     results: list[Result] = []
     known: dict[str, tuple[Result, list[Judged]]] = {}
-    every: list[dict[str, object]] = []
     for name in given.sets:
         if name == "sites":
             for scene, views in (("yard", rendered("day", given.cache)), ("walls", walls(given.cache))):
                 judged = known[scene][1] if scene in known else measure(scene, given.cache)[1]
                 small_sites(scene, judged, views)
             continue
-        result, judged = known[name] = measure(name, given.cache)
+        result, _ = known[name] = measure(name, given.cache)
         results.append(result)
         print(line(result), flush=True)
-        for j in judged:
-            scalars = {k: v for k, v in vars(j.geometry).items() if isinstance(v, int | float | str)}
-            every.append({"set": name, "left": j.pair[0], "right": j.pair[1], "is_right": j.right, **scalars})
     if given.json:
         given.json.write_text(json.dumps([asdict(r) for r in results], indent=1))
-    if given.pairs_json:
-        given.pairs_json.write_text(json.dumps(every, indent=1))
     return 0
 
 

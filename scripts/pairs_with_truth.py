@@ -126,14 +126,19 @@ def _photograph(scene: str, name: str, file: Path, c: dict[str, list[float]], wi
 
 def rendered(light: Daytime, cache: Path, width: int = 1280) -> dict[str, TrueView]:
     """The demo yard by "day", "dusk" or "night"; rendered once (about 40 s) into `cache`."""
+    return rendered_scene("yard", light, cache, width, captures=3)
+
+
+def rendered_scene(scene: str, light: Daytime, cache: Path, width: int = 960, captures: int = 2) -> dict[str, TrueView]:
+    """All cameras of a demo scene, by name; rendered once (about 40 s) into `cache`."""
     from wbflow_stages.synthetic.scenes import render
 
     cache.mkdir(parents=True, exist_ok=True)
     views = {}
-    file = cache / f"yard-{light}-{width}.npz"
+    file = cache / f"{scene}-{light}-{width}.npz"
     if not file.exists():
         arrays: dict[str, npt.NDArray[Any]] = {}
-        for c in render("yard", light=light, size=(width, width * 9 // 16)).cameras:
+        for c in render(scene, light=light, size=(width, width * 9 // 16), captures=captures).cameras:
             frame = clean_frame([_png(i) for i in c.captures], c.lens, _png(c.mask.astype(np.uint8) * 255), resolution=None)
             arrays |= {
                 f"{c.name} image": frame.image, f"{c.name} mask": frame.mask, f"{c.name} K": np.asarray(frame.view.K),
@@ -141,11 +146,11 @@ def rendered(light: Daytime, cache: Path, width: int = 1280) -> dict[str, TrueVi
             }  # fmt: skip
         np.savez(file, allow_pickle=False, **arrays)
     stored = np.load(file)
-    for name in dict.fromkeys(key.split(" ")[0] for key in stored.files):
+    for name in dict.fromkeys(key.split(" ")[0] for key in stored.files if " " in key):
         image, mask, K, depth, K0, R, C = (stored[f"{name} {part}"] for part in ("image", "mask", "K", "depth", "K0", "R", "C"))
         h, w = mask.shape
         whole = Camera(K0, R, C, depth.shape[1], depth.shape[0])
-        views[name] = TrueView(f"yard-{light}", name, Frame(image, mask, View(w, h, K)), Camera(K, R, C, w, h), depth, whole)
+        views[name] = TrueView(f"{scene}-{light}", name, Frame(image, mask, View(w, h, K)), Camera(K, R, C, w, h), depth, whole)
     return views
 
 

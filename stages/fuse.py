@@ -94,9 +94,10 @@ def fuse(
 def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int) -> Samples:
     """The points of one view that its own and the other views' evidence leaves standing.
 
-    A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.
+    A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
+    refinement put there on the word of a single pair is nobody's: where one pattern repeats, both its views agree on a wrong one.
     """
-    supported = frame.mask & (depth.sure | (check.agreeing > 0))
+    supported = frame.mask & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
     if min_pairs > 1:
         supported &= check.agreeing >= min_pairs
     supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)

@@ -8,11 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from .core.cameras import ray_angles
 from .matching.candidates import searched_view_pairs
 from .matching.structural import match_guided
 from .reasons import Reason, Rejected
-from .twoview.epipolar import homogeneous, symmetric_epipolar_distance
+from .twoview.epipolar import symmetric_epipolar_distance
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
 from .twoview.pair_score import (
     GRID_COLUMNS,
@@ -22,6 +21,7 @@ from .twoview.pair_score import (
     pair_score,
     point_evidence,
     probability,
+    ray_angle_deg,
 )
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (
@@ -128,6 +128,7 @@ def estimate_geometry(
 def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
     """The geometry with its figures."""
     R, t = _pose(found, inliers.x1, inliers.x2, inliers.view1, inliers.view2)
+    rival = evidence.rival
     return Geometry(
         F=found.F,
         x1=inliers.x1,
@@ -143,7 +144,7 @@ def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: Pai
         inliers=len(inliers.x1),
         model="F" if found.R is None else "E",
         epipolar_px=float(np.median(symmetric_epipolar_distance(found.F, inliers.x1, inliers.x2))),
-        angle_deg=_ray_angle_deg(inliers.x1, inliers.x2, inliers.view1, inliers.view2, R),
+        angle_deg=ray_angle_deg(inliers.x1, inliers.x2, inliers.view1, inliers.view2, R),
         homography_share=support.plane_share,
         score=score,
         good_probability=probability(score),
@@ -152,6 +153,9 @@ def _accepted(inliers: Matches, found: TwoView, support: _Support, evidence: Pai
         agreement=evidence.agreement,
         half_rotation_deg=evidence.half_rotation_deg,
         stretch=evidence.stretch,
+        rival_inliers=0 if rival is None else rival.inliers,
+        rival_elsewhere=0 if rival is None else rival.elsewhere,
+        rival_turned_deg=float("nan") if rival is None else rival.turned_deg,
     )
 
 
@@ -331,12 +335,3 @@ def _pose(found: TwoView, x1: Float64s, x2: Float64s, view1: View, view2: View) 
 
 def _hull_share(x: Float64s, view: View) -> float:
     return float(cv2.contourArea(cv2.convexHull(x.astype(np.float32)))) / (view.width * view.height)
-
-
-def _ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None) -> float:
-    """Median angle between the two rays of each correspondence."""
-    if R is None or view1.K is None or view2.K is None:
-        return float("nan")
-    ray1 = homogeneous(x1) @ np.linalg.inv(view1.K).T @ R.T
-    ray2 = homogeneous(x2) @ np.linalg.inv(view2.K).T
-    return float(np.degrees(np.median(ray_angles(ray1, ray2))))

@@ -80,7 +80,7 @@ def examine(
     usual: Usual | None = None,
     *,
     nudged_px: float = 1.5,
-    moved_px: float = 8.0,
+    moved_deg: float = 0.4,
     flat: float = 0.9,
     dark: float = 6.0,
 ) -> CameraHealth:
@@ -97,8 +97,8 @@ def examine(
     nudged_px
         A camera whose picture has moved by more (median over the picture) is nudged, in pixels of the frame; and its pose is
         corrected.  Where it usually sways by more, three standard deviations of that count.
-    moved_px
-        From here on it is moved, and solved anew from the others, in pixels of the frame.
+    moved_deg
+        One that has turned by more is moved, and solved anew from the others, in degrees.
     flat
         A picture of which a larger share than this shows nothing (covered, fog, no light) is blind.
     dark
@@ -128,10 +128,10 @@ def examine(
     if case.turn is None:
         return _far(case, grey1, grey2, pinned_frame, frame, K)
     case.figures["sharpness"] = _sharpness(grey1, grey2, found, case.turn)
-    return _turned(case, case.turn, usual, nudged_px, moved_px)
+    return _turned(case, case.turn, usual, nudged_px, moved_deg)
 
 
-def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_px: float) -> CameraHealth:
+def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
     """The state of a camera whose turn is known."""
     limit = max(nudged_px, _sway(usual))
     case.figures |= _figures(turn)
@@ -142,9 +142,9 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
     if turn.motion_px <= max(limit, _SIGMAS * sigma):
         note = f"; {100 * float(case.figures['covered']):.0f} % of it covered" if float(case.figures["covered"]) > 0.3 else ""
         return case.closed("ok", f"where it was, within {turn.motion_px:.2f} px{note}")
-    if zoomed or turn.motion_px > moved_px:
+    if zoomed or turn.angle_deg > moved_deg:
         also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
-        case.expected["motion_px"] = moved_px
+        case.expected["turn_deg"] = moved_deg
         return case.closed("moved", how + also, "turn it back, or pin a new reference")
     return case.closed("nudged", f"{how}: corrected", "fasten it; if it stays so, pin a new reference")
 

@@ -46,6 +46,16 @@ class Reason(StrEnum):
     NO_POSED_CAMERA = "no-posed-camera", "no camera has a pose and intrinsics"
     NO_GEOMETRY = "no-geometry", "no two cameras could be placed: no pair has a geometry"
     PAIRS_CONTRADICT = "pairs-contradict", "no two cameras could be placed: the pairs contradict each other"
+    NOTHING_CONFIRMED = (
+        "nothing-confirmed",
+        "no two cameras could be placed: {unconfirmed:.0f} of {pairs:.0f} pairs may show look-alikes, and no third camera "
+        "confirms them",
+    )
+    NOTHING_DISTINCT = (
+        "nothing-distinct",
+        "no two cameras could be placed: {ambiguous:.0f} of {pairs:.0f} pairs fit as well in another way, as where a scene "
+        "repeats or looks the same from other sides",
+    )
     TOO_FEW_POINTS = "too-few-points", "no two cameras could be placed: too few points are seen at an angle"
 
     NO_USABLE_BASELINE = (
@@ -62,6 +72,14 @@ class Reason(StrEnum):
     UNCONFIRMED = "unconfirmed", "possible look-alike: no third camera confirms it" + _LOOPS
     LOOK_ALIKE = "look-alike", "possible look-alike: other pairs contradict it" + _LOOPS
     AMBIGUOUS = "ambiguous", "ambiguous: another pose fits as well" + _LOOPS
+    SAME_FROM_OTHER_SIDES = (
+        "same-from-other-sides",
+        "ambiguous: the scene looks the same from other sides, and nothing distinct decides" + _LOOPS,
+    )
+    SAME_ALONG_A_ROW = (
+        "same-along-a-row",
+        "ambiguous: the scene repeats along a row, and nothing distinct decides" + _LOOPS,
+    )
     NOT_BELIEVED = "not-believed", "wrong" + _LOOPS
     TURNED = "turned", "wrong: turned by {turned_deg:.1f} degrees against the pairs that are believed most"
     CONTRADICTS_ROTATIONS = "contradicts-rotations", "contradicts the other pairs: its rotation is {off_deg:.0f} degrees off"

@@ -24,7 +24,7 @@ from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene
+from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene
 
 _LIKELY = 0.2
 """The ground may cost so much more than what was found."""
@@ -34,6 +34,12 @@ _ON_GROUND = 0.02
 
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
+
+_SURE_ALONE = 0.05
+"""What a single source shows so well must be believed, too."""
+
+_SAME_SIGMAS, _SAME_SHARE, _SAME_AT_MOST = 3.0, 0.002, 0.016
+"""A depth is that of the pairs if it is so many sigmas and this share of itself from it, and never more than the last share."""
 
 
 def refine(
@@ -91,14 +97,17 @@ def refine(
     nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, taps)
     cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
-    if scene is not None and scene.ground is not None:
-        _lean_on_ground(planes, cost, propagation, ground_planes(camera, scene.ground), max_cost)
+    ground = None if scene is None or scene.ground is None else ground_planes(camera, scene.ground)
+    if ground is not None:
+        _lean_on_ground(planes, cost, propagation, ground, max_cost)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
-    sure = kept & (known | (support.second < _SURE_COST))
     z, sigma = _depth_and_sigma(np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=noise_px))
+    sure = kept & (_as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE))
+    if ground is not None:
+        sure |= kept & _on_ground(planes, ground)
     return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), sure)
 
 
@@ -106,11 +115,21 @@ def _lean_on_ground(planes: Float32s, cost: Float32s, propagation: Propagation, 
     """Put the planes (3, h, w) of the ground in the place of those that fit hardly better: repeated tiles fit at many depths, and
     bare asphalt at any."""
     first = propagation.support(ground, max_cost).first
-    with np.errstate(invalid="ignore"):
-        elsewhere = ~(np.abs(planes[0] / ground[0] - 1) < _ON_GROUND)  # what lies on it has its own, finer relief
+    elsewhere = ~_on_ground(planes, ground)  # what lies on it has its own, finer relief
     likely = elsewhere & np.isfinite(ground[0]) & (first < max_cost) & (first <= cost + _LIKELY)
     planes[:, likely] = ground[:, likely]
     cost[likely] = first[likely]
+
+
+def _on_ground(planes: Float32s, ground: Float32s) -> Bools:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(planes[0] / ground[0] - 1) < _ON_GROUND)
+
+
+def _as_before(z: Float32s, sigma: Float32s, start: DepthMap) -> Bools:
+    """(h, w) bool: the depth is the one that pairs gave, whose two views were compared with each other."""
+    tolerance = np.minimum(_SAME_SIGMAS * sigma + _SAME_SHARE * z, _SAME_AT_MOST * z)
+    return np.asarray(np.abs(start.depth - z) <= tolerance)
 
 
 def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tuple[Float32s, Float32s]:

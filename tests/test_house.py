@@ -23,7 +23,7 @@ EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/
 FLOORS = [
     {"types", "reasons", "core"},
     {"twoview", "matching", "io"},
-    {"rectification", "stereo", "sfm", "mvs", "fusion"},
+    {"rectification", "stereo", "sfm", "mvs", "fusion", "change"},
     {"stages"},
     {"synthetic", "exports", "evaluate"},
 ]
@@ -33,7 +33,8 @@ LAYERS = ("errors", "task", "store", "graph", "config", "night", "results", "api
 """Who may import whom: each only what stands before it."""
 PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | reference\.json | quarantine | lock | \.writing | \.wbflow
-    | run\.json | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
+    | run\.json | metrics\.prom | notified\.json
+    | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
     | cloud.*\.ply | .*\.tmp | \.?jpg | \.drawn | \.published)$"""
 LAYOUT = ENGINE / "store" / "layout.py"
 OTHERS = {
@@ -46,6 +47,7 @@ OTHERS = {
 CONTRACTS = {
     "config/load.py": {"pairs"},  # the section of the site file
     "config/explain.py": {"pairs"},
+    "config/site.py": {"pairs", "coverage"},  # in the section `expect`
     "results/pair.py": {"pairs"},
     "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
     "store/record.py": {"pairs", "poses", "health"},  # keys of run.json

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 import os
@@ -20,18 +21,18 @@ from typing import TYPE_CHECKING, Any
 
 from .config.load import load_site as _load_site
 from .config.site import Site
-from .config.sizes import in_words
 from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
-from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
+from .results.notify import NotTold, notify
 from .results.publish import publish
+from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener
 from .store.keep import Keep
@@ -39,7 +40,9 @@ from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
+from .store.room import FULL, REMEDY
 from .store.run_folder import RunFolder, new_run, turn_links
+from .store.sizes import bytes_of, in_words
 from .task import Task
 
 if TYPE_CHECKING:
@@ -204,14 +207,15 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    most = bytes_of(memory) if memory else None
+    most = _size(memory) if memory else None
     options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit)
     options.check()
     try:
         return _run(site, options, listen or _quiet)
     except OSError as error:
         what = f"{error.filename or site.work}: {error.strerror or error}"
-        raise WbflowError(what, remedy="check the disk and the rights on the work folder") from error
+        remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
+        raise WbflowError(what, remedy=remedy) from error
 
 
 def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
@@ -258,6 +262,8 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
             pin(place, finished.folder, automatic=True)
         _afterwards(finished, site.keep, journal)
+        if not options.until and not worked.interrupted:
+            _tell_people(site, finished, journal)
         place.done_writing()
     return Run(finished)
 
@@ -282,6 +288,7 @@ def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
+        share_pictures(run.work, run.folder.id)
         if not keep.everything:
             over = clean(run.work, keep, asked=False).over
             if over:
@@ -291,8 +298,27 @@ def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
         journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
-    for event in journal.events[told:]:
-        run.folder.add(event)
+    with contextlib.suppress(OSError):  # a full disk: it has been told
+        for event in journal.events[told:]:
+            run.folder.add(event)
+
+
+def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, but is told of."""
+    if site.notify is None:
+        return
+    try:
+        notify(site.notify, run.work, run.folder.paths, run.record)
+    except (NotTold, OSError) as error:
+        journal.warn(str(error), remedy="the command is called again after the next run")
+        run.folder.add(journal.events[-1])
+
+
+def _size(text: str) -> int:
+    try:
+        return bytes_of(text)
+    except ValueError as error:
+        raise UsageError(f"--memory: {error}") from None
 
 
 def _quiet(event: Event) -> None:

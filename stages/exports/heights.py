@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.ground_grid import preferred_above
 from ..io.rasters import pfm, png, stepped
 from ..types import Float32s, Float64s
 
@@ -41,9 +42,9 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
         Edge of a cell, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of ten.
     """
     low, high = _box(points[:, :2])
-    edge = cell or _preferred_above(2 * spacing(points))
+    edge = cell or preferred_above(2 * spacing(points))
     while cell is None and np.prod((high - low) / edge + 1) > MOST_CELLS:
-        edge = _preferred_above(1.5 * edge)
+        edge = preferred_above(1.5 * edge)
     inside = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
     # corners at multiples of the edge: maps of different nights lie on each other
     first_column, last_row = int(np.floor(low[0] / edge)), int(np.floor(high[1] / edge))
@@ -104,8 +105,3 @@ def _box(xy: Float64s) -> tuple[Float64s, Float64s]:
     low, high = np.percentile(xy, [0.1, 99.9], axis=0)
     margin = 0.1 * (high - low)
     return np.maximum(low - margin, xy.min(axis=0)), np.minimum(high + margin, xy.max(axis=0))
-
-
-def _preferred_above(value: float) -> float:
-    decade = 10.0 ** float(np.floor(np.log10(value)))
-    return float(decade * min(step for step in (1.0, 2.0, 5.0, 10.0) if step >= value / decade * (1 - 1e-9)))

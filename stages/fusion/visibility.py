@@ -37,7 +37,7 @@ def cross_check(
     """Project every pixel of a view into the other views, one at a time, and compare with the depth found there.
 
     A view agrees within three sigmas of both and 0.2 % of the depth; it looks through the point when its own depth lies more than
-    four times that behind it.
+    four times that behind it.  A pair whose other view has something in front of the point does not support it.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def cross_check(
         seen = depth_of(other)
         _compare(
             *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
-            *(numbers.of(other, seen), visible, agreeing, violating, pairs),
+            *(numbers.of(other, seen), numbers.of_pair(name, other), visible, agreeing, violating, pairs),
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
@@ -81,6 +81,10 @@ class _PairNumbers:
     @property
     def met(self) -> int:
         return min(len(self._numbers), 64)
+
+    def of_pair(self, one: str, other: str) -> int:
+        """The number of a pair; 255: it supports nothing that is counted."""
+        return self._numbers.get(frozenset((one, other)), 255)
 
     def of(self, view: str, depth: DepthMap) -> Uint8s:
         """(n,) uint8: the number of the pair with each of a view's n partners (255: not counted)."""
@@ -118,6 +122,7 @@ def _compare(
     other_sigma: Float32s,
     other_support: Uint32s,
     bits: Uint8s,
+    number: int,
     visible: Uint8s,
     agreeing: Uint8s,
     violating: Uint8s,
@@ -127,6 +132,7 @@ def _compare(
     other_h, other_w = other_depth.shape
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
     b0, b1, b2 = b
+    common = np.uint64(0) if number > 63 else np.uint64(1) << np.uint64(number)
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
@@ -146,8 +152,9 @@ def _compare(
             there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
             s = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2)
             tolerance = min(3.0 * s + 0.002 * z, 0.016 * z)
-            if there < z - tolerance:
-                continue  # hidden
+            if there < z - tolerance:  # hidden: then that view cannot have seen it
+                pairs[y, x] &= ~common
+                continue
             visible[y, x] += 1
             if there <= z + tolerance:
                 agreeing[y, x] += 1

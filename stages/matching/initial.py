@@ -38,7 +38,7 @@ def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
     if len(pairs) > 1:
         keep = without_repeats(x1, x2, 1 - ratio)
         i1, i2, x1, x2, affine, ratio = (part[keep] for part in (i1, i2, x1, x2, affine, ratio))
-    confirmed = _confirmations(x1, x2, affine)
+    confirmed = confirmations(x1, x2, affine)
     good = (confirmed >= 2) | ((confirmed >= 1) & (ratio < 0.75)) | (ratio < 0.55)
     if good.sum() < 8:
         good = np.zeros(len(ratio), dtype=bool)
@@ -55,7 +55,7 @@ def _clear(pair: ViewPair) -> tuple[Int32s, Int32s, Float64s, Float64s, Float64s
     return pair.rows1[i], pair.rows2[j], pair.x1[i], pair.x2[j], affine, ratio[keep]
 
 
-def _confirmations(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
+def confirmations(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
     """(n,) how many of a match's nearest matches predict it, place and frame."""
     count = np.zeros(len(x1), np.int32)
     if len(x1) >= 4:

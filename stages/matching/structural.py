@@ -98,11 +98,11 @@ def match_structural(
     pairs: tuple[ViewPair, ...] = ()
     if not (possible and tilt == "always"):
         pairs = view_pairs(left, right, False, neighbours)
-        found = _solve(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
+        found = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
         if not possible or len(found.i1) >= weak_matches:
             return keypoint_matches(left, right, found.i1, found.i2, found.probability, searched=pairs)
     pairs = view_pairs(left, right, True, neighbours, known=pairs)
-    found = _solve(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
+    found = solve_rounds(left, right, pairs, initial_matches(pairs), dominance, rounds, None)
     return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=True, searched=pairs)
 
 
@@ -131,11 +131,11 @@ def match_guided(
         raise ValueError("matches without keypoints cannot be guided")
     pairs = searched_view_pairs(matches, left, right)
     known = Correspondences(matches.i1, matches.i2, matches.probability.astype(np.float64))
-    found = _solve(left, right, pairs, known, dominance, rounds, F)
+    found = solve_rounds(left, right, pairs, known, dominance, rounds, F)
     return keypoint_matches(left, right, found.i1, found.i2, found.probability, tilted=matches.tilted, searched=pairs)
 
 
-def _solve(
+def solve_rounds(
     left: Features,
     right: Features,
     pairs: tuple[ViewPair, ...],
@@ -144,7 +144,19 @@ def _solve(
     rounds: int,
     F: Float64s | None,
 ) -> Correspondences:
-    """The rounds: field from the matches, matches from the field."""
+    """The rounds: field from the matches, matches from the field.
+
+    Parameters
+    ----------
+    left, right
+        Keypoints of the two frames.
+    pairs
+        Their views with the candidates.
+    first
+        Matches to begin with.
+    dominance, rounds, F
+        As in `match_guided`; F None where none is known.
+    """
     matches = first
     for step in range(rounds):
         if len(matches.i1) < MIN_MATCHES:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.cameras import camera_of
+from ..core.rotations import angle_between_deg
 from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, View
 from .tracks import Edge
@@ -136,3 +137,19 @@ def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> d
             geometry = replace(geometry, cam2_R_cam1=pose[0], cam2_t_cam1=pose[1])
         found[i, j] = geometry
     return found
+
+
+def unsure_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
+    """How far the rotation of each pair turns where the focal lengths that are only guessed are longer by `GUESS_SIGMA`."""
+    longer = replace(lenses, K={k: _longer(K) if k in lenses.solved else K for k, K in lenses.K.items()})
+    guessed = {edge: g for edge, g in geometries.items() if (edge[0] in lenses.solved or edge[1] in lenses.solved)}
+    found = {}
+    for edge, other in relative_rotations(guessed, longer).items():
+        R = geometries[edge].cam2_R_cam1
+        if R is not None and other.cam2_R_cam1 is not None:
+            found[edge] = angle_between_deg(other.cam2_R_cam1, R)
+    return found
+
+
+def _longer(K: Float64s) -> Float64s:
+    return K @ np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])

@@ -262,7 +262,8 @@ def _from_best_pair(
     model = _retriangulated(Model(best[1], tracks, nowhere, unused, lenses))
     if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
         return None
-    return refine(model, rounds=2, rough=True)
+    model = refine(model, rounds=2, rough=True)
+    return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None  # the adjustment may leave nothing that fits
 
 
 def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:

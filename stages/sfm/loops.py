@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite, log
 
 import numpy as np
 
@@ -14,10 +15,14 @@ from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.pair_score import probability
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
+from .repeats import Shares, why_ambiguous
 from .rotation_averaging import rotations_along_tree
 
-STANDS_ALONE = 1.0
-"""Log odds that a pair needs which no third camera can confirm."""
+STANDS_ALONE = log(19)
+"""Log odds that a pair needs which no third camera confirms: one such in twenty may be wrong.  One that others do confirm needs
+only be more likely right than wrong."""
+STANDS_ALONE_BARE = 1.0
+"""The same of the other score, where no rival was looked for."""
 
 
 @dataclass(frozen=True)
@@ -34,36 +39,61 @@ class LoopCheck:
     """...and how many of them close."""
 
 
-LOOP_ROTATION_DEG, LOOP_DIRECTION_DEG = 3.0, 10.0
-"""A triangle closes where its rotations return within 3 degrees and the third direction is within 10 of the arc of the others."""
-P_CLOSED_GOOD, P_CLOSED_BAD = 0.95, 0.05
+@dataclass(frozen=True)
+class Habits:
+    """What is usual in scenes that do not repeat, as `scripts/bench_verdict.py` counts it."""
+
+    rotation_deg: float
+    direction_deg: float
+    """A triangle closes where its rotations return within the first, and the third direction is within the second of the arc of
+    the others."""
+    closed_right: float
+    """Share of the triangles of right pairs that close..."""
+    closed_wrong: float
+    """...and of those with a wrong one."""
+    rivals: Shares
+
+
+USUAL = Habits(6.0, 15.0, closed_right=0.99, closed_wrong=0.05, rivals=Shares(turned=0.2, side=0.012, row=0.01))
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
 """Triangles share pairs, so each counts half; all together they move the log odds by at most 6."""
 PRIOR_SHIFT = 0.5
-TREE_DEG = 4.0
 
 
-def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
+def check_loops(
+    geometries: Mapping[Pair, Geometry], unsure_deg: Mapping[Pair, float] | None = None, usual: Habits = USUAL
+) -> dict[Pair, LoopCheck]:
     """Judge all pairs of a site together; for each pair whether it may enter the poses.
 
     Mean-field beliefs over the triangles of cameras, then a maximum spanning tree of the believed pairs: what disagrees with the
     rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and a pair that stands in no
     triangle needs a score over `STANDS_ALONE`.
+
+    unsure_deg: by how much rotations may be off besides the noise, where lenses are only guessed: a triangle that a wrong focal
+    length may hold open says nothing against its pairs.
     """
     posed = {pair: g for pair, g in geometries.items() if g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None}
-    triangles = _triangles(posed)
-    closed = np.array([_closes(posed, *triangle) for triangle in triangles], dtype=bool)
+    triangles = triangles_of(posed)
+    unsure = unsure_deg or {}
+    closed = np.array([closes(posed, *triangle, usual, _slack(unsure, *triangle)) for triangle in triangles], dtype=bool)
     pairs = list(geometries)
     index = {pair: k for k, pair in enumerate(pairs)}
     members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
     prior = np.array([float(np.clip(geometries[pair].score, -6, 6)) - PRIOR_SHIFT for pair in pairs])
-    belief = _beliefs(prior, members, closed)
+    belief = _beliefs(prior, members, closed, usual)
     count = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
     why = {pair: _refusal(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
+    for pair, code in _unsupported({p for p in posed if why[p] is None}, geometries, triangles, closed).items():
+        k = index[pair]
+        why[pair] = Rejected(code, _figures(geometries[pair], int(count[k]), int(closing[k])))
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
-    for pair, degrees in _against_tree(posed, believed).items():
+    for pair, degrees in _against_tree(posed, believed, unsure, usual.rotation_deg).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
+    if repeats := why_ambiguous(posed.values(), usual.rivals):
+        for pair in posed:
+            k = index[pair]
+            why[pair] = why[pair] or Rejected(repeats, _figures(geometries[pair], int(count[k]), int(closing[k])))
     checks = {}
     for k, pair in enumerate(pairs):
         p = probability(float(belief[k]))
@@ -73,8 +103,8 @@ def check_loops(geometries: Mapping[Pair, Geometry]) -> dict[Pair, LoopCheck]:
 
 def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> Rejected | None:
     """None for a pair to be believed."""
-    figures = {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
-    if triangles == 0 and 0 < geometry.score <= STANDS_ALONE:
+    figures = _figures(geometry, triangles, closed)
+    if triangles == 0 and 0 < geometry.score <= _alone(geometry):
         return Rejected(Reason.UNCONFIRMED, figures)
     if belief > 0:
         return None
@@ -83,7 +113,40 @@ def _refusal(geometry: Geometry, belief: float, triangles: int, closed: int) -> 
     return Rejected(Reason.AMBIGUOUS if geometry.score == 0 else Reason.NOT_BELIEVED, figures)
 
 
-def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
+def _alone(geometry: Geometry) -> float:
+    """The score that this pair needs where no other confirms it."""
+    return STANDS_ALONE if isfinite(geometry.rival_turned_deg) else STANDS_ALONE_BARE
+
+
+def _figures(geometry: Geometry, triangles: int, closed: int) -> dict[str, float]:
+    return {"score": geometry.score, "distinct_cells": geometry.distinct_cells, "closed": closed, "triangles": triangles}
+
+
+def _unsupported(
+    believed: set[Pair], geometries: Mapping[Pair, Geometry], triangles: list[tuple[str, str, str]], closed: Bools
+) -> dict[Pair, Reason]:
+    """Believed pairs that no camera may be hung on.
+
+    Where a triangle of three believed pairs does not close, one of them is wrong, and nothing says which: copies of a building
+    contradict each other, with scores like those of right pairs.  So a pair needs at least as many of its triangles of believed
+    pairs closed as open; and where none of them is closed, a score that stands alone.
+    """
+    agree, object_ = dict.fromkeys(believed, 0), dict.fromkeys(believed, 0)
+    for (a, b, c), closes in zip(triangles, closed.tolist(), strict=True):
+        sides = ((a, b), (b, c), (a, c))
+        if believed.issuperset(sides):
+            for side in sides:
+                (agree if closes else object_)[side] += 1
+    found = {}
+    for pair in believed:
+        if object_[pair] > agree[pair]:
+            found[pair] = Reason.LOOK_ALIKE
+        elif agree[pair] == 0 and geometries[pair].score <= _alone(geometries[pair]):
+            found[pair] = Reason.UNCONFIRMED
+    return found
+
+
+def triangles_of(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
     """(a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
     after: dict[str, set[str]] = {}
     for a, b in posed:
@@ -91,10 +154,31 @@ def _triangles(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
     return [(a, b, c) for a, b in posed for c in sorted(after.get(b, set()) & after[a])]
 
 
-def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str) -> bool:
-    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?"""
+def _slack(unsure_deg: Mapping[Pair, float], a: str, b: str, c: str) -> float:
+    """What the least certain side of a triangle may be off by."""
+    return max(unsure_deg.get(pair, 0.0) for pair in ((a, b), (b, c), (a, c)))
+
+
+def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits = USUAL, slack_deg: float = 0.0) -> bool:
+    """Do the rotations around the triangle return, and does the direction a to c lie between those to b and on from there?
+
+    Parameters
+    ----------
+    posed : mapping
+        Geometries by pair.
+    a : str
+        Camera.
+    b : str
+        Camera.
+    c : str
+        Camera.
+    usual : Habits
+        How well triangles close where all is right.
+    slack_deg : float
+        More than that, for what else is uncertain.
+    """
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
-    if angle_between_deg(R_ac, R_bc @ R_ab) > LOOP_ROTATION_DEG:
+    if angle_between_deg(R_ac, R_bc @ R_ab) > usual.rotation_deg + slack_deg:
         return False
     to_b, onward, to_c = -R_ab.T @ t_ab, -R_ab.T @ (R_bc.T @ t_bc), -R_ac.T @ t_ac  # directions in the axes of a
     normal = np.cross(to_b, onward)
@@ -103,9 +187,9 @@ def _closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str) -> bool:
         flat = to_c - (to_c @ normal) * normal
         weights = np.linalg.lstsq(np.column_stack([to_b, onward]), flat, rcond=None)[0]
         if (weights >= 0).all():
-            return bool(abs(to_c @ normal) < np.sin(np.radians(LOOP_DIRECTION_DEG)))
+            return bool(abs(to_c @ normal) < np.sin(np.radians(usual.direction_deg + slack_deg)))
     nearest = max(to_c @ to_b, to_c @ onward)
-    return bool(nearest > np.cos(np.radians(LOOP_DIRECTION_DEG)))
+    return bool(nearest > np.cos(np.radians(usual.direction_deg + slack_deg)))
 
 
 def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
@@ -113,16 +197,16 @@ def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
     return geometry.cam2_R_cam1, geometry.cam2_t_cam1
 
 
-def _beliefs(prior: Float64s, members: Int64s, closed: Bools) -> Float64s:
+def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
     """Log odds of each pair after 15 damped rounds of mean-field messages from the triangles."""
-    belief = prior.copy()
+    belief, right, wrong = prior.copy(), usual.closed_right, usual.closed_wrong
     for _ in range(15 if len(members) else 0):
         p = 1 / (1 + np.exp(-belief))
         up, down = np.zeros(len(prior)), np.zeros(len(prior))
         for side in range(3):
             others = p[members[:, (side + 1) % 3]] * p[members[:, (side + 2) % 3]]
-            closes = np.log((others * P_CLOSED_GOOD + (1 - others) * P_CLOSED_BAD) / P_CLOSED_BAD)
-            opens = np.log((others * (1 - P_CLOSED_GOOD) + (1 - others) * (1 - P_CLOSED_BAD)) / (1 - P_CLOSED_BAD))
+            closes = np.log((others * right + (1 - others) * wrong) / wrong)
+            opens = np.log((others * (1 - right) + (1 - others) * (1 - wrong)) / (1 - wrong))
             np.add.at(up, members[closed, side], closes[closed])
             np.add.at(down, members[~closed, side], opens[~closed])
         loops = np.minimum(LOOP_WEIGHT * up, LOOP_CAP) + np.maximum(LOOP_WEIGHT * down, -LOOP_CAP)
@@ -130,9 +214,11 @@ def _beliefs(prior: Float64s, members: Int64s, closed: Bools) -> Float64s:
     return belief
 
 
-def _against_tree(posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float]) -> dict[Pair, float]:
-    """Believed pairs whose rotation is off by more than `TREE_DEG` from that along the maximum spanning tree, and by how much."""
+def _against_tree(
+    posed: Mapping[Pair, Geometry], believed: Mapping[Pair, float], unsure_deg: Mapping[Pair, float], most_deg: float
+) -> dict[Pair, float]:
+    """Believed pairs whose rotation is off by more than `most_deg` from that along the maximum spanning tree, and by how much."""
     relative = {pair: _pose(posed[pair])[0] for pair in believed}
     world = rotations_along_tree(relative, believed)
     off = {(a, b): angle_between_deg(R, world[b] @ world[a].T) for (a, b), R in relative.items()}
-    return {pair: degrees for pair, degrees in off.items() if degrees > TREE_DEG}
+    return {pair: degrees for pair, degrees in off.items() if degrees > most_deg + unsure_deg.get(pair, 0.0)}

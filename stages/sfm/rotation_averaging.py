@@ -26,8 +26,10 @@ View = TypeVar("View", int, str)
 def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, float]) -> dict[int, Float64s]:
     """R of each view (world to camera) from `cam2_R_cam1` of the pairs; each connected part has its first view at identity.
 
-    weights: only the order matters; the spanning tree takes the largest first.
+    weights: only the order matters; the spanning tree takes the largest first.  No pairs: no views.
     """
+    if not relative:
+        return {}
     R = rotations_along_tree(relative, weights)
     views = sorted(R)
     number = {view: k for k, view in enumerate(views)}

@@ -47,11 +47,11 @@ def solve_from_pairs(
     graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
     trusted, dropped = graph.consistent(max_rotation_error_deg)
     number = {name: view for view, name in enumerate(graph.names)}
-    models = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
+    grown = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
+    models = [model for model in (refine(model, rounds=3) for model in grown) if model.use.any()]
     if not models:
-        figures = {"cameras": float(len(views)), "pairs": float(len(trusted))}
-        return Rejected(graph.why_nothing(trusted), figures)
-    worlds = [to_world(graph, refine(model, rounds=3), placements, survey) for model in models]
+        return graph.why_nothing(trusted, dropped)
+    worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
     return _collect(graph, worlds, stated, exact, metric, dropped, max_epipolar_px, survey)
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..types import Camera, Float64s, Geometry, Pair, View
-from .focal import Lenses, guess_lenses, relative_rotations
+from .focal import Lenses, guess_lenses, relative_rotations, unsure_deg
 from .incremental import Model, grow
 from .loops import check_loops
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
+
+_AMBIGUOUS = (Reason.AMBIGUOUS, Reason.SAME_FROM_OTHER_SIDES, Reason.SAME_ALONG_A_ROW)
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,9 @@ class ViewGraph:
 
     def consistent(self, tolerance_deg: float) -> tuple[list[Edge], dict[Edge, Rejected]]:
         """The pairs that the site as a whole believes and whose rotations agree, and why the others are left out."""
-        judged = check_loops({(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()})
+        unsure = {(self.names[i], self.names[j]): degrees for (i, j), degrees in unsure_deg(self.geometries, self.lenses).items()}
+        named = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
+        judged = check_loops(named, unsure)
         checks = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
         dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
         believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
@@ -72,7 +76,18 @@ class ViewGraph:
             waiting += [p for p in components([e for e in edges if e[0] in left and e[1] in left], left) if len(p) > 1]
         return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
-    def why_nothing(self, trusted: list[Edge]) -> Reason:
+    def why_nothing(self, trusted: list[Edge], dropped: Mapping[Edge, Rejected]) -> Rejected:
+        """Why not even two views can be placed: of the reasons of the pairs, the one that most have."""
+        figures = {"cameras": float(len(self.views)), "pairs": float(len(self.geometries))}
         if not self.geometries:
-            return Reason.NO_GEOMETRY
-        return Reason.TOO_FEW_POINTS if trusted else Reason.PAIRS_CONTRADICT
+            return Rejected(Reason.NO_GEOMETRY, figures)
+        if trusted:
+            return Rejected(Reason.TOO_FEW_POINTS, figures)
+        codes = [why.why for why in dropped.values()]
+        figures["unconfirmed"] = float(codes.count(Reason.UNCONFIRMED))
+        figures["ambiguous"] = float(sum(code in _AMBIGUOUS for code in codes))
+        if figures["ambiguous"] > 0.5 * len(codes):
+            return Rejected(Reason.NOTHING_DISTINCT, figures)
+        if figures["unconfirmed"] > 0.5 * len(codes):
+            return Rejected(Reason.NOTHING_CONFIRMED, figures)
+        return Rejected(Reason.PAIRS_CONTRADICT, figures)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..types import Cloud
 from .encode import jpeg, png
 from .scenes import SCENES, render
 from .shooting import DemoCamera, DemoSite
@@ -71,19 +72,22 @@ def _files(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes 
         for k, image in enumerate(camera.captures):
             yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
         yield f"masks/{camera.name}.png", png(camera.mask)
-        yield f"truth/depth/{camera.name}.npz", _npz(depth=camera.depth)
-    calibration = _json({camera.name: _calibration(camera) for camera in site.cameras})
+        yield f"truth/depth/{camera.name}.npz", npz_bytes(depth=camera.depth)
+    calibration = json_bytes({camera.name: calibration_of(camera) for camera in site.cameras})
     yield "cameras.json", calibration
     yield "truth/cameras.json", calibration
-    yield "truth/reference.ply", _reference(site)
+    yield "truth/reference.ply", reference_points(site.reference, site.voxel_m)
     summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
-    yield "truth/reference.json", _json(summary)
+    yield "truth/reference.json", json_bytes(summary)
     row = SCENES[scene]
     yield "README.txt", _README.format(about=row.about, scene="yard" if scene == "yard" else "scene").encode()
-    yield "site.yaml", _site_file(site, scene, row.angles_deg).encode()
+    about = _CAPTURES.format(night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
+    cameras = [camera.name for camera in site.cameras]
+    yield "site.yaml", site_file(scene, cameras, "{camera}/{date:%Y-%m-%d}_*.jpg", about, row.angles_deg).encode()
 
 
-def _calibration(camera: DemoCamera) -> dict[str, Any]:
+def calibration_of(camera: DemoCamera) -> dict[str, Any]:
+    """A camera's entry in cameras.json."""
     assert camera.lens.K is not None
     return {
         "width": camera.lens.width,
@@ -95,42 +99,61 @@ def _calibration(camera: DemoCamera) -> dict[str, Any]:
     }
 
 
-def _reference(site: DemoSite) -> Points:
-    cloud = site.reference
+def reference_points(cloud: Cloud, voxel_m: float) -> Points:
+    """The content of truth/reference.ply."""
     columns = {
         **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
         **dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True)),
         **dict(zip(("red", "green", "blue"), cloud.colors.T, strict=True)),
         "views": cloud.views,
     }
-    return Points(columns, (f"surfaces that at least two cameras see, one point per {site.voxel_m:g} m",))
+    return Points(columns, (f"surfaces that at least two cameras see, one point per {voxel_m:g} m",))
 
 
-def _npz(**arrays: Any) -> bytes:
+def npz_bytes(**arrays: Any) -> bytes:
+    """An npz file of arrays."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
-def _json(data: dict[str, Any]) -> bytes:
+def json_bytes(data: dict[str, Any]) -> bytes:
+    """A JSON file."""
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def _site_file(site: DemoSite, scene: str, angles_deg: tuple[float, float]) -> str:
-    cameras = "\n".join(f"  - {{id: {camera.name}, mask: masks/{camera.name}.png}}" for camera in site.cameras)
-    night = f"{site.cameras[0].times[0]:%Y-%m-%d}"
-    low, high = angles_deg
-    return _SITE.format(scene=scene, cameras=cameras, night=night, low=low, high=high)
+def site_file(scene: str, cameras: Sequence[str], pattern: str, about: str, angles_deg: tuple[float, float]) -> str:
+    """The site file of a demo.
 
+    Parameters
+    ----------
+    scene : str
+        Its name.
+    cameras : sequence of str
+        Ids, in their order.
+    pattern : str
+        Of the captures' names.
+    about : str
+        Comment lines above the captures.
+    angles_deg : (float, float)
+        Between which angles views are worth matching, degrees.
+    """
+    rows = "\n".join(f"  - {{id: {camera}, mask: masks/{camera}.png}}" for camera in cameras)
+    low, high = angles_deg
+    return _SITE.format(scene=scene, cameras=rows, about=about, pattern=pattern, low=low, high=high)
+
+
+_CAPTURES = """\
+# One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed."""
 
 _SITE = """\
 # The demo {scene}.  Try:  wbflow check site.yaml   wbflow run site.yaml   wbflow status site.yaml
 site: {scene}
 
-# One folder for each camera, several captures a night ({night}_1.jpg, ...): what moves between them is removed.
+{about}
 captures:
   root: captures
-  pattern: "{{camera}}/{{date:%Y-%m-%d}}_*.jpg"
+  pattern: "{pattern}"
 
 # Every camera burns a clock into its picture; the masks (black: ignore) keep it out.
 cameras:

@@ -60,7 +60,7 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
         for k, paint in enumerate(paints):
             place, yaw = _on_route(rng, 3 * k)
             if k % 2 == 0:
-                _van(build, place, yaw, (paint, board, dark, glass))
+                van(build, place, yaw, (paint, board, dark, glass))
             else:
                 _forklift(build, place, yaw, paint, dark)
         scenes.append(build.build())
@@ -107,8 +107,20 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
     build.ball((x, y, 1.70), (0.13, 0.13, 0.10), helmet, steps=5)
 
 
-def _van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """A delivery van of 4.8 m; `look`: textures of paint, sides, tyres, glass."""
+def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
+    """A delivery van of 4.8 m.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    place : Place
+        x, y, metres.
+    yaw : float
+        Radians.
+    look : tuple of int
+        Textures of paint, sides, tyres, glass.
+    """
     paint, board, dark, glass = look
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
     p = np.array(place)

@@ -16,7 +16,7 @@ import open3d as o3d
 from ..core.jit import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
 from .paint import Texture
-from .scene import GLOWING, STATIC, WATER, Scene
+from .scene import GLOWING, STATIC, Scene
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 
@@ -168,12 +168,24 @@ def spiral(n: int) -> Float32s:
     return np.column_stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z]).astype(np.float32)
 
 
-def render_rays(
-    prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float, jitter: Float32s
-) -> tuple[Float32s, Float32s, Int32s]:
-    """What n rays from one point see.
+@dataclass(frozen=True)
+class Seen:
+    """What rays from one point meet, before light falls on it: the same under any light."""
 
-    Returns radiance (n, 3), distance (n,) and facet (n,), -1 for sky.
+    directions: Float32s
+    """(n, 3) float32 unit vectors."""
+    distance: Float32s
+    """(n,) float32 metres, inf for sky."""
+    facet: Int32s
+    """(n,) int32, -1 for sky."""
+    points: Float32s
+    facing: Float32s
+    albedo: Float32s
+    """(m, 3) float32 each, of the m rays that meet something: where, its normal towards the camera, its colour."""
+
+
+def look(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Seen:
+    """What n rays from one point meet.
 
     Parameters
     ----------
@@ -185,17 +197,11 @@ def render_rays(
         (n, 3) float32 unit vectors.
     spread : float
         Radians between neighbouring rays.
-    jitter : ndarray
-        (n, 2) float32 in -1..1, the point of the sun's disc that each sample asks.
     """
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
-    scene, atlas, light = prepared.scene, prepared.atlas, prepared.light
+    scene, atlas = prepared.scene, prepared.atlas
     hit = facet >= 0
-    radiance = np.empty_like(directions)
-    radiance[~hit] = sky_radiance(light, directions[~hit])
-    if not hit.any():
-        return radiance, distance, facet
     rays, far, on = directions[hit], distance[hit], facet[hit]
     points = np.asarray(centre, np.float32) + rays * far[:, None]
     facing = np.where((np.einsum("ni,ni->n", scene.normals[on], rays) > 0)[:, None], -scene.normals[on], scene.normals[on])
@@ -205,19 +211,34 @@ def render_rays(
         scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of,
         atlas.texels, atlas.starts, atlas.heights, atlas.widths, atlas.texel_m,
     )  # fmt: skip
+    return Seen(directions, distance, facet, points, facing, albedo)
+
+
+def shade(prepared: PreparedScene, seen: Seen, jitter: Float32s) -> Float32s:
+    """Radiance (n, 3) float32 of what n rays meet, in the light of a scene.
+
+    jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample asks.
+    """
+    scene, light = prepared.scene, prepared.light
+    hit = seen.facet >= 0
+    radiance = np.empty_like(seen.directions)
+    radiance[~hit] = sky_radiance(light, seen.directions[~hit])
+    if not hit.any():
+        return radiance
+    points, facing = seen.points, seen.facing
     received = np.empty_like(points)
     _sky_light(
         received, points, facing, prepared.sky.open, prepared.sky.corner, prepared.sky.cell_m,
         np.array(light.sky, np.float32), np.array(light.ground, np.float32),
     )  # fmt: skip
-    lifted = points + facing * np.float32(0.004) * np.maximum(far * np.float32(0.05), 1)[:, None]
+    lifted = points + facing * np.float32(0.004) * np.maximum(seen.distance[hit] * np.float32(0.05), 1)[:, None]
     _add_sun(prepared, received, lifted, facing, jitter[hit])
     for lamp in light.lamps:
         _add_lamp(prepared, received, lifted, facing, lamp)
     if light.lamps:
-        received[scene.kinds[on] == GLOWING] = 1.2
-    radiance[hit] = albedo * received
-    return radiance, distance, facet
+        received[scene.kinds[seen.facet[hit]] == GLOWING] = 1.2
+    radiance[hit] = seen.albedo * received
+    return radiance
 
 
 def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
@@ -376,8 +397,3 @@ def _sky_light(
         up = 0.5 + 0.5 * normals[k, 2]
         for c in range(3):
             received[k, c] = seen * (sky[c] * (0.35 + 0.65 * up) + ground[c] * (1 - up))
-
-
-def truth_mask(scene: Scene, facet: Int32s) -> Uint8s:
-    """1 where a facet is part of the truth (not sky, not water), else 0."""
-    return np.where((facet >= 0) & (scene.kinds[np.maximum(facet, 0)] != WATER), 1, 0).astype(np.uint8)

@@ -17,8 +17,8 @@ from ..core.cameras import project
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 from .cameras import Viewpoint, camera_at, distort, pixel_rays
 from .reference import reference_cloud
-from .renderer import Light, PreparedScene, SkyGrid, build_atlas, render_rays, truth_mask
-from .scene import Scene, joined
+from .renderer import Light, PreparedScene, Seen, SkyGrid, build_atlas, look, shade
+from .scene import WATER, Scene, joined
 from .sensor import burn_clock, clock_mask, develop, sensor_of
 from .shots import Daytime, Shots
 
@@ -102,7 +102,7 @@ def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
     with ThreadPoolExecutor(shots.threads) as pool:
         done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, shots.size), night.viewpoints))
     rows = [camera for camera, _ in done]
-    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [_upright(c) for c in rows]
+    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [upright(c) for c in rows]
     return DemoSite(tuple(rows), reference_cloud(pinholes, depths, [n for _, n in done], colors, voxel_m), voxel_m)
 
 
@@ -152,17 +152,45 @@ def render_pixels(
         Pixels at once.
     """
     out = np.empty((len(pixels), 3), np.float32)
-    spread = 1.0 / (SAMPLES * camera.K[0, 0])
-    sub_y, sub_x = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
     for start in range(0, len(pixels), batch):
-        y, x = np.divmod(pixels[start : start + batch, None], camera.width)
-        column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
-        rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
-        # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
-        disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (len(x), 1))
-        radiance, _, _ = render_rays(prepared, camera.C, rays, spread, disc.astype(np.float32))
-        out[start : start + batch] = radiance.reshape(-1, SAMPLES * SAMPLES, 3).mean(axis=1)
+        out[start : start + batch] = light_up(prepared, look_at_pixels(prepared, camera, lens, pixels[start : start + batch]))
     return out
+
+
+def look_at_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Seen:
+    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    pixels : ndarray
+        (n,) indices in the image, row by row.
+    """
+    y, x = np.divmod(pixels[:, None], camera.width)
+    sub_y, sub_x = _in_pixel()
+    column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
+    rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
+    return look(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
+
+
+def light_up(prepared: PreparedScene, seen: Seen) -> Float32s:
+    """Linear radiance (n, 3) float32 of n pixels that `look_at_pixels` has looked at, in the light of `prepared`."""
+    sub_y, sub_x = _in_pixel()
+    pixels = len(seen.directions) // (SAMPLES * SAMPLES)
+    # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
+    disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (pixels, 1))
+    return np.asarray(shade(prepared, seen, disc.astype(np.float32)).reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
+
+
+def _in_pixel() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Row and column of each sample within its pixel."""
+    rows, columns = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
+    return rows, columns
 
 
 def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
@@ -170,7 +198,7 @@ def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
     distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
-    known = truth_mask(prepared.scene, facet).astype(bool)
+    known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
     depth = np.where(known, distance * (rays @ camera.R[2].astype(np.float32)), 0).astype(np.float32)
     normals = prepared.scene.normals[np.maximum(facet, 0)]
     normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
@@ -230,7 +258,7 @@ def _on_ground(start: Float64s, end: Float64s) -> Float64s:
     return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
-def _upright(camera: DemoCamera) -> Uint8s:
+def upright(camera: DemoCamera) -> Uint8s:
     """Colours (h, w, 3) of the undistorted view: the median of the captures at the nearest pixel."""
     view = camera.camera
     y, x = np.divmod(np.arange(view.width * view.height), view.width)

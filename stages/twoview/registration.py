@@ -106,12 +106,21 @@ def patch_radius(width: int) -> int:
 
 
 def find_again(image1: Uint8s, image2: Uint8s, points: Float64s, reach_px: int = REACH_PX) -> Found:
-    """Search the patches around points (n, 2) of one grey image in another of the same size: at half the size, then finely."""
+    """Search patches of one grey image in another: at half the size, then finely.
+
+    Parameters
+    ----------
+    image1, image2
+        (h, w) uint8, of one size.
+    points
+        (n, 2) middles of the patches, pixels of the first.
+    reach_px
+        They are searched so far from there.
+    """
     radius = patch_radius(image1.shape[1])
-    half1, half2 = _halved(image1), _halved(image2)
-    coarse, _ = _search(
-        _padded(half1, radius), _padded(half2, radius + reach_px // 2), points / 2, points / 2, radius, reach_px // 2
-    )
+    reach = reach_px // 2
+    half1, half2 = _padded(_halved(image1), radius), _padded(_halved(image2), radius + reach)
+    coarse, _ = _search(half1, half2, points / 2, points / 2, radius, reach)
     found, score = _search(_padded(image1, radius), _padded(image2, radius + 3), points, coarse * 2, radius, 3)
     inside = (found >= 0).all(axis=1) & (found < [image1.shape[1], image1.shape[0]]).all(axis=1)
     keep = (score >= _LEAST_CORRELATION) & inside

@@ -4,6 +4,7 @@ from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s
 from .captured import Capture, Lens, Placement, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
+from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
 from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
 from .site import PoseCheck, Poses, Scene
@@ -11,13 +12,20 @@ from .views import PLAIN, TILTED, Camera, Features, Frame, View
 
 __all__ = [
     "INVALID",
+    "NEW",
     "PLAIN",
+    "SAME",
     "TILTED",
+    "UNKNOWN",
+    "VANISHED",
     "Bools",
     "Camera",
     "CameraHealth",
     "Capture",
+    "Change",
+    "Changes",
     "Cloud",
+    "Coverage",
     "DepthMap",
     "Disparity",
     "Features",
@@ -25,6 +33,7 @@ __all__ = [
     "Float64s",
     "Frame",
     "Geometry",
+    "GroundGrid",
     "Int16s",
     "Int32s",
     "Int64s",

@@ -81,6 +81,12 @@ class Geometry:
     """Angle between the rotations of the two halves of the inliers; nan without K."""
     stretch: float = 0.0
     """Median log ratio of the axes of the local affine maps."""
+    rival_inliers: int = 0
+    """How many matches agree with the best other hypothesis (see `twoview.rivals`)..."""
+    rival_elsewhere: int = 0
+    """...and how many of those off the epipolar lines..."""
+    rival_turned_deg: float = float("nan")
+    """...whose rotation is so far from the accepted one; nan where no rival was looked for."""
     noise_px: Float32s | None = None
     """(n,) standard deviation of the distance of each inlier to its epipolar line, None where nobody knows."""
     lens1: Float64s | None = None

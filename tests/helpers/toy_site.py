@@ -33,6 +33,12 @@ class ToySite:
     cameras: list[str]
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
+    keys: dict[str, Any] = field(default_factory=dict)
+    """Further keys of the site file."""
+    watched: bool = False
+    """Its cameras are compared with the reference."""
+    dated: bool = False
+    """Captures are `<camera>-<date>.txt`."""
 
     def __post_init__(self) -> None:
         (self.folder / "captures").mkdir(parents=True)
@@ -53,8 +59,13 @@ class ToySite:
     def cloud(self) -> bytes:
         return (self.work / "runs" / "latest-good" / "cloud.ply").read_bytes()
 
-    def capture(self, camera: str) -> Path:
-        return self.folder / "captures" / f"{camera}.txt"
+    def capture(self, camera: str, date: str = "2026-11-01") -> Path:
+        return self.folder / "captures" / (f"{camera}-{date}.txt" if self.dated else f"{camera}.txt")
+
+    def night(self, date: str, **states: str) -> None:
+        """Captures of one more night of a dated site; states of cameras that are not as they were."""
+        for camera in self.cameras:
+            self.capture(camera, date).write_text(f"{states.get(camera, 'ok')}: {camera} on {date}")
 
     def fault(self, name: str, text: str) -> None:
         (self.folder / "faults" / name).write_text(text)
@@ -63,12 +74,14 @@ class ToySite:
         stages: dict[str, Any] = {
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
-        stages["scene"] = stages["refine"] = stages["health"] = False
+        stages["scene"] = stages["refine"] = stages["coverage"] = False
+        stages["health"] = {"use": "toy_stages:examine"} if self.watched else False
         site = {
             "site": "toy",
-            "captures": {"root": "captures", "pattern": "{camera}.txt"},
+            "captures": {"root": "captures", "pattern": "{camera}-{date}.txt" if self.dated else "{camera}.txt"},
             "cameras": self.cameras,
             "stages": stages,
+            **self.keys,
         }
         self.file.write_text(json.dumps(site, indent=1))  # JSON is YAML
 
@@ -84,7 +97,7 @@ class ToySite:
         full = self.command(command, str(self.file), *arguments)
         return subprocess.run(full, env=self.env(), capture_output=True, text=True, timeout=120, check=False)
 
-    def run(self, *arguments: str, code: int = 0) -> dict[str, Any]:
+    def run(self, *arguments: str, code: int | None = 0) -> dict[str, Any]:
         """`wbflow run --json` in this process (quick); the record, after checking the exit code."""
         from click.testing import CliRunner
 
@@ -92,7 +105,7 @@ class ToySite:
 
         jobs = [] if "--jobs" in arguments else ["--jobs", "1"]
         result = CliRunner().invoke(main, ["run", str(self.file), "--json", *jobs, *arguments], env=self.env())
-        assert result.exit_code == code, result.output
+        assert code in {None, result.exit_code}, result.output
         record: dict[str, Any] = json.loads(result.stdout)
         return record
 

@@ -22,6 +22,7 @@ import numpy as np
 from wbflow_stages.reasons import Reason
 from wbflow_stages.types import (
     Camera,
+    CameraHealth,
     Capture,
     Cloud,
     DepthMap,
@@ -39,6 +40,7 @@ from wbflow_stages.types import (
     Rectification,
     Rejected,
     Survey,
+    Usual,
     View,
 )
 
@@ -50,7 +52,16 @@ def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *
     if data.startswith(b"broken"):
         raise ValueError(f"{captures[0].name} is not an image")
     pixels = np.frombuffer(hashlib.sha256(data).digest() * 6, dtype=np.uint8).reshape(8, 8, 3)
-    return Frame(pixels, np.ones((8, 8), bool), View(8, 8, np.eye(3)), notes=("toy",))
+    state = data.split(b":")[0].decode() if b":" in data else "ok"
+    return Frame(pixels, np.ones((8, 8), bool), View(8, 8, np.eye(3)), notes=("toy", state))
+
+
+def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nudged_px: float = 1.5) -> CameraHealth:
+    """The capture says it itself: "nudged: a view"; and how often it has been looked at before."""
+    _trouble("health")
+    state = frame.notes[1] if pinned_frame else "ok"
+    figures = {"shift_x_px": 0.5, "shift_y_px": 0.0, "roll_deg": 0.0, "nights": float(len(usual.roll_deg)) if usual else -1.0}
+    return CameraHealth(state, "as the capture says", "none", figures if pinned_frame else {})
 
 
 def detect(frame: Frame, *, offset: float = 0.0) -> Features:

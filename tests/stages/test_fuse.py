@@ -149,16 +149,38 @@ def test_the_depth_of_a_large_site_is_never_in_memory_at_once(monkeypatch: pytes
     assert len(lazy.loaded) < 4 * len(yard.cameras)
 
 
-def test_a_refined_depth_takes_the_place_of_the_pairs() -> None:
-    yard = make_yard()
+def exactly_refined(yard: Yard, support: int, sure: bool) -> dict[str, DepthMap]:
+    """The true depth of every view, as if refined.  support: which of the other views show it, as bits."""
     refined = {}
     for name, camera in yard.cameras.items():
         depth = true_depth(camera).astype(np.float32)
         partners = tuple(other for other in yard.cameras if other != name)
-        support = np.full(depth.shape, 1, np.uint32)
         slopes = inverse_depth_slopes(depth, camera.K[0, 0])
-        refined[name] = DepthMap(depth, 0.001 * depth, *slopes, support, partners, support > 0)
+        shown = np.full(depth.shape, support, np.uint32)
+        refined[name] = DepthMap(depth, 0.001 * depth, *slopes, shown, partners, np.full(depth.shape, sure))
+    return refined
+
+
+def test_a_refined_depth_takes_the_place_of_the_pairs() -> None:
+    yard = make_yard()
     lazy = Loading(yard.depths())
-    cloud = fuse(yard.frames, yard.cameras, lazy, refined)
+    cloud = fuse(yard.frames, yard.cameras, lazy, exactly_refined(yard, 0b01, sure=True))
     assert isinstance(cloud, Cloud) and not lazy.loaded
     assert np.percentile(yard.distance(cloud.points), 95) < 0.001
+
+
+def test_what_refinement_adds_on_the_word_of_one_pair_is_not_believed() -> None:
+    two, three = make_yard((-10, 10)), make_yard()
+    alone = fuse(two.frames, two.cameras, two.depths(), exactly_refined(two, 0b01, sure=False))
+    assert isinstance(alone, Rejected)
+    assert isinstance(fuse(three.frames, three.cameras, three.depths(), exactly_refined(three, 0b11, sure=False)), Cloud)
+
+
+def test_a_pair_does_not_show_what_stands_behind_something_in_its_other_view() -> None:
+    yard = make_yard((-10, 10))
+    refined = exactly_refined(yard, 0b01, sure=True)
+    wrong = next(iter(refined.values()))
+    wrong.depth[:, 60:120] *= np.float32(1.1)
+    cloud = fuse(yard.frames, yard.cameras, yard.depths(), refined)
+    assert isinstance(cloud, Cloud) and (yard.distance(cloud.points) < 0.1).all()
+    assert len(cloud.points) > 3000

@@ -75,6 +75,20 @@ def test_holes_are_filled_from_their_rims() -> None:
     assert np.percentile(errors(yard, name, after.depth)[filled], 80) < 0.004
 
 
+def test_what_a_single_other_view_shows_badly_is_not_sure_where_no_pair_had_it() -> None:
+    rng, shares = np.random.default_rng(0), []
+    for degrees in ((-8, 8), (-24, -8, 8, 24)):
+        yard = punched(make_yard(degrees, noise_px=0.2))
+        noise = {n: rng.normal(0, 8, f.image.shape) for n, f in yard.frames.items()}
+        grainy = {n: replace(f, image=np.clip(f.image + noise[n], 0, 255).astype(np.uint8)) for n, f in yard.frames.items()}
+        name = list(yard.cameras)[1]
+        after = refined(replace(yard, frames=grainy), name)
+        filled = np.isfinite(after.depth) & ~np.isfinite(yard.depths()[name].depth)
+        assert after.sure[np.isfinite(after.depth) & ~filled].mean() > 0.7
+        shares.append(float(after.sure[filled].mean()))
+    assert shares[0] < 0.5 * shares[1]
+
+
 def test_slopes_are_those_of_the_surface(noisy: Yard) -> None:
     name = list(noisy.cameras)[1]
     camera, after = noisy.cameras[name], refined(noisy, name)

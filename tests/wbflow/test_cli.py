@@ -77,7 +77,7 @@ def test_an_old_name_in_the_site_file_is_told_on_screen_and_in_the_log(toy: ToyS
     toy.file.write_text(json.dumps(site, indent=1))
     said = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
     assert said.count("'keypoints' is written 'max_keypoints' now") == 1
-    (log,) = (toy.work / "runs").glob("*/log.jsonl")
+    log = toy.work / "runs" / "latest" / "log.jsonl"
     warnings = [event for line in log.read_text().splitlines() if (event := json.loads(line))["event"] == "warning"]
     assert [f"{toy.file}:" in event["what"] and "write max_keypoints" in event["remedy"] for event in warnings] == [True]
 

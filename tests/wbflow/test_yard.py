@@ -115,7 +115,7 @@ def test_a_camera_that_has_been_turned_is_named_with_how_far_and_the_others_stay
     turned.write_text(json.dumps(cameras))
     site = yard / "turned.yaml"
     site.write_text((yard / "site.yaml").read_text().replace("calibration: cameras.json", f"calibration: {turned}"))
-    record = run(site, "--until", "poses", "--work", str(yard / ".wbflow" / "yard"))
+    record = run(site, "--until", "poses", "--work", str(yard / ".wbflow" / "yard"), code=3)
     (named,) = record["poses"]["suspects"]
     assert named == name
     poses = {camera["id"]: camera["pose"] for camera in record["cameras"]}

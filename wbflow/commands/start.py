@@ -24,11 +24,24 @@ if TYPE_CHECKING:
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
 @click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
-def demo(folder: Path, scene: str, small: bool, light: str, cameras: int | None, seed: int) -> None:
-    """Render the demo site (captures, site.yaml, truth) into DIR."""
-    from ..results.demo import write_demo
+@click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Nights of the yard (640x360); what happens is in truth.")
+@click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", show_default=True, help="Of each camera and night.")
+def demo(
+    folder: Path, scene: str, small: bool, light: str, cameras: int | None, seed: int, nights: int | None, frames: int
+) -> None:
+    """Render the demo site (captures, site.yaml, truth) into DIR.
 
-    write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
+    With --nights, each night has its own light and traffic; cameras are turned, covered, frozen and swapped, things appear and
+    vanish, and truth/nights.json says what, where and when.
+    """
+    from ..results.demo import write_demo, write_nights
+
+    if nights is None:
+        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
+    elif (scene, light) != ("yard", "day"):
+        raise UsageError("--nights renders the yard, each night in its own light", remedy="leave out --scene and --light")
+    else:
+        write_nights(folder, nights, frames=frames, small=small, cameras=cameras, seed=seed)
     say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 

@@ -15,6 +15,7 @@ from .schema import (
     ExpectSection,
     IntrinsicsSection,
     KeepSection,
+    NotifySection,
     PairsSection,
     PoseSection,
     SiteSection,
@@ -37,6 +38,7 @@ _REMEDIES = {
     "max_angle": "give degrees, e.g. max_angle: 60",
     "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
     "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
+    "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
     "include": "give two camera ids: include: [[gate, roof]]",
     "exclude": "give two camera ids: exclude: [[gate, roof]]",
 }
@@ -59,7 +61,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern", "keep"}:
+            if kind not in {"intrinsics", "pose", "place", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
@@ -96,6 +98,7 @@ def _fields_at(place: Place) -> list[str]:
         "control_points": ControlPoint,
         "keep": KeepSection,
         "expect": ExpectSection,
+        "notify": NotifySection,
     }
     for step in place:
         model = sections.get(str(step), model)

@@ -19,7 +19,7 @@ from .explain import explained, without_faults
 from .geodesy import Position, local_frame
 from .positions import Document, Place, SiteError, SiteProblem, load_yaml
 from .schema import SiteSection
-from .site import Expected, Site, SiteCamera, StageSettings
+from .site import Expected, Notify, Site, SiteCamera, StageSettings
 from .stages import read_stages
 from .survey import read_survey
 
@@ -91,11 +91,20 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         reader,
         survey,
         Expected(model.expect.stated, str(model.expect.since or "")),
+        _notify(model, path),
         model.keep.kept(),
         tuple(notes),
         model.pin,
         model.health.model_dump(),
     )
+
+
+def _notify(model: SiteSection, path: Path) -> Notify | None:
+    if model.notify is None:
+        return None
+    command = model.notify.command
+    folder = path.resolve().parent
+    return Notify(command if isinstance(command, str) else tuple(command), folder, model.notify.heartbeat, model.notify.seconds)
 
 
 def _with_texts(document: Document) -> Any:

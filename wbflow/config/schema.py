@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from pydantic_core import PydanticCustomError
 
 from ..store.keep import Keep
+from ..store.sizes import bytes_of
 from .geodesy import ControlPoint, Distance, Position
 from .rotations import cross, look_at, yaw_pitch_roll
-from .sizes import bytes_of
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
@@ -184,11 +184,27 @@ class ExpectSection(Section):
         return {name: value for name, value in self.model_dump(exclude={"since"}).items() if value is not None}
 
 
+class NotifySection(Section):
+    """Who is told of a night."""
+
+    command: str | list[str]
+    heartbeat: bool = False
+    seconds: float = Field(60.0, gt=0, le=3600)
+
+    @field_validator("command", mode="before")
+    @classmethod
+    def _command(cls, command: object) -> object:
+        words = [command] if isinstance(command, str) else command
+        if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+            raise PydanticCustomError("notify", "a command is a text for the shell, or a list of program and arguments")
+        return command
+
+
 class HealthSection(Section):
     """When a camera is no longer what it was when the reference was pinned (see `wbflow_stages.health`)."""
 
     nudged_px: float = Field(1.5, gt=0)
-    moved_px: float = Field(8.0, gt=0)
+    moved_deg: float = Field(0.4, gt=0)
     flat: float = Field(0.9, gt=0, le=1)
     dark: float = Field(6.0, ge=0, le=255)
 
@@ -209,5 +225,6 @@ class SiteSection(Section):
     health: HealthSection = HealthSection.model_validate({})
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
+    notify: NotifySection | None = None
     keep: KeepSection = KeepSection.model_validate({})
     work: str | None = None

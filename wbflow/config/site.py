@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,23 @@ class SiteCamera:
         return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
-_LIMITS = {"points": 0.7, "pairs": 0.7, "coverage": 0.7, "cameras": 1.0, "brightness": 0.35}
+class Measure(StrEnum):
+    """A figure of a night that is compared with what is usual."""
+
+    POINTS = "points"
+    PAIRS = "pairs"
+    COVERAGE = "coverage"
+    CAMERAS = "cameras"
+    BRIGHTNESS = "brightness"
+
+
+_LIMITS: Mapping[str, float] = {
+    Measure.POINTS: 0.7,
+    Measure.PAIRS: 0.7,
+    Measure.COVERAGE: 0.7,
+    Measure.CAMERAS: 1.0,
+    Measure.BRIGHTNESS: 0.35,
+}
 
 
 @dataclass(frozen=True)
@@ -107,6 +124,20 @@ class Expected:
     def limit(self, name: str) -> float:
         """The least share, or count, of a figure that a good night has."""
         return self.stated.get(name, _LIMITS.get(name, 0.0))
+
+
+@dataclass(frozen=True)
+class Notify:
+    """Who is told of a night: a command."""
+
+    command: str | tuple[str, ...]
+    """For the shell, or program and arguments."""
+    folder: Path
+    """Where it runs: that of the site file."""
+    heartbeat: bool = False
+    """Told of every night."""
+    seconds: float = 60.0
+    """How long it may take."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +167,7 @@ class Site:
     reader: FunctionReader
     survey: StatedSurvey = field(default_factory=StatedSurvey)
     expected: Expected = Expected()
+    notify: Notify | None = None
     keep: Keep = field(default_factory=Keep)
     """What stays on disk after a run."""
     notes: tuple[SiteProblem, ...] = ()

@@ -56,6 +56,9 @@ PAIR_RESULTS: Mapping[str, Role] = {
 DEMO_FILES = "wbflow_stages.synthetic.files:demo_files"
 """Renders a demo: what is told of it, and its files; a ValueError says what cannot be rendered."""
 
+DEMO_NIGHTS = "wbflow_stages.synthetic.night_files:demo_nights"
+"""The same, of several nights of the demo yard."""
+
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""
 

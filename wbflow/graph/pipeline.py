@@ -319,6 +319,32 @@ STAGES: tuple[Stage, ...] = (
         ),
         picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
     ),
+    Stage(
+        "coverage",
+        scope="site",
+        function="wbflow_stages.coverage:find_coverage",
+        needs={
+            "poses": FromStage("poses"),
+            "frames": FromStage("frames", Which.ALL),
+            "depths": FromStage("depth", Which.ALL),
+            "refined": FromStage("refine", Which.ALL, optional=True),
+            "scene": FromStage("scene", optional=True),
+        },
+        optional=True,
+        picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
+        reports=Reports(
+            {
+                "area_m2": "area",
+                "seen_by_one": "seen_by_one",
+                "seen_by_two": "seen_by_two",
+                "angle_deg": "median_angle_deg",
+                "error_m": "median_error",
+                "lost_without": "lost_without",
+            }
+        ),
+        files="wbflow_stages.exports.ground:coverage_files",
+        title="What the cameras see of the ground",
+    ),
 )
 
 _BY_NAME = {stage.name: stage for stage in STAGES}

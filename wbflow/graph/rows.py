@@ -230,7 +230,8 @@ class Entry:
 
 @dataclass(frozen=True)
 class Reports:
-    """What run.json says of a stage's results.  A camera or pair whose task has no result is not ok."""
+    """What run.json says of a stage's results: of a site-wide one under its name.  A camera or pair whose task has no result is
+    not ok."""
 
     fields: Mapping[str, str] = field(default_factory=dict)
     """Figure by field of the camera's or pair's record."""
@@ -292,6 +293,10 @@ class Stage:
     """Dotted function: the result -> the cameras that a run publishes, in the form of a calibration (JSON data)."""
     comments: str = ""
     """Dotted function: the result -> lines for the header of the product."""
+    files: str = ""
+    """Dotted function: the result -> names and bytes of files that a run publishes beside its cloud."""
+    title: str = ""
+    """Of its part of the report, where a site-wide stage `reports`."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)
     held: Held | None = None
     kept: bool = True

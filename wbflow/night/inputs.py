@@ -82,7 +82,22 @@ class Inputs:
         return found
 
     def one(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
-        """An input of a task.  Raises Waiting, Impossible."""
+        """An input of a task.
+
+        Parameters
+        ----------
+        stage, task : Stage, Task
+            Whose.
+        need : Need
+            What it needs.
+        among : set of Task
+            An input made by one of these may still be unresolved.
+
+        Raises
+        ------
+        Waiting, Impossible
+            It depends on what is not settled yet, or will not come.
+        """
         if isinstance(need, FromSite):
             return self._from_site(need, task)
         if isinstance(need, FromReference):

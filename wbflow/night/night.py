@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from ..config.site import Site
 from ..store.cache import Cache
@@ -25,6 +26,27 @@ class Night:
     digests: Digests
     """To be saved by a run."""
     plan: Plan
+
+    def remember(self) -> None:
+        """Keep what was learnt of files, for the next run.  Raises OSError."""
+        self.digests.save()
+        self.site.reader.save()
+
+    def look_again(self, path: Path) -> None:
+        """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
+        self.digests.forget(path)
+        for files in self.captures.values():
+            files[:] = [_now(file, self.digests) if file.path == path else file for file in files]
+        for camera, file in self.plan.masks.items():
+            if file.path == path:
+                self.plan.masks[camera] = _now(file, self.digests)
+
+
+def _now(file: CaptureFile, digests: Digests) -> CaptureFile:
+    try:
+        return replace(file, digest=digests.of(file.path))
+    except OSError:  # gone since
+        return replace(file, digest="")
 
 
 def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:

@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from ..graph.pipeline import Role, stage_with
 from ..store.cache import Cache, DamagedArtifact
+from ..store.disk import DiskFloor
+from ..store.room import REMEDY
 from ..task import Task
+from .changes import Changes
 from .journal import Costs, Journal
 from .night import Night
 from .options import Options
@@ -55,12 +58,14 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
     """
     try:
         with _Hands(options, night.plan.cache, journal) as hands:
-            return Worked(_until_settled(night.plan, hands, journal, costs))
+            return Worked(_until_settled(night, hands, journal, costs))
     except KeyboardInterrupt:
         return Worked(interrupted=True)
     finally:
-        night.digests.save()
-        night.site.reader.save()
+        try:
+            night.remember()
+        except OSError as error:  # costs time only
+            journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 
 
 class _Hands:
@@ -90,13 +95,18 @@ class _Hands:
         return self._executor.reports() if self._executor else iter(())
 
 
-def _until_settled(plan: Plan, hands: _Hands, journal: Journal, costs: Costs) -> dict[Task, bytes]:
-    repairs = _Repairs(plan, journal)
+def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+    plan, floor = night.plan, DiskFloor(night.plan.cache.work)
+    repairs, changes = _Repairs(plan, journal), Changes(night, journal)
     while True:
         plan.refresh()
         journal.tell(plan)
         lanes = [free for lane in plan.lanes() if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
-        if lanes:
+        if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):
+            full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
+            for first, *_ in lanes:
+                plan.settle(first.task, plan.states[first.task] if first.redraw else full)
+        elif lanes:
             plan.busy |= {spec.task for lane in lanes for spec in lane}
             hands.submit(lanes)
         elif not plan.busy:
@@ -108,6 +118,8 @@ def _until_settled(plan: Plan, hands: _Hands, journal: Journal, costs: Costs) ->
         for report in hands.reports():
             if report.done is None:
                 plan.busy -= {spec.task for spec in report.lane}
+            elif report.done.changed is not None:
+                changes.look_again(report.done)
             else:
                 _settle(report.done, plan, repairs, journal, costs)
 

@@ -34,6 +34,8 @@ class Cause(StrEnum):
     """A request for memory was refused."""
     WORKER_LOST = "worker-lost"
     """The worker's process was killed, or ended by the function, twice."""
+    DISK_FULL = "disk-full"
+    """There was no room for what it made, or would have made."""
     TOO_SLOW = "too-slow"
     """It took far longer than such tasks do, and was ended."""
     DAMAGED = "damaged"

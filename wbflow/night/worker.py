@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from ..errors import LONGEST_TRACE, printable
@@ -16,9 +17,11 @@ from ..graph.pipeline import REJECTED
 from ..graph.plugins import load, offer
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
+from ..store.digests import ChangedFile
 from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
+from ..store.room import FULL, REMEDY
 from ..task import Task
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause
@@ -30,7 +33,8 @@ class Done:
 
     task: Task
     outcome: str
-    """ran, cached (someone had done it), rejected, failed, or damaged: an input's bytes were wrong."""
+    """ran, cached (someone had done it), rejected, failed, damaged: an input's bytes were wrong, or changed: a file from outside
+    is another one than when the task was planned."""
     receipt: Receipt | None = None
     reason: str | None = None
     code: str | None = None
@@ -38,6 +42,8 @@ class Done:
     trace: str | None = None
     damaged: Task | None = None
     """What has to be made again before this."""
+    changed: Path | None = None
+    """The file that has changed."""
     warnings: tuple[str, ...] = ()
     """What went wrong without costing the result, in words."""
     damages: tuple[Damage, ...] = ()
@@ -50,7 +56,8 @@ class _Lane:
 
     cache: Cache
     receipts: dict[Task, Receipt] = field(default_factory=dict)
-    results: dict[Task, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
+    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
 
 
 def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt]) -> Iterator[Done]:
@@ -88,6 +95,8 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         return _do(resolved, preimage, key, lane)
     except DamagedArtifact as damage:
         return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
+    except ChangedFile as change:
+        return Done(spec.task, "changed", reason=change.what, changed=change.path)
     except MemoryError:
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
         return Done(spec.task, "failed", reason=why, code=Cause.OUT_OF_MEMORY)
@@ -98,6 +107,8 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         words = printable(error) or type(error).__name__
         foreseen = isinstance(error, ValueError | OSError)
         why, code = (words, Cause.BAD_INPUT) if foreseen else (f"{type(error).__name__}: {words}", Cause.FAULT)
+        if isinstance(error, OSError) and error.errno in FULL:
+            return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
         return Done(spec.task, "failed", reason=why, code=code, trace=_trace())
 
 
@@ -131,7 +142,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
     lane.cache.write(receipt, data)
-    lane.results[spec.task] = result
+    lane.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
 
@@ -222,12 +233,12 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     if isinstance(value, Files):
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
-    result = lane.results.get(value.task)
+    result = lane.results.get(value.file_digest)
     if result is None:
         assert value.path is not None
         result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
         if keep:
-            lane.results[value.task] = result
+            lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 
@@ -241,4 +252,7 @@ def _from_plain(value: Value) -> Any:
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    return load(kind)(name=file.name, data=np.frombuffer(read_outside(file.path), dtype=np.uint8))
+    data = read_outside(file.path)
+    if artifact.digest(data) != file.digest:  # else what is made of it would be kept as made of something else
+        raise ChangedFile(file.path)
+    return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))

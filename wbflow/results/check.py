@@ -16,7 +16,9 @@ from ..graph.exports import DECODE
 from ..graph.pipeline import SITE_TYPES, SiteValue
 from ..night.captures import CaptureFile, expected
 from ..night.night import Night, open_night
+from ..store.layout import WorkFolder
 from ..store.outside import read_outside
+from ..store.run_folder import NoSuchRun, RunFolder
 from .artifacts import function
 
 Severity = Literal["error", "warning"]
@@ -53,7 +55,7 @@ def check(site: Site, date: datetime.date | None) -> list[Finding]:
     machine = check_machine()
     if any(finding.severity == "error" for finding in machine):
         return machine + _disk(site)
-    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site)]
+    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site), *check_published(WorkFolder(site.work))]
 
 
 def exit_code(findings: Iterable[Finding]) -> ExitCode:
@@ -113,6 +115,21 @@ def _remedy(message: str) -> str:
     return (
         f"as root: apt-get install {package}" if package else "reinstall wbflow: python -m pip install --force-reinstall wbflow"
     )
+
+
+def check_published(work: WorkFolder) -> list[Finding]:
+    """Are the files of every run as they were published?  Those of runs that links show must be there, too."""
+    shown = {work.led_to(link) for link in work.links()}
+    found = []
+    for name in work.run_ids():
+        remedy = f"the next  wbflow run  publishes intact ones; do not use those of {name}"
+        try:
+            for path in RunFolder.of(work, name).damaged(missing=name in shown):
+                what = "is damaged" if path.exists() else "is gone"
+                found.append(Finding("error", f"{path} {what}", remedy, ExitCode.DEGRADED))
+        except NoSuchRun as error:
+            found.append(Finding("error", error.what, remedy, ExitCode.DEGRADED))
+    return found
 
 
 def _disk(site: Site) -> list[Finding]:

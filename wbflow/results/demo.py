@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
-from ..graph.exports import DEMO_FILES
+from ..graph.exports import DEMO_FILES, DEMO_NIGHTS
 from ..store.atomic import write_atomic
 from ..store.ply import ply_bytes
 from .artifacts import function
@@ -56,9 +57,46 @@ def write_demo(
     UsageError
         An unknown scene or light, or no captures.
     """
+    _write(
+        folder,
+        lambda: function(DEMO_FILES)(scene, small=small, light=light, cameras=cameras, captures=captures, seed=seed),
+    )
+
+
+def write_nights(
+    folder: Path, nights: int, *, frames: int = 3, small: bool = False, cameras: int | None = None, seed: int = 0
+) -> None:
+    """Render nights of the demo yard into `folder`, with what happens in them; the same arguments write the same bytes.
+
+    Parameters
+    ----------
+    folder : Path
+        New, empty, or holding an earlier demo.
+    nights : int
+        How many.
+    frames : int
+        Of each camera and night.
+    small : bool
+        320x180 pixels and 4 cameras, instead of 640x360 and 8.
+    cameras : int, optional
+        How many.
+    seed : int
+        Of everything that is drawn at random.
+
+    Raises
+    ------
+    NotADemo
+        As `write_demo`.
+    UsageError
+        Impossible numbers.
+    """
+    _write(folder, lambda: function(DEMO_NIGHTS)(nights, frames=frames, small=small, cameras=cameras, seed=seed))
+
+
+def _write(folder: Path, render: Callable[[], Any]) -> None:
     known = _claim(folder)
     try:
-        demo = function(DEMO_FILES)(scene, small=small, light=light, cameras=cameras, captures=captures, seed=seed)
+        demo = render()
     except ValueError as error:
         raise UsageError(str(error)) from error
     # an interrupted demo can be written again: the manifest comes first, its digests last

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
-from ..config.site import Site
+from ..config.site import Measure, Site
 from ..graph.binding import bind
 from ..graph.pipeline import STAGES, Role, stage_with
 from ..store.layout import WorkFolder
@@ -70,11 +70,35 @@ def usual_of(records: Sequence[RunRecord]) -> Usual:
     )
 
 
+def pinned_usual(work: WorkFolder, run: str, settings: str, usual: Usual | None) -> Usual | None:
+    """What is usual, with the figures of the whole site from a run that somebody has pinned.
+
+    Parameters
+    ----------
+    work : WorkFolder
+        Where the run is.
+    run : str
+        Its id.
+    settings : str
+        Digest of tonight's settings; a run with others is not compared with.
+    usual : Usual, optional
+        What the last good nights gave.
+    """
+    try:
+        record = RunFolder.of(work, run).record()
+    except NoSuchRun:  # removed since
+        return usual
+    if record.settings != settings or not record.cloud:
+        return usual
+    pinned = usual_of([record])
+    return Usual(1, pinned.figures, usual.cameras if usual else pinned.cameras, run)
+
+
 def figures_of(record: RunRecord) -> dict[str, float]:
     """What is compared of a whole night, by name."""
-    found = {"points": float(record.cloud.points) if record.cloud else 0.0}
+    found: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
     if record.pairs:
-        found["pairs"] = float(sum(pair.ok for pair in record.pairs))
+        found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
     return found
 
 
@@ -115,9 +139,10 @@ def _medians(figures: Iterable[dict[str, float]]) -> dict[str, float]:
     for entry in figures:
         for name, value in entry.items():
             values.setdefault(name, []).append(value)
-    return {name: _median(found) for name, found in values.items()}
+    return {name: median(found) for name, found in values.items()}
 
 
-def _median(values: Sequence[float]) -> float:
+def median(values: Sequence[float]) -> float:
+    """Of at least one value."""
     ordered, middle = sorted(values), len(values) // 2
     return ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2

@@ -22,6 +22,8 @@ from ..store.run_folder import UnfinishedRun
 from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .beside import files_beside, told_beside
+from .metrics import metrics
 from .past import Past
 from .record import run_record
 from .verdict import judged
@@ -59,12 +61,16 @@ def publish(
     cameras = told.calibration if told else None
     unfinished = UnfinishedRun(work, run)
     unfinished.write_products(clouds, cameras)
+    beside = files_beside(night.plan, journal)
+    for name, data in (entry for files in beside.values() for entry in files.items()):
+        unfinished.write(name, data)
     seconds = costs.seconds(own_process)
     record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
-    record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
+    told_too = told_beside(night.plan, beside)
+    record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files, later=told_too)
     page = _report(work, record, journal, cameras or {})
-    folder = unfinished.publish(record, journal.events, page)
+    folder = unfinished.publish(record, journal.events, page, metrics(record))
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
 
 

@@ -12,14 +12,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from ..config.site import Expected
+from ..config.site import Expected, Measure
 from ..errors import ExitCode
 from ..graph.pipeline import Role, stage_with
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
 from ..task import Task
-from .past import Past, figures_of, looks_of, settings_of
+from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
@@ -64,13 +64,28 @@ def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunR
     site = plan.site
     settings = settings_of(site)
     usual = past.usual(settings, site.expected.since)
+    if plan.reference and not plan.reference.automatic:
+        usual = pinned_usual(plan.cache.work, plan.reference.run, settings, usual)
     record = replace(record, settings=settings, usual=usual)
     return judge(record, Facts.of(plan, interrupted), past, site.expected)
 
 
 def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> RunRecord:
-    """The same from the record alone, `usual` being in it."""
-    cameras = tuple(_with_health(camera, record, expected) for camera in record.cameras)
+    """The same from the record alone.
+
+    Parameters
+    ----------
+    record : RunRecord
+        With what it is compared with in it.
+    facts : Facts
+        What the record does not tell.
+    past : Past
+        The runs before it.
+    expected : Expected
+        What the site file says of good nights.
+    """
+    night = _shares(record)
+    cameras = tuple(_with_health(camera, record, night, expected) for camera in record.cameras)
     record = replace(record, cameras=cameras)
     cameras = tuple(_with_down(camera, record, past) for camera in cameras)
     record = replace(record, cameras=cameras)
@@ -125,7 +140,7 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if tried and not any(pair.ok for pair in tried):
         text = f"none of its {len(tried)} pairs could be used: {_most_common(tried)}"
         remedy = "look at where it points, and whether anything stands before it"
-        return Finding("camera-fruitless", subject, text, {"pairs": 0}, {"pairs": len(tried)}, remedy)
+        return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
     return None
 
 
@@ -156,19 +171,19 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
     if facts.interrupted or not facts.product or not record.cloud:
         return
     usual = record.usual or Usual(0, {})
-    figures = figures_of(record) | {"cameras": float(sum(camera.ok for camera in record.cameras))}
+    figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
     for name, value in figures.items():
         limit = expected.limit(name)
-        base = float(len(record.cameras)) if name == "cameras" else usual.figures.get(name)
+        base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)
         if limit > 1:
             if value < limit:
                 yield _fewer(name, value, limit, f"{value:,.0f} {name}, at least {limit:,.0f} are expected")
-        elif name == "cameras":
+        elif name == Measure.CAMERAS:
             continue  # each one that is lost is a finding of its own
         elif base is not None and value < limit * base:
-            share = f"{100 * value / base:.0f} % of the usual"
-            yield _fewer(name, value, base, f"{value:,.0f} {name}, {share} {base:,.0f}")
-        elif base is None and name == "pairs" and value < PLANNED_PAIRS * len(record.pairs):
+            whose = "the reference's" if usual.reference else "the usual"
+            yield _fewer(name, value, base, f"{value:,.0f} {name}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
+        elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
             why = _most_common([pair for pair in record.pairs if not pair.ok])
             planned = float(len(record.pairs))
             yield _fewer(name, value, planned, f"only {value:.0f} of {planned:.0f} pairs could be used; most others: {why}")
@@ -181,30 +196,52 @@ def _fewer(name: str, value: float, base: float, text: str) -> Finding:
 
 def _tolerated(finding: Finding, record: RunRecord, expected: Expected) -> bool:
     """Is it about a camera of a site that may do without some?"""
-    limit = expected.limit("cameras")
+    limit = expected.limit(Measure.CAMERAS)
     if not finding.kind.startswith("camera-") or limit >= 1:
         return False
     well = sum(camera.down is None for camera in record.cameras)
     return well >= limit * len(record.cameras)
 
 
-def _with_health(camera: CameraRecord, record: RunRecord, expected: Expected) -> CameraRecord:
-    """Its looks compared with the usual, where nobody has looked more closely."""
+def _shares(record: RunRecord) -> dict[str, float]:
+    """How the pictures of most cameras look, as shares of what is usual: what they have in common is the night's, not theirs."""
+    shares: dict[str, list[float]] = {}
+    for camera in record.cameras:
+        looks, usual = looks_of(record, camera.id), record.usual.cameras.get(camera.id, {}) if record.usual else {}
+        for name in looks.keys() & usual.keys():
+            if usual[name] > 0:
+                shares.setdefault(name, []).append(looks[name] / usual[name])
+    return {name: min(median(found), 1.0) for name, found in shares.items()}
+
+
+def _with_health(camera: CameraRecord, record: RunRecord, night: Mapping[str, float], expected: Expected) -> CameraRecord:
+    """Its looks compared with the usual, where nobody who looked more closely has found anything."""
     usual = record.usual.cameras.get(camera.id, {}) if record.usual else {}
-    if camera.health is not None or not camera.ok or not usual:
+    if not camera.ok or not usual or (camera.health and not camera.health.ok):
         return camera
-    looks = looks_of(record, camera.id)
-    return replace(camera, health=_health(looks, usual, expected))
+    health = _health(looks_of(record, camera.id), usual, night, expected)
+    return camera if camera.health and health.ok else replace(camera, health=health)
 
 
-def _health(looks: Mapping[str, float], usual: Mapping[str, float], expected: Expected) -> Health:
+def _health(looks: Mapping[str, float], usual: Mapping[str, float], night: Mapping[str, float], expected: Expected) -> Health:
+    """How a camera is by its looks.
+
+    Parameters
+    ----------
+    looks, usual : mapping
+        Figures of its picture, tonight's and the usual ones.
+    night : mapping
+        The share of the usual that most cameras have tonight.
+    expected : Expected
+        What the site file says of good nights.
+    """
     shared = [name for name in looks if name in usual]
     figures, base = {name: looks[name] for name in shared}, {name: usual[name] for name in shared}
     shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
-    if shares.get("brightness", 1.0) < expected.limit("brightness"):
-        text = f"its picture has {100 * shares['brightness']:.0f} % of its usual brightness"
+    if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * night.get(Measure.BRIGHTNESS, 1.0):
+        text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
         return Health("blind", text, figures, base, "look at its light, its exposure, and what stands before it")
-    if shares.get("sharpness", 1.0) < SHARP_SHARE:
+    if shares.get("sharpness", 1.0) < SHARP_SHARE * night.get("sharpness", 1.0):
         text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
         return Health("blind", text, figures, base, "look at its focus and its glass: drops, dirt, fog")
     if shares.get("matched_share", 1.0) < FOUND_SHARE:

@@ -58,7 +58,7 @@ def decode(data: bytes) -> Any:
     return _untree(tree, _Frames(memoryview(data), end))
 
 
-def digest(data: bytes | bytearray) -> str:
+def digest(data: bytes | bytearray | memoryview) -> str:
     """The content digest by which artifacts are compared: 32 hexadecimal digits of SHA-256."""
     return hashlib.sha256(data).hexdigest()[:32]
 

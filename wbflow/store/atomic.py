@@ -6,11 +6,18 @@ import os
 import uuid
 from pathlib import Path
 
+from .room import told_full
+
 
 def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) -> None:
     """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
 
     settle: make the rename last, too; not needed where another file is written to the same folder right after.
+
+    Raises
+    ------
+    OSError
+        One of a full disk says how much was needed, and how much is free.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
@@ -20,6 +27,9 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) ->
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise told_full(error, path, len(data)) from None
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

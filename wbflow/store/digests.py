@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..errors import WbflowError
 from .artifact import file_digest
 from .signed import Damaged, read_signed, write_signed
 
@@ -14,6 +15,18 @@ _SETTLED_NS = 2_000_000_000  # a file younger than this may change again within 
 _OF = "digests of captures"
 _FORMER = 2000
 """So many files that were not asked for this time are remembered besides those that were."""
+
+
+class ChangedFile(WbflowError):
+    """A file from outside does not hold any more what it held when its digest was taken."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} has changed while the night was being worked on")
+        self.path = path
+
+    def __reduce__(self) -> tuple[type[ChangedFile], tuple[Path]]:  # it comes back from worker processes
+        return type(self), (self.path,)
+
 
 Stamp = tuple[int, int, int, int]
 """Size, time of the last change of content, time of the last change of anything, inode."""

@@ -132,7 +132,7 @@ class Down:
 
 @dataclass(frozen=True)
 class Usual:
-    """What the last good nights gave, each figure by its median: what tonight is compared with."""
+    """What the last good nights gave, each figure by its median, or the reference: what tonight is compared with."""
 
     nights: int
     """How many there were."""
@@ -140,11 +140,15 @@ class Usual:
     """Of the whole site: points, pairs, ..."""
     cameras: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Of each camera by id: brightness, ..."""
+    reference: str = ""
+    """The run that somebody has pinned, where the figures of the whole site are from that one."""
 
     def to_json(self) -> dict[str, Any]:
-        return {"nights": self.nights, "figures": rounded(self.figures), "cameras": rounded(self.cameras)}
+        base = {"nights": self.nights, "reference": self.reference}
+        return {**base, "figures": rounded(self.figures), "cameras": rounded(self.cameras)}
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Usual:
         """Raises KeyError, TypeError or ValueError for what says nothing of the kind."""
-        return Usual(int(data["nights"]), dict(data["figures"]), {c: dict(f) for c, f in data.get("cameras", {}).items()})
+        cameras = {camera: dict(figures) for camera, figures in data.get("cameras", {}).items()}
+        return Usual(int(data["nights"]), dict(data["figures"]), cameras, str(data.get("reference") or ""))

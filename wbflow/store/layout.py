@@ -7,6 +7,7 @@ runs/latest-good                     link to the newest run with a cloud whose v
 reference/                           what nights are compared with: reference.json, and links to its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
+notified.json                        what somebody was told last
 lock                                 held by the one run that may write
 """
 
@@ -67,6 +68,11 @@ class RunPaths:
     def clouds(self) -> list[Path]:
         """Every cloud in the folder, by name."""
         return sorted(self.folder.glob("*.ply"))
+
+    @property
+    def metrics(self) -> Path:
+        """The run for Prometheus."""
+        return self.folder / "metrics.prom"
 
     @property
     def cloud(self) -> Path:
@@ -236,6 +242,11 @@ class WorkFolder:
     def ledger_files(self) -> list[Path]:
         """The ledger and what SQLite keeps beside it."""
         return [self.ledger.with_name(self.ledger.name + end) for end in ("", "-wal", "-shm")]
+
+    @property
+    def notified(self) -> Path:
+        """The state of the site that somebody was told of last."""
+        return self.root / "notified.json"
 
     @property
     def lock(self) -> Path:

@@ -41,10 +41,10 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
                     what = f"another run holds {path.parent}: {_holder(path)}"
                     raise Locked(what, remedy="wait for it (--wait), or stop it") from None
                 time.sleep(0.2)
-        file.truncate(0)
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}))
-        file.flush()
+        with contextlib.suppress(OSError):  # on a full disk it is held without a word
+            file.truncate(0)
+            os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}).encode())
         try:
             yield
         finally:

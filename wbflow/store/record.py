@@ -18,9 +18,14 @@ from .findings import rounded
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
-def stamp(moment: datetime.datetime) -> str:
+def stamp(at: datetime.datetime) -> str:
     """A time as run.json writes it (UTC)."""
-    return moment.strftime(_STAMP)
+    return at.strftime(_STAMP)
+
+
+def moment(text: str) -> datetime.datetime:
+    """A time that run.json has (UTC).  Raises ValueError."""
+    return datetime.datetime.strptime(text, _STAMP).replace(tzinfo=datetime.UTC)
 
 
 @dataclass(frozen=True)
@@ -216,7 +221,7 @@ class RunRecord:
     reference: str | None = None
     """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
-    """Keys of a later version."""
+    """What site-wide stages report, by stage; and keys of a later version."""
 
     def __repr__(self) -> str:
         points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not asked for'})"
@@ -247,7 +252,7 @@ class RunRecord:
             "repaired": list(self.repaired),
             "files": dict(self.files),
             "reference": self.reference,
-            **self.later,
+            **rounded(self.later),
         }
 
     @staticmethod

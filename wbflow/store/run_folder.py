@@ -122,10 +122,18 @@ class RunFolder:
             raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
         return found
 
-    def damaged(self) -> list[Path]:
-        """Products of the run that are not as they were published, or are gone.  Raises NoSuchRun."""
-        files = {self.paths.folder / name: digest for name, digest in self.record().files.items()}
-        return [path for path, digest in files.items() if _sha256(path) != digest]
+    def damaged(self, missing: bool) -> list[Path]:
+        """Products of the run that are not as they were published.
+
+        missing: count those, too, that are not there any more.
+
+        Raises
+        ------
+        NoSuchRun
+            run.json itself is damaged.
+        """
+        files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
+        return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
 
     def cloud(self, cloud: CloudRecord) -> Path:
         """The file of one of the record's clouds."""
@@ -173,14 +181,29 @@ class UnfinishedRun:
         write_product(self._paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
         self.files[name] = hashlib.sha256(data).hexdigest()
 
-    def publish(self, record: RunRecord, events: Iterable[Event], report: str) -> RunFolder:
+    def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
         """Add what is told of the run and give the folder its name; the links lead there.
 
-        Raises OSError.
+        Parameters
+        ----------
+        record : RunRecord
+            The run in figures.
+        events : iterable of Event
+            What happened.
+        report : str
+            The run for people, HTML.
+        metrics : str
+            The run for Prometheus.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
         """
         write_atomic(self._paths.log, _lines(events))
         write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
         write_atomic(self._paths.report, report.encode(errors="backslashreplace"))
+        write_atomic(self._paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self._paths.folder.rename(final.folder)
         sync_folder(self.work.runs)

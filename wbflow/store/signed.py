@@ -67,7 +67,19 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
 
 
 def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: bool = True) -> None:
-    """Put a signed file into its place (see `write_atomic`).  Raises OSError."""
+    """Put a signed file into its place (see `write_atomic`).  Raises OSError.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    of : str
+        What it belongs to.
+    content : mapping
+        Entries.
+    settle : bool
+        Wait until it is on disk.
+    """
     write_atomic(path, signed(of, content), settle=settle)
 
 

@@ -1,5 +1,7 @@
 """Loops of a site confirm right pairs and expose those that only look right."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,7 @@ def geometry(R: np.ndarray, t: np.ndarray, score: float) -> Geometry:
     return Geometry(
         F=np.eye(3), x1=nothing, x2=nothing, i1=none, i2=none, probability=np.zeros(0, np.float32), view1=VIEW, view2=VIEW,
         cam2_R_cam1=R, cam2_t_cam1=t / np.linalg.norm(t), matches=100, inliers=100, model="E", epipolar_px=0.3, angle_deg=15.0,
-        homography_share=0.3, score=score, good_probability=probability(score), distinct_cells=20,
+        homography_share=0.3, score=score, good_probability=probability(score), distinct_cells=20, rival_turned_deg=0.0,
     )  # fmt: skip
 
 
@@ -82,7 +84,7 @@ def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
 
 def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:
     pair = next(iter(site(2).values()))
-    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 2.5))
+    modest, sure = (check_loops({("a", "b"): geometry(*pose(pair), score=s)})["a", "b"] for s in (0.8, 3.5))
     assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
     assert sure.rejected is None
 
@@ -95,7 +97,7 @@ def test_what_two_poses_explain_is_ambiguous() -> None:
 
 def test_pairs_without_pose_are_judged_by_their_score() -> None:
     some = site(3)
-    bare = {p: Geometry(**{**vars(g), "cam2_R_cam1": None, "cam2_t_cam1": None}) for p, g in some.items()}
+    bare = {p: replace(g, cam2_R_cam1=None, cam2_t_cam1=None, rival_turned_deg=np.nan) for p, g in some.items()}
     checks = check_loops(bare)
     assert all(v.rejected is None and v.triangles == 0 for v in checks.values())
     assert check_loops({}) == {}
@@ -106,3 +108,40 @@ def test_the_check_does_not_depend_on_the_order_of_the_pairs() -> None:
     there, back = check_loops(pairs), check_loops(dict(reversed(pairs.items())))
     assert {p: v.rejected is None for p, v in there.items()} == {p: v.rejected is None for p, v in back.items()}
     assert all(there[p].good_probability == pytest.approx(back[p].good_probability) for p in pairs)
+
+
+def test_three_pairs_that_contradict_each_other_are_all_left_out() -> None:
+    checks = check_loops(site(3, score=6.0, wrong={("c0", "c2"): 6.0}))
+    assert all(v.rejected is not None and v.rejected.code == "look-alike" for v in checks.values())
+
+
+def test_a_camera_joins_by_two_consistent_pairs_or_by_one_that_is_sure() -> None:
+    pairs = site(4, score=2.0)
+    for other in ("c1", "c2"):
+        del pairs[other, "c3"]
+    modest = check_loops(pairs)["c0", "c3"]
+    assert modest.rejected is not None and modest.rejected.code == "unconfirmed"
+    pairs["c0", "c3"] = geometry(*pose(pairs["c0", "c3"]), score=4.0)
+    assert check_loops(pairs)["c0", "c3"].rejected is None
+
+
+@pytest.mark.parametrize(("share", "believed"), [(0.2, False), (0.02, True)])
+def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share: float, believed: bool) -> None:
+    """Its copies close all loops; what tells is that most pairs have a rival turned by far."""
+    turned = {p: replace(g, rival_elsewhere=int(share * g.inliers), rival_turned_deg=90.0) for p, g in site(4, score=5.0).items()}
+    checks = check_loops(turned)
+    assert all((v.rejected is None) == believed for v in checks.values())
+    assert believed or {v.rejected.code for v in checks.values() if v.rejected} == {"same-from-other-sides"}
+
+
+def test_a_triangle_that_a_guessed_lens_holds_open_contradicts_nothing() -> None:
+    """A focal length off by a fifth turns the rotations by degrees, and so does a wrong pair by tens."""
+    pairs = site(4, score=4.0)
+    for k, pair in enumerate(pairs):
+        R, t = pose(pairs[pair])
+        pairs[pair] = geometry(turn((8.0, -9.0)[k % 2], axis=k % 3) @ R, t, score=4.0)
+    known, guessed = check_loops(pairs), check_loops(pairs, dict.fromkeys(pairs, 12.0))
+    assert all(check.rejected is not None for check in known.values())
+    assert all(check.rejected is None for check in guessed.values())
+    pairs["c0", "c2"] = geometry(turn(40.0, 0) @ pose(pairs["c0", "c2"])[0], pose(pairs["c0", "c2"])[1], score=4.0)
+    assert check_loops(pairs, dict.fromkeys(pairs, 12.0))["c0", "c2"].rejected is not None

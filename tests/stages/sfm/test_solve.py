@@ -251,6 +251,27 @@ def test_two_cameras_are_enough_and_one_is_not() -> None:
     assert isinstance(alone, Rejected) and "one camera makes no cloud" in alone.reason
 
 
+def test_where_no_pair_is_believed_there_are_no_cameras_and_the_reason_says_why() -> None:
+    site = make_pair_site(3)
+    wrong = {pair: turned_wrong(site, pair, seed=k) for k, pair in enumerate(site.geometries)}
+    why = solve_poses(site.views, {}, wrong)
+    assert isinstance(why, Rejected) and why.code == "pairs-contradict"
+    alone = {("c0", "c1"): replace(site.geometries["c0", "c1"], score=0.5)}
+    why = solve_poses(only(site, "c0", "c1").views, {}, alone)
+    assert isinstance(why, Rejected) and why.code == "nothing-confirmed"
+
+
+def test_a_pair_whose_points_all_go_again_gives_no_cameras() -> None:
+    """Matches that no pose explains: whatever is triangulated is thrown out by the adjustment."""
+    site = only(make_pair_site(2), "c0", "c1")
+    (pair,) = site.geometries
+    geometry = site.geometries[pair]
+    some = {k: getattr(geometry, k)[:60] for k in ("x1", "i1", "i2", "probability")}
+    x2 = np.random.default_rng(0).permutation(geometry.x2[:60])
+    why = solve_poses(site.views, {}, {pair: replace(geometry, x2=x2, **some)})
+    assert isinstance(why, Rejected) and why.code == "too-few-points"
+
+
 def test_the_same_input_gives_the_same_bytes() -> None:
     site = make_pair_site(6, noise_px=0.3, know="nothing")
     first, second = solve(site), solve(site)

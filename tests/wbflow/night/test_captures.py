@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 import os
 from pathlib import Path
 
@@ -76,3 +77,25 @@ def test_digests_are_remembered_for_settled_files_only(tmp_path: Path) -> None:
     assert digests.of(file) != first, "changed within the resolution of its time stamp"
     digests.save()
     assert not (tmp_path / "memo.json").exists(), "too young to be remembered"
+
+
+def test_what_was_remembered_of_a_replaced_file_is_not_believed(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_text("one")
+    digests = Digests(tmp_path / "memo.json")
+    first = digests.of(file)
+    digests.forget(file)
+    file.write_text("two")
+    assert digests.of(file) != first
+
+
+def test_the_memo_does_not_grow_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wbflow.store.digests._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("wbflow.store.digests._FORMER", 5)
+    for day in range(20):
+        file = tmp_path / f"{day}.jpg"
+        file.write_text(str(day))
+        digests = Digests(tmp_path / "memo.json")
+        digests.of(file)
+        digests.save()
+    assert len(json.loads((tmp_path / "memo.json").read_bytes())["files"]) == 6

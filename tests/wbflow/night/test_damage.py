@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
+from wbflow.results.check import check_published
+from wbflow.store.layout import WorkFolder
 
 
 def damaged(path: Path, before: bytes, after: bytes) -> None:
@@ -30,6 +33,11 @@ def repaired(toy: ToySite, code: int = 0) -> list[str]:
 
 def receipts(toy: ToySite, stage: str) -> list[Path]:
     return sorted((toy.work / "cache" / stage).rglob("*.json"))
+
+
+def check(toy: ToySite) -> list[str]:
+    """What `wbflow check` finds wrong with what is published."""
+    return [finding.what for finding in check_published(WorkFolder(toy.work))]
 
 
 def exchange(one: Path, other: Path) -> None:
@@ -153,3 +161,27 @@ def test_an_artifact_that_is_gone_is_made_again_and_named(toy: ToySite) -> None:
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files count as settled from the moment that they are written."""
     monkeypatch.setattr("wbflow.store.digests._SETTLED_NS", -(10**18))
+
+
+def test_published_files_carry_digests_that_check_compares(toy: ToySite) -> None:
+    record = toy.run()
+    folder = toy.work / "runs" / record["run"]
+    assert record["files"] == {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (folder / "cameras.json", folder / "cloud.ply")
+    }
+    assert check(toy) == []
+    (folder / "cloud.ply").chmod(0o644)
+    damaged(folder / "cloud.ply", b"end_header", b"End_header")
+    (folder / "cameras.json").unlink()
+    assert sorted(what.rpartition("/")[2] for what in check(toy)) == ["cameras.json is gone", "cloud.ply is damaged"]
+    toy.run()
+    assert not [what for what in check(toy) if record["run"] not in what]
+
+
+def test_a_digit_changed_in_run_json_is_found(toy: ToySite) -> None:
+    toy.run()
+    record = (toy.work / "runs" / "latest").resolve() / "run.json"
+    damaged(record, b'"points": 12', b'"points": 92')
+    assert ["is damaged" in what for what in check(toy)] == [True]
+    toy.run()
+    assert "92" not in toy.wbflow("history").stdout

@@ -86,3 +86,24 @@ def test_a_lost_picture_is_drawn_again(toy: ToySite) -> None:
         file.unlink()
     assert toy.run()["tasks"]["ran"] == 0
     assert pictures(toy, "fuse") == before
+
+
+def test_a_damaged_picture_is_drawn_again_in_the_same_night_and_named(toy: ToySite) -> None:
+    toy.run()
+    before = pictures(toy, "geometry")
+    for path in (toy.work / "cache" / "geometry" / "gate--roof").glob("*.jpg"):
+        path.write_bytes(path.read_bytes()[:-1] + b"x")
+    record = toy.run()
+    assert [what for what in record["repaired"] if ".jpg is damaged" in what]
+    assert pictures(toy, "geometry") == before
+    assert record["tasks"]["ran"] == 0
+
+
+def test_pictures_that_the_next_report_has_too_are_not_kept_twice(toy: ToySite) -> None:
+    runs = [toy.run()["run"] for _ in range(2)]
+    first, second = ((toy.work / "runs" / run / "report.html").read_text() for run in runs)
+    assert second.count("data:image/jpeg") > 3
+    assert "data:image/jpeg" not in first
+    assert f"../{runs[1]}/report.html" in first
+    toy.wbflow("report", runs[0])
+    assert (toy.work / "runs" / runs[0] / "report.html").read_text().count("data:image/jpeg") > 3

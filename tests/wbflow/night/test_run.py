@@ -22,7 +22,8 @@ PAIRS = 6
 def test_a_run_leaves_cloud_cameras_report_and_record(toy: ToySite) -> None:
     record = toy.run()
     folder = toy.work / "runs" / record["run"]
-    assert sorted(p.name for p in folder.iterdir()) == ["cameras.json", "cloud.ply", "log.jsonl", "report.html", "run.json"]
+    left = ["cameras.json", "cloud.ply", "log.jsonl", "metrics.prom", "report.html", "run.json"]
+    assert sorted(p.name for p in folder.iterdir()) == left
     assert (toy.work / "runs" / "latest").resolve() == (toy.work / "runs" / "latest-good").resolve() == folder
     assert record["tasks"] == {"cached": 0, "ran": 4 * 3 + 3 + PAIRS * 4 + 1, "rejected": 0, "failed": 0, "skipped": 0}
     assert record["cloud"]["points"] == 2 * PAIRS

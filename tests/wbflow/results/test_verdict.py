@@ -185,6 +185,11 @@ def test_a_camera_that_is_far_darker_than_usual() -> None:
     assert night(cameras=cameras).exit_code == ExitCode.GOOD, "nobody knows how bright it should be"
 
 
+def test_a_dark_night_is_no_fault_of_the_cameras() -> None:
+    cameras = [camera(name, brightness=12.0) for name in NAMES]
+    assert night(cameras=cameras, past=[night("2026-11-19")]).exit_code == ExitCode.GOOD
+
+
 def test_a_camera_that_is_out_of_focus() -> None:
     cameras = [camera("crane", sharpness=0.07), *map(camera, NAMES[1:])]
     assert only(night(cameras=cameras, past=[night("2026-11-19")])).text == "its picture has 26 % of its usual sharpness"

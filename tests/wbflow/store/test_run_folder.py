@@ -42,6 +42,7 @@ def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
         "cloud-component-2.ply",
         "cloud.ply",
         "log.jsonl",
+        "metrics.prom",
         "report.html",
         "run.json",
     ]

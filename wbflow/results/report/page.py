@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
+from ...config.site import Measure
 from ...graph.pipeline import STAGES, Role, stage_with
 from ...store.events import Event, TaskEvent, WarningEvent
 from ...store.layout import WorkFolder
@@ -15,6 +16,7 @@ from ...store.run_folder import RunFolder
 from ...task import Subject, Task
 from ..record import reported
 from .graph import pair_graph_svg
+from .ground import sections
 
 STYLE = """
 :root { color-scheme: light dark; --good: #2a7d46; --bad: #c0392b; --line: #8886; --soft: #8882; }
@@ -71,6 +73,7 @@ def build_report(work: WorkFolder, record: RunRecord, events: Iterable[Event], c
         _head(record),
         _warnings(events),
         _cloud(record, pictures),
+        sections(record, pictures),
         _graph(record, cameras),
         _cameras(record, pictures),
         _pairs(record, pictures),
@@ -102,7 +105,7 @@ def _head(record: RunRecord) -> str:
     words = LEVELS[record.verdict.level] if record.verdict else f"Exit code {record.exit_code}."
     good = sum(pair.ok for pair in record.pairs)
     cameras = sum(camera.ok for camera in record.cameras)
-    usual = round(record.usual.figures.get("pairs", 0)) if record.usual else 0
+    usual = round(record.usual.figures.get(Measure.PAIRS, 0)) if record.usual else 0
     facts = [f"{cameras} of {len(record.cameras)} cameras", f"{good} of {max(len(record.pairs), usual)} pairs"]
     if record.cloud:
         facts.append(f"{record.cloud.points:,} points")

@@ -1,0 +1,173 @@
+"""Tables of `bench_verdict.py`: each scene left out of all fits in turn, reliability, and random small sites."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from verdict_fit import LabelledPair, Weights, fit, is_usable
+from verdict_scenes import SETS, labelled, scene_of, symmetry, true_rotations
+from verdict_site import LEAST_SCORE, believed, count_habits, worst_turn_deg
+
+from wbflow_stages.sfm.loops import Habits
+from wbflow_stages.twoview.pair_score import TERMS, probability
+from wbflow_stages.types import Float64s
+
+MOST_WRONG, LEAST_KEPT = 0.01, 0.9
+"""Promised of every scene: share of wrong pairs among the accepted, and of usable ones that are kept."""
+RELIABLE, BIN_OF = 0.05, 30
+"""Promised of p: so near to the share that is right, in bins with so many pairs."""
+TURNED_DEG = 3.0
+DRAWS, SITE_SIZES = 20, (2, 3, 4, 6)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """All that is fitted or counted on the scenes that are not judged by it."""
+
+    weights: Weights
+    usual: Habits
+
+
+@dataclass(frozen=True)
+class Row:
+    """One set: kept and accepted by the score of the pair; site_*: after the site's check."""
+
+    name: str
+    pairs: int
+    usable: int
+    kept: int
+    wrong: int
+    accepted: int
+    wrong_accepted: int
+    site_kept: int
+    site_accepted: int
+    site_wrong: int
+
+    def holds(self) -> bool:
+        return self.site_wrong <= MOST_WRONG * self.site_accepted and self.site_kept >= LEAST_KEPT * self.usable
+
+
+def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: bool) -> int:
+    """Print all tables; 1 if `check` is asked for and a promise is broken."""
+    sets = {name: labelled(name, cache) for name in SETS}
+    others = {scene: fitted({n: p for n, p in sets.items() if scene_of(n) != scene}) for scene in {scene_of(n) for n in sets}}
+    rows, said = [], []
+    print("set               pairs usable  kept  wrong accepted(wrong)  site: kept accepted(wrong)")
+    for name, pairs in sets.items():
+        row = _row(name, pairs, others[scene_of(name)])
+        rows.append(row)
+        said += [probability(s) for s in others[scene_of(name)].weights.scores(pairs)]
+        print(
+            f"{row.name:18}{row.pairs:5}{row.usable:7}{row.kept:6}{row.wrong:7}{row.accepted:9} ({row.wrong_accepted:2})"
+            f"{row.site_kept:16}{row.site_accepted:9} ({row.site_wrong:2})", flush=True,
+        )  # fmt: skip
+    bins = reliability(np.array(said), [pair for pairs in sets.values() for pair in pairs])
+    print("\np         pairs  said  right  (with copies of a building counted as right)")
+    for b in bins:
+        print(f"{b.begins:.1f} to {b.begins + 0.1:.1f}{b.pairs:6}{b.said:6.2f}{b.right:7.2f}{b.right_or_copy:7.2f}")
+    print(f"\n{DRAWS} random sites of some cameras: with a camera turned by over {TURNED_DEG:g} degrees (of them: where each")
+    print("camera is an exact copy of the true one, so that the images are those of a right site), and without any camera")
+    turned = {name: small_sites(name, sets[name], others[scene_of(name)], cache) for name in sets if name != "nothing"}
+    _print_fit(fitted(sets))
+    if to_json:
+        to_json.write_text(json.dumps([vars(row) for row in rows], indent=1))
+    if plot:
+        draw(bins, plot)
+    missed = [r for r in rows if not r.holds()]
+    broken = [f"{r.name}: {r.site_wrong} wrong of {r.site_accepted}, {r.site_kept} of {r.usable} kept" for r in missed]
+    broken += [f"p from {b.begins:.1f}: said {b.said:.2f}, right {b.right:.2f}" for b in bins if not b.holds()]
+    broken += [f"{name}: {count} small sites with a turned camera" for name, count in turned.items() if count]
+    if check:
+        print("\nbroken promises:" if broken else "\nall promises hold", *broken, sep="\n  ")
+    return int(check and bool(broken))
+
+
+def fitted(sets: Mapping[str, list[LabelledPair]]) -> Fitted:
+    """What these sets tell."""
+    weights = fit([pair for pairs in sets.values() for pair in pairs])
+    return Fitted(weights, count_habits(sets))
+
+
+def _print_fit(found: Fitted) -> None:
+    print("\nfitted on all:", *(f"{t.name}: {w:.2f}" for t, w in zip(TERMS, found.weights.terms, strict=True)), sep="\n  ")
+    print(f"  offset: {found.weights.offset:.2f}\n  {found.usual}")
+
+
+def _row(name: str, pairs: list[LabelledPair], by: Fitted) -> Row:
+    scores = by.weights.scores(pairs)
+    usable, wrong, accepted = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs]), scores > 0
+    kept = np.zeros(len(pairs), bool) if name == "nothing" else believed(pairs, scores, by.usual)
+    counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, wrong & kept)
+    return Row(name, len(pairs), *(int(c.sum()) for c in counts))
+
+
+def small_sites(name: str, pairs: list[LabelledPair], by: Fitted, cache: Path) -> int:
+    """Random subsets of the cameras: how many sites end with a turned camera, the rotations of the believed pairs averaged."""
+    rng = np.random.default_rng(0)
+    truth, turns = true_rotations(name, cache), symmetry(name)
+    cameras = sorted({camera for p in pairs for camera in (p.left, p.right)})
+    total, words = 0, []
+    for size in (s for s in SITE_SIZES if s <= len(cameras)):
+        turned = copies = empty = 0
+        for _ in range(DRAWS):
+            chosen = set(rng.choice(cameras, size, replace=False).tolist())
+            mine = [p for p in pairs if {p.left, p.right} <= chosen]
+            kept = believed(mine, by.weights.scores(mine), by.usual)
+            some = [p for p, yes in zip(mine, kept, strict=True) if yes]
+            if worst_turn_deg(some, truth, turns[:1]) > TURNED_DEG:
+                turned += 1
+                copies += worst_turn_deg(some, truth, turns) <= TURNED_DEG
+            empty += not some
+        total += turned
+        words.append(f"{size} cameras {turned:2} ({copies:2}) and {empty:2}")
+    print(f"{name:18}" + "; ".join(words), flush=True)
+    return total
+
+
+@dataclass(frozen=True)
+class Bin:
+    """A tenth of p: where it begins, its pairs, their mean p, the share that is right, and that with copies counted as right."""
+
+    begins: float
+    pairs: int
+    said: float
+    right: float
+    right_or_copy: float
+
+    def holds(self) -> bool:
+        return self.pairs < BIN_OF or abs(self.said - self.right) <= RELIABLE
+
+
+def reliability(said: Float64s, pairs: list[LabelledPair]) -> list[Bin]:
+    """The tenths of p that have pairs; without those that no site gets to see."""
+    tenth = np.minimum((said * 10).astype(int), 9)
+    right = np.array([[p.usable, is_usable(p.error_of_copy_deg)] for p in pairs])
+    seen = said >= probability(LEAST_SCORE)
+    found = []
+    for k in np.unique(tenth[seen]).tolist():
+        mine = seen & (tenth == k)
+        strict, copies = right[mine].mean(axis=0).tolist()
+        found.append(Bin(k / 10, int(mine.sum()), float(said[mine].mean()), strict, copies))
+    return found
+
+
+def draw(bins: list[Bin], file: Path, size: int = 480) -> None:
+    """Share right (up) against p (right), the area of a dot as the number of pairs; grey: what is promised."""
+    picture = np.full((size, size, 3), 255, np.uint8)
+
+    def at(p: float, share: float) -> tuple[int, int]:
+        return round(p * (size - 1)), round((1 - share) * (size - 1))
+
+    band = [at(0, -RELIABLE), at(1, 1 - RELIABLE), at(1, 1 + RELIABLE), at(0, RELIABLE)]
+    cv2.fillPoly(picture, [np.array(band, np.int32)], (220, 220, 220))
+    for k in range(11):
+        cv2.line(picture, at(k / 10, 0), at(k / 10, 0.015), (0, 0, 0))
+        cv2.line(picture, at(0, k / 10), at(0.015, k / 10), (0, 0, 0))
+    for each in bins:
+        cv2.circle(picture, at(each.said, each.right), 3 + round(each.pairs**0.5), (160, 60, 0), -1, cv2.LINE_AA)
+    cv2.imwrite(str(file), picture)

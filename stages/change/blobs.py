@@ -1,0 +1,175 @@
+"""Changed points become things: what hangs together on the ground is one change, with its place, size and volume.
+
+Volumes are differences of heights over the cells that a change covers: of its upper surface less what was below it on the other
+night.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from ..core.ground_grid import cells_of, quantile_by_cell
+from ..types import Bools, Change, Float64s, GroundGrid, Int64s
+from .evidence import CORE, Evidence
+
+_TOP = 0.9
+"""Quantile of heights over a cell that counts as its surface: one wrong point must not raise a roof."""
+
+_SAME_VOLUME, _SAME_HEIGHT = 0.3, 0.25
+"""What has moved keeps its volume and height within these shares..."""
+
+_SAME_COLOUR = 0.05
+"""...and its colour, as shares of red and green, within this."""
+
+
+@dataclass(frozen=True)
+class Blob:
+    """A change, and which core points of a night's evidence it consists of."""
+
+    change: Change
+    rows: Int64s
+    """Of the evidence."""
+    of_then: bool
+    """The points are those of then: it has vanished."""
+    colour: Float64s
+    """(2,) mean shares of red and green."""
+
+
+def find_blobs(
+    side: Evidence,
+    colors: Float64s,
+    grid: GroundGrid,
+    other_points: Float64s,
+    *,
+    of_then: bool,
+    spacing: float,
+    least_area: float,
+) -> list[Blob]:
+    """The things that a night's changed points make.
+
+    Parameters
+    ----------
+    side
+        What is known of one night's surface.
+    colors
+        (n, 3) of its core points.
+    grid
+        Cells of the ground.
+    other_points
+        (m, 3) the other night's cloud.
+    of_then
+        Is that night the earlier one: is what it alone has, gone?
+    spacing
+        Of the points.
+    least_area
+        A change has at least so much surface.
+    """
+    cells = np.where(side.changed, cells_of(grid, side.core), -1)
+    covered = np.zeros(grid.rows * grid.columns, bool)
+    covered[cells[cells >= 0]] = True
+    closed = ndimage.binary_closing(np.pad(covered.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
+    labels, count = ndimage.label(closed | covered.reshape(closed.shape), np.ones((3, 3)))
+    label_of = np.where(cells >= 0, labels.ravel()[cells], 0)
+    found = []
+    for number in range(1, count + 1):
+        rows = np.flatnonzero(label_of == number)
+        surface = len(rows) * (CORE * spacing) ** 2
+        if surface < least_area:
+            continue
+        change = _measured(side, rows, labels == number, grid, other_points, spacing)
+        if change is not None:
+            shares = colors[rows].mean(axis=0)
+            kind = "vanished" if of_then else "new"
+            found.append(Blob(replace(change, kind=kind), rows, of_then, shares[:2] / max(float(shares.sum()), 1.0)))
+    return found
+
+
+def paired(blobs: list[Blob]) -> list[tuple[Blob, Blob | None]]:
+    """What has moved: a new thing with the vanished one that it was before, the most alike first; all others alone."""
+    new, gone = [b for b in blobs if not b.of_then], [b for b in blobs if b.of_then]
+    ways = sorted(
+        (abs(a.change.volume - b.change.volume), i, j) for i, a in enumerate(new) for j, b in enumerate(gone) if _alike(a, b)
+    )
+    came_from: dict[int, int] = {}
+    for _, i, j in ways:
+        if i not in came_from and j not in came_from.values():
+            came_from[i] = j
+    moved = [(_moved(new[i], gone[j]), gone[j]) for i, j in sorted(came_from.items())]
+    left = [b for i, b in enumerate(new) if i not in came_from] + [b for j, b in enumerate(gone) if j not in came_from.values()]
+    return [*moved, *((blob, None) for blob in left)]
+
+
+def _alike(one: Blob, two: Blob) -> bool:
+    a, b = one.change, two.change
+    volume = abs(a.volume - b.volume) <= _SAME_VOLUME * max(a.volume, b.volume)
+    height = abs(a.height - b.height) <= _SAME_HEIGHT * max(a.height, b.height)
+    return volume and height and bool(np.abs(one.colour - two.colour).max() <= _SAME_COLOUR)
+
+
+def _moved(new: Blob, gone: Blob) -> Blob:
+    was = gone.change
+    return replace(new, change=replace(new.change, kind="moved", from_x=was.x, from_y=was.y, from_z=was.z))
+
+
+def _measured(
+    side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, other_points: Float64s, spacing: float
+) -> Change | None:
+    """Place, size and volume of what changed points make; None where nothing is known of what was below."""
+    footprint = ndimage.binary_fill_holes(footprint)
+    points, up = side.core[rows], grid.axes[2]
+    levels = points @ up
+    count = grid.rows * grid.columns
+    top = quantile_by_cell(cells_of(grid, points), levels, count, _TOP).reshape(footprint.shape)
+    there = cells_of(grid, other_points)
+    near = ndimage.binary_dilation(footprint, iterations=4)
+    below = np.flatnonzero((there >= 0) & near.ravel()[np.maximum(there, 0)])
+    below = below[other_points[below] @ up <= levels.max() + 2 * spacing]
+    if not len(below):
+        return None
+    base = quantile_by_cell(there[below], other_points[below] @ up, count, _TOP).reshape(footprint.shape)
+    top, base = _filled(top, footprint), _filled(base, near)
+    weight = np.where(ndimage.binary_erosion(footprint), 1.0, 0.5) * footprint
+    height = np.where(footprint, np.maximum(top - base, 0.0), 0.0)
+    volume = float((weight * height).sum() * grid.cell**2)
+    if volume <= 0:
+        return None
+    edge = float((footprint & ~ndimage.binary_erosion(footprint)).sum() * grid.cell)
+    tall = float(np.quantile(height[footprint], 0.9))
+    area = float(weight.sum() * grid.cell**2)
+    noise = float(np.median(side.sigma[rows]))
+    sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
+    row, column = np.nonzero(footprint)
+    share = (weight * height)[row, column]
+    middle = np.array([np.average(v, weights=share) for v in (column, row, (base + 0.5 * height)[row, column])])
+    place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, middle[2]]) @ grid.axes
+    corners = np.column_stack([column, row]).astype(np.float32)
+    sides = sorted(float((v + 1) * grid.cell) for v in cv2.minAreaRect(corners)[1])
+    likeness = side.likeness[rows]
+    known = likeness[np.isfinite(likeness)]
+    return Change(
+        kind="new",
+        x=float(place[0]),
+        y=float(place[1]),
+        z=float(place[2]),
+        length=sides[1],
+        width=sides[0],
+        height=tall,
+        area=area,
+        volume=volume,
+        volume_sigma=sigma,
+        significance=float(np.median(side.significance[rows])),
+        likeness=float(np.median(known)) if len(known) else -2.0,
+        points=len(rows),
+        cameras="",
+    )
+
+
+def _filled(values: Float64s, within: Bools) -> Float64s:
+    """Values (rows, columns) where cells within have none: the nearest one's."""
+    known = np.isfinite(values) & within
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(nearest)], dtype=np.float64)

@@ -1,0 +1,199 @@
+"""What speaks for a change at each point of a night's surface, seen from the other night.
+
+A point of tonight is new where it stands before the surface of then by more than both are uncertain, or where cameras of then saw
+through its place; a point of then has vanished by the same rule the other way round.  Where no camera of the other night could
+see, nothing is known.  What looks the same in the pictures of a fixed camera has not changed, whatever the depths say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
+from .cloud_distance import CONFIDENCE, Distances, MeasuredCloud, cloud_distances
+from .epoch import Epoch
+from .free_space import Sight, look_at
+from .likeness import likeness
+from .point_index import index_points, mean_normals, one_of_each_cell
+
+RADIUS, REACH, CORE = 3.0, 15.0, 2.0
+"""Of the cylinders, half their length, and the distance of core points, in spacings of the cloud."""
+
+_THROUGH = 2.0
+"""So many cameras must see through a point for each that sees a surface there."""
+
+_NEAR = 4.0
+"""Core points so many spacings apart are neighbours."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Of each core point of a night, (n,) each unless said otherwise."""
+
+    core: Float64s
+    """(n, 3)"""
+    rows: Int64s
+    """Places of the core points in the night's cloud."""
+    distance: Float64s
+    """From the other night's surface: positive where this one is nearer to the cameras; nan where unknown."""
+    sigma: Float64s
+    """Standard deviation of that."""
+    sight: Sight
+    """What the cameras of the other night saw there."""
+    measured: Bools
+    """The distance comes from both clouds, not from a camera that saw through."""
+    likeness: Float32s
+    """Median over the cameras that see the point of the correlation of both nights' pictures; nan where it was not asked, or they
+    show nothing."""
+    changed: Bools
+    """All evidence together."""
+
+    @property
+    def significance(self) -> Float64s:
+        """Distance over its standard deviation, 0 where nothing is known."""
+        return np.nan_to_num(self.distance / self.sigma)
+
+    @property
+    def unknown(self) -> Bools:
+        """Nobody could tell on the other night."""
+        return np.asarray(~self.measured & (self.sight.through == 0) & (self.sight.agreeing == 0), dtype=np.bool_)
+
+
+def gather(own: Epoch, other: Epoch, spacing: float, registration: float) -> Evidence:
+    """Distances and sights of one night's surface; nothing is called changed yet.
+
+    Parameters
+    ----------
+    own, other
+        The night whose surface is asked about, and the one that it is compared with.
+    spacing
+        Of the points of the coarser cloud.
+    registration
+        Standard deviation of the position of one night's world against the other's.
+    """
+    points, sigma = own.points, own.sigma
+    rows = one_of_each_cell(points, CORE * spacing)
+    core = points[rows]
+    normals = mean_normals(core, index_points(points, 2 * RADIUS * spacing), own.cloud.normals, RADIUS * spacing)
+    clouds = MeasuredCloud(other.points, other.sigma), MeasuredCloud(points, sigma)
+    radius, reach = RADIUS * spacing, REACH * spacing
+    found: Distances = cloud_distances(core, normals, *clouds, radius=radius, reach=reach, registration=registration)
+    sight = look_at(core, sigma[rows], other.cameras, other.seeing, other.depth)
+    measured = np.isfinite(found.distance)
+    nothing = np.zeros(len(core), bool)
+    return Evidence(core, rows, found.distance, found.sigma, sight, measured, np.full(len(core), np.nan, np.float32), nothing)
+
+
+def noise_of(*sides: Evidence) -> float:
+    """By how much distances exceed their standard deviations where nothing has changed: nearly everywhere; at least 1."""
+    ratios = np.concatenate([side.distance[side.measured] / side.sigma[side.measured] for side in sides])
+    return max(1.0, 1.4826 * float(np.median(np.abs(ratios)))) if len(ratios) else 1.0
+
+
+def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float) -> Evidence:
+    """The same with what has changed.
+
+    Parameters
+    ----------
+    side
+        Of one night's surface.
+    own, other
+        That night, and the other.
+    spacing
+        Of the points.
+    noise
+        Factor on the standard deviations of distances between clouds.
+    sigmas
+        So many standard deviations make a change.
+    alike
+        Pictures that correlate better show the same.
+    """
+    sight, sigma = side.sight, side.sigma * noise
+    nearer = side.measured & (side.distance > sigmas * sigma)
+    same = side.measured & (np.abs(side.distance) <= CONFIDENCE * sigma)
+    told = sight.through.astype(int) + sight.agreeing + sight.hidden
+    needed = np.minimum(2, np.maximum(told, 1))
+    free = (sight.through >= needed) & (sight.through > _THROUGH * sight.agreeing) & ~same
+    by_sight = free & ~nearer
+    distance = np.where(by_sight, sight.gap, side.distance)
+    sigma = np.where(by_sight, sight.doubt, sigma)
+    changed = _with_neighbours(side.core, nearer | free, spacing)
+    like = np.full(len(side.core), np.nan, np.float32)
+    candidates = np.flatnonzero(changed)
+    like[candidates] = _likeness(side.core[candidates], own.sigma[side.rows[candidates]], own, other)
+    with np.errstate(invalid="ignore"):
+        changed &= ~(like > alike)
+    changed = _with_neighbours(side.core, changed, spacing)
+    return replace(side, distance=distance, sigma=sigma, measured=side.measured & ~by_sight, likeness=like, changed=changed)
+
+
+def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
+    """(n,) bool: is a point on the surface that a camera saw?
+
+    Parameters
+    ----------
+    X : ndarray
+        (n, 3) points, metres.
+    sigma : ndarray
+        (n,) their standard deviations, metres.
+    epoch : Epoch
+        Cameras and depths of a night.
+    name : str
+        The camera.
+    """
+    sight = look_at(X, sigma, epoch.cameras, [name], epoch.depth)
+    return np.asarray(sight.agreeing > 0)
+
+
+def _likeness(X: Float64s, sigma: Float64s, own: Epoch, other: Epoch) -> Float32s:
+    """(n,) the median over the cameras that see a point; nan where none can tell."""
+    both = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
+    if not both or not len(X):
+        return np.full(len(X), np.nan, np.float32)
+    told = np.stack([likeness(X, seen_by(X, sigma, own, name), own.photograph(name), other.photograph(name)) for name in both])
+    known = np.isfinite(told).any(axis=0)
+    found = np.full(len(X), np.nan, np.float32)
+    found[known] = np.nanmedian(told[:, known], axis=0)
+    return found
+
+
+def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
+    """Changed points half of whose neighbours have changed, too."""
+    if not changed.any():
+        return changed
+    index = index_points(core, _NEAR * spacing)
+    out = np.zeros(len(core), np.uint8)
+    _vote(
+        *(index.points, changed[index.order].astype(np.uint8), index.starts, index.low, index.edge, index.shape),
+        *(_NEAR * spacing, out),
+    )
+    found = np.zeros(len(core), bool)
+    found[index.order] = out > 0
+    return found
+
+
+@kernel
+def _vote(
+    points: Float64s, changed: Uint8s, starts: Int64s, low: Float64s, edge: float, shape: Int64s, radius: float, out: Uint8s
+) -> None:
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for q in range(len(points)):
+        if not changed[q]:
+            continue
+        for a in range(3):
+            first[a] = max(int(np.floor((points[q, a] - radius - low[a]) / edge)), 0)
+            last[a] = min(int(np.floor((points[q, a] + radius - low[a]) / edge)), shape[a] - 1)
+        all_, like = 0, 0
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                row = (i * shape[1] + j) * shape[2]
+                for k in range(starts[row + first[2]], starts[row + last[2] + 1]):
+                    dx, dy, dz = points[k, 0] - points[q, 0], points[k, 1] - points[q, 1], points[k, 2] - points[q, 2]
+                    if dx * dx + dy * dy + dz * dz <= radius * radius:
+                        all_ += 1
+                        like += changed[k]
+        if 2 * like >= all_ and all_ > 3:
+            out[q] = 1

@@ -1,0 +1,110 @@
+"""Does a place look tonight as it did then, to the same fixed camera?  Light may change: patches are compared by correlation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..core.cameras import project
+from ..core.jit import kernel
+from ..types import Bools, Camera, Float32s, Float64s, Frame
+
+_RADIUS = 3
+"""Of patches, pixels of an image 768 wide."""
+
+_CONTRAST = 2.5
+"""Standard deviation of grey values (0 to 255) below which a patch shows nothing."""
+
+_CLEAR_CONTRAST = 9.0
+"""One patch with so much, the other with nothing: they differ."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """What one camera saw on one night."""
+
+    camera: Camera
+    frame: Frame
+
+
+def likeness(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Float32s:
+    """(n,) correlation, -1 to 1, of the patches around points in both photographs, the best of nine shifts by a pixel.
+
+    nan where a patch shows nothing, or is masked, or lies outside.
+
+    Parameters
+    ----------
+    X
+        (n, 3) points in the world.
+    seen
+        (n,) only these are looked at.
+    tonight, then
+        The same camera on both nights; sizes must be equal.
+    """
+    found = np.full(len(X), np.nan, np.float32)
+    if tonight.frame.image.shape != then.frame.image.shape:
+        return found
+    rows = np.flatnonzero(seen)
+    (x1, z1), (x2, z2) = (project(p.camera, X[rows]) for p in (tonight, then))
+    ahead = (z1 > 0) & (z2 > 0) & np.isfinite(x1).all(axis=1) & np.isfinite(x2).all(axis=1)
+    rows, x1, x2 = rows[ahead], x1[ahead], x2[ahead]
+    step = max(1, round(tonight.camera.width / 768))
+    out = np.full(len(rows), np.nan, np.float32)
+    _correlate(_grey(tonight.frame), _grey(then.frame), tonight.frame.mask, then.frame.mask, x1, x2, _RADIUS, step, out)
+    found[rows] = out
+    return found
+
+
+def _grey(frame: Frame) -> Float32s:
+    return np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), dtype=np.float32)
+
+
+@kernel
+def _correlate(
+    image1: Float32s,
+    image2: Float32s,
+    mask1: Bools,
+    mask2: Bools,
+    x1: Float64s,
+    x2: Float64s,
+    radius: int,
+    step: int,
+    out: Float32s,
+) -> None:
+    h, w = image1.shape
+    reach = radius * step + 1
+    n = float((2 * radius + 1) ** 2)
+    for k in range(len(x1)):
+        if not (abs(x1[k, 0]) < 1e6 and abs(x1[k, 1]) < 1e6 and abs(x2[k, 0]) < 1e6 and abs(x2[k, 1]) < 1e6):
+            continue
+        a, b = int(np.floor(x1[k, 0] + 0.5)), int(np.floor(x1[k, 1] + 0.5))
+        c, d = int(np.floor(x2[k, 0] + 0.5)), int(np.floor(x2[k, 1] + 0.5))
+        if min(a, b, c, d) < reach or max(a, c) >= w - reach or max(b, d) >= h - reach or not (mask1[b, a] and mask2[d, c]):
+            continue
+        s1, s11 = 0.0, 0.0
+        for y in range(-radius, radius + 1):
+            for x in range(-radius, radius + 1):
+                here = image1[b + y * step, a + x * step]
+                s1 += here
+                s11 += here * here
+        spread1 = np.sqrt(max(s11 / n - (s1 / n) ** 2, 0.0))
+        best, widest = -2.0, 0.0
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                s2, s22, s12 = 0.0, 0.0, 0.0
+                for y in range(-radius, radius + 1):
+                    for x in range(-radius, radius + 1):
+                        there = image2[d + dy + y * step, c + dx + x * step]
+                        s2 += there
+                        s22 += there * there
+                        s12 += there * image1[b + y * step, a + x * step]
+                spread2 = np.sqrt(max(s22 / n - (s2 / n) ** 2, 0.0))
+                widest = max(widest, spread2)
+                if spread1 >= _CONTRAST and spread2 >= _CONTRAST:
+                    best = max(best, (s12 / n - s1 * s2 / n / n) / (spread1 * spread2))
+        if best >= -1.0:
+            out[k] = best
+        elif max(spread1, widest) >= _CLEAR_CONTRAST:
+            out[k] = 0.0

@@ -1,0 +1,224 @@
+"""What changed since the reference was pinned: new, vanished and moved things, by tonight's surface against that of then.
+
+Three kinds of evidence are put together (`change.evidence`): distances between the clouds along their normals, with what each can
+tell (M3C2); free space, as the cameras of either night saw through the places of the other's points; and the photographs, as the
+cameras are fixed: what looks the same is the same.  Points that speak for a change and hang together become blobs with place,
+size and volume (`change.blobs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .change.blobs import Blob, find_blobs, paired
+from .change.epoch import Epoch
+from .change.evidence import Evidence, gather, judged, noise_of, seen_by
+from .core.cameras import project
+from .core.ground_grid import cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
+from .types import NEW, SAME, UNKNOWN, VANISHED, Changes, Cloud, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene, Uint8s
+
+_TOP = 0.9
+"""Quantile of the heights over a cell that counts as its surface."""
+
+_LEAST_AREA = 300.0
+"""A change has at least so much surface, in squared spacings of the points."""
+
+_CERTAIN = 3.0
+"""The volume of a change is so many times its standard deviation, at least."""
+
+_CELL = 2.0
+"""Edge of a cell, at least, in spacings."""
+
+_SEEN = 0.2
+"""A camera that sees this share of a change sees it."""
+
+_CROP = 240
+"""Height of the pictures of a change, pixels."""
+
+
+def find_changes(
+    poses: Poses,
+    cloud: Cloud,
+    frames: Mapping[str, Frame],
+    depths: Mapping[str, DepthMap],
+    refined: Mapping[str, DepthMap] | None = None,
+    then_poses: Poses | None = None,
+    then_cloud: Cloud | None = None,
+    then_frames: Mapping[str, Frame] | None = None,
+    then_depths: Mapping[str, DepthMap] | None = None,
+    then_refined: Mapping[str, DepthMap] | None = None,
+    scene: Scene | None = None,
+    *,
+    zones: list[dict[str, Any]] | None = None,
+    sigmas: float = 3.0,
+    registration_m: float = 0.0,
+    alike: float = 0.6,
+    least_area_m2: float | None = None,
+    cell_m: float | None = None,
+) -> Changes:
+    """Compare tonight with the reference.
+
+    Parameters
+    ----------
+    poses, cloud, frames, depths, refined
+        Of tonight; of cameras of the main component.
+    then_poses, then_cloud, then_frames, then_depths, then_refined
+        Of the reference; None, or empty: there is nothing to compare with.
+    scene
+        Where the ground is, if that is known.
+    zones
+        Only changes whose middle lies in one of these count: each a mapping of name, polygon (corners x, y on the ground) and
+        least_m (shortest length of a change that counts, metres).
+    sigmas
+        A surface has changed where it lies so many standard deviations off.
+    registration_m
+        Standard deviation in metres of tonight's world against that of then: nearly nothing for cameras that stay.
+    alike
+        Places whose pictures correlate better on both nights have not changed, 0 to 1.
+    least_area_m2
+        Surface of the smallest change that is told of, square metres; None: what some hundred points of the cloud cover.
+    cell_m
+        Edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
+    """
+    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    tonight = Epoch(cloud, cameras, frames, depths, refined or {})
+    plane = scene.ground if scene is not None else None
+    axes = ground_axes(cameras.values(), plane)
+    if then_poses is None or then_cloud is None or not len(then_cloud.points) or not len(cloud.points):
+        return _nothing(axes, poses)
+    old = {name: camera for name, camera in then_poses.cameras.items() if camera.component == 0}
+    then = Epoch(then_cloud, old, then_frames or {}, then_depths or {}, then_refined or {})
+    spacing = max(_spacing(tonight.points), _spacing(then.points))
+    grid = grid_over(np.vstack([tonight.points, then.points]), axes, cell_m or preferred_above(_CELL * spacing))
+    sides = gather(tonight, then, spacing, registration_m), gather(then, tonight, spacing, registration_m)
+    noise = noise_of(*sides)
+    limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
+    now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
+    least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
+    blobs: list[Blob] = []
+    for side, own, other in ((now, tonight, then), (before, then, tonight)):
+        colors = own.cloud.colors[side.rows].astype(np.float64)
+        blobs += find_blobs(side, colors, grid, other.points, of_then=own is then, spacing=spacing, least_area=least)
+    kept = sorted(paired([b for b in blobs if _is_certain(b, alike)]), key=lambda pair: -pair[0].change.volume)
+    placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
+    found = _put_together(grid, now, before, (tonight, then), [(a, b) for a, b in placed if a is not None])
+    return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
+
+
+def _spacing(points: Float64s, sample: int = 5000) -> float:
+    """Median distance of a point from its nearest neighbour."""
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    distances, _ = tree.query(points[:: max(1, len(points) // sample)], k=2, workers=1)
+    return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
+
+
+def _is_certain(blob: Blob, alike: float) -> bool:
+    """Is the volume more than its error, and do the photographs differ?"""
+    change = blob.change
+    return change.likeness < alike and change.volume >= _CERTAIN * change.volume_sigma
+
+
+def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> Blob | None:
+    """A change with the zone that it lies in; None where it counts in none."""
+    if not zones:
+        return blob
+    change = blob.change
+    x, y = axes[:2] @ (change.x, change.y, change.z)
+    for zone in zones:
+        corners = np.array(zone["polygon"], dtype=np.float32)
+        inside = cv2.pointPolygonTest(corners, (float(x), float(y)), False) >= 0
+        if inside and max(change.length, change.height) >= float(zone.get("least_m", 0.0)):
+            return replace(blob, change=replace(change, zone=str(zone.get("name", ""))))
+    return None
+
+
+def _put_together(
+    grid: GroundGrid, now: Evidence, before: Evidence, nights: tuple[Epoch, Epoch], found: list[tuple[Blob, Blob | None]]
+) -> Changes:
+    """Changes with the points of both nights; those of then only where they have vanished or nothing is known of them."""
+    blob_of = [np.zeros(len(side.core), np.uint16) for side in (now, before)]
+    changes, crops = {}, {}
+    for k, (blob, source) in enumerate(found, 1):
+        for part in (blob, source):
+            if part is not None:
+                blob_of[int(part.of_then)][part.rows] = k
+        side = before if blob.of_then else now
+        cameras = _cameras(side, blob, nights[int(blob.of_then)])
+        changes[str(k)] = replace(blob.change, cameras=",".join(cameras))
+        if cameras:
+            crops[str(k)] = _crop(side.core[blob.rows], cameras[0], nights)
+    gone = blob_of[1] > 0
+    told = gone | (before.unknown & ~before.changed)
+    labels = np.where(blob_of[0] > 0, NEW, np.where(now.unknown, UNKNOWN, SAME)), np.where(gone, VANISHED, UNKNOWN)[told]
+    clouds = [night.cloud.colors[side.rows] for night, side in zip(nights, (now, before), strict=True)]
+    compared = int((~now.unknown).sum() + gone.sum())
+    changed = int((blob_of[0] > 0).sum() + gone.sum())
+    return Changes(
+        True,
+        changes,
+        np.vstack([now.core, before.core[told]]),
+        np.vstack([clouds[0], clouds[1][told]]),
+        np.concatenate([now.distance, before.distance[told]]).astype(np.float32),
+        np.concatenate([now.sigma, before.sigma[told]]).astype(np.float32),
+        np.concatenate([now.significance, before.significance[told]]).astype(np.float32),
+        np.concatenate(labels).astype(np.uint8),
+        np.concatenate([blob_of[0], blob_of[1][told]]),
+        grid,
+        _difference(grid, *nights),
+        crops,
+        count=len(changes),
+        changed_share=changed / max(1, compared),
+        unknown_share=float(np.mean(before.unknown)),
+    )
+
+
+def _cameras(side: Evidence, blob: Blob, night: Epoch) -> list[str]:
+    """The cameras that see a change, the one that shows most of it first."""
+    X, sigma = side.core[blob.rows], night.sigma[side.rows[blob.rows]]
+    found = []
+    for name in night.seeing:
+        seen = seen_by(X, sigma, night, name)
+        if seen.mean() >= _SEEN:
+            x, _ = project(night.cameras[name], X[seen])
+            found.append((float(np.prod(np.ptp(x, axis=0) + 1)) * float(seen.mean()), name))
+    return [name for _, name in sorted(found, key=lambda entry: (-entry[0], entry[1]))]
+
+
+def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
+    """(h, w, 3) the surroundings of points X as a camera saw them then, and tonight, side by side."""
+    parts = []
+    for night in reversed(nights):
+        if name not in night.frames or name not in night.cameras:
+            continue
+        image, (x, _) = night.frames[name].image, project(night.cameras[name], X)
+        low, high = np.quantile(x, [0.02, 0.98], axis=0)
+        margin = 0.35 * (high - low) + 8
+        size = np.array([image.shape[1], image.shape[0]])
+        (left, top), (right, bottom) = np.clip(low - margin, 0, size - 2).astype(int), np.clip(high + margin, 2, size).astype(int)
+        part = image[top : max(bottom, top + 1), left : max(right, left + 1)]
+        width = int(np.clip(round(part.shape[1] * _CROP / part.shape[0]), 1, 4 * _CROP))
+        parts += [cv2.resize(part, (width, _CROP), interpolation=cv2.INTER_AREA), np.full((_CROP, 4, 3), 255, np.uint8)]
+    return np.asarray(np.hstack(parts[:-1]), dtype=np.uint8) if parts else np.zeros((1, 1, 3), np.uint8)
+
+
+def _difference(grid: GroundGrid, tonight: Epoch, then: Epoch) -> np.ndarray:
+    """(rows, columns) float32: tonight's height less that of then."""
+    count = grid.rows * grid.columns
+    tops = [quantile_by_cell(cells_of(grid, n.points), n.points @ grid.axes[2], count, _TOP) for n in (tonight, then)]
+    return (tops[0] - tops[1]).reshape(grid.rows, grid.columns).astype(np.float32)
+
+
+def _nothing(axes: Float64s, poses: Poses) -> Changes:
+    none = np.zeros(0, np.float32)
+    labels, blobs = np.zeros(0, np.uint8), np.zeros(0, np.uint16)
+    grid, empty = GroundGrid(axes, 0.0, 0.0, 1.0, 0, 0), np.zeros((0, 0), np.float32)
+    colors = np.zeros((0, 3), np.uint8)
+    return Changes(
+        False, {}, np.zeros((0, 3)), colors, none, none, none, labels, blobs, grid, empty, metric=poses.metric, crs=poses.crs
+    )

@@ -1,0 +1,95 @@
+"""The ground seen from above: which way is up, and a grid of square cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..types import Camera, Float64s, GroundGrid, Int64s
+
+_MARGIN = 0.1
+"""How far a grid reaches beyond the middle 98 % of its points, as a share of their extent."""
+
+
+def ground_axes(cameras: Iterable[Camera], plane: Float64s | None = None) -> Float64s:
+    """(3, 3) rows east, north and up in the world, of unit length.
+
+    The world's own axes where its z points up for every camera; else up is the normal of the ground `plane` (4,), or against the
+    mean of the cameras' y axes, and east lies across the first camera's view.
+    """
+    views = list(cameras)
+    if all(-camera.R[1, 2] > 0.5 for camera in views):
+        return np.eye(3)
+    up = -np.sum([camera.R[1] for camera in views], axis=0) if plane is None else plane[:3]
+    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else -views[0].R[1]
+    east = views[0].R[0] - (views[0].R[0] @ up) * up
+    east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-6 else np.linalg.svd(up[None])[2][1]
+    return np.stack([east, np.cross(up, east), up])
+
+
+def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
+    """The grid that covers points (n, 3), but for those far outside of the rest.
+
+    Parameters
+    ----------
+    points
+        (n, 3) in the world; not empty.
+    axes
+        See `ground_axes`.
+    cell
+        Edge of a cell, world lengths; corners lie at its multiples.
+    """
+    flat = points @ axes[:2].T
+    low, high = np.percentile(flat, [1, 99], axis=0)
+    margin = _MARGIN * (high - low)
+    low, high = np.maximum(low - margin, flat.min(axis=0)), np.minimum(high + margin, flat.max(axis=0))
+    (first_column, first_row), (last_column, last_row) = np.floor(low / cell), np.floor(high / cell)
+    columns, rows = int(last_column - first_column) + 1, int(last_row - first_row) + 1
+    return GroundGrid(axes, float(first_column * cell), float((last_row + 1) * cell), float(cell), rows, columns)
+
+
+def cells_of(grid: GroundGrid, points: Float64s) -> Int64s:
+    """(n,) number of the cell, row by row, that each of the points (n, 3) lies over; -1 outside of the grid."""
+    east, north = (points @ grid.axes[:2].T).T
+    column = np.floor((east - grid.left) / grid.cell).astype(np.int64)
+    row = np.floor((grid.top - north) / grid.cell).astype(np.int64)
+    inside = (column >= 0) & (row >= 0) & (column < grid.columns) & (row < grid.rows)
+    return np.where(inside, row * grid.columns + column, -1)
+
+
+def cell_centres(grid: GroundGrid, heights: Float64s) -> Float64s:
+    """(rows * columns, 3) world points in the middle of the cells at heights (rows, columns)."""
+    east = grid.left + (np.arange(grid.columns) + 0.5) * grid.cell
+    north = grid.top - (np.arange(grid.rows) + 0.5) * grid.cell
+    x, y = np.meshgrid(east, north)
+    return np.asarray(np.column_stack([x.ravel(), y.ravel(), heights.ravel()]) @ grid.axes, dtype=np.float64)
+
+
+def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: float) -> Float64s:
+    """(count,) a quantile of the values (n,) in each cell, nan where there are none; cells (n,): their numbers, or -1.
+
+    Parameters
+    ----------
+    cells : Int64s
+        (n,) number of each value's cell, or -1.
+    values : ndarray
+        (n,)
+    count : int
+        Cells.
+    quantile : float
+        0 to 1.
+    """
+    inside = cells >= 0
+    cells, values = cells[inside], values[inside]
+    order = np.lexsort((values, cells))
+    numbers, start, size = np.unique(cells[order], return_index=True, return_counts=True)
+    found = np.full(count, np.nan)
+    found[numbers] = values[order][start + np.rint(quantile * (size - 1)).astype(np.int64)]
+    return found
+
+
+def preferred_above(value: float) -> float:
+    """The least of 1, 2, 5 times a power of ten that is not below a positive value."""
+    decade = 10.0 ** float(np.floor(np.log10(value)))
+    return float(decade * min(step for step in (1.0, 2.0, 5.0, 10.0) if step >= value / decade * (1 - 1e-9)))

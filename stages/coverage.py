@@ -1,0 +1,225 @@
+"""How well the cameras see the ground: how many see each place, at what angle, how exactly; and what the loss of one would cost.
+
+The surface is tonight's: the lowest that was found over each cell, else the ground plane.  A camera sees a place that lies in its
+image, is not masked, and has nothing in front of it in the camera's depth map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from .core.cameras import backproject, project
+from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
+from .core.jit import kernel
+from .reasons import Reason, Rejected
+from .types import Bools, Camera, Coverage, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene
+
+_ACROSS = 320
+"""So many pixels along the rows of a depth map, at least, make the surface."""
+
+_REACH = 1.5
+"""A cell without a point has the height of one that is not farther than so many cells."""
+
+_CELLS = 250
+"""Along the longer side of the ground, about."""
+
+_LOWEST = 0.1
+"""Quantile of the heights over a cell that counts as the lowest: one wrong point is no pit."""
+
+
+_ON_GROUND = 0.2
+"""Share of the heights that may lie below the ground."""
+
+
+def find_coverage(
+    poses: Poses,
+    frames: Mapping[str, Frame],
+    depths: Mapping[str, DepthMap],
+    refined: Mapping[str, DepthMap] | None = None,
+    scene: Scene | None = None,
+    *,
+    cell_m: float | None = None,
+    noise_px: float = 0.35,
+    min_angle_deg: float = 4.0,
+    max_angle_deg: float = 60.0,
+) -> Coverage | Rejected:
+    """Count, for each cell of the ground, the cameras that see it.
+
+    Parameters
+    ----------
+    poses
+        Of the cameras; those of the main component count.
+    frames
+        For their masks; looked at one at a time.
+    depths, refined
+        Depth of each view from its pairs, and refined where there is such.
+    scene
+        Where the ground is, if that is known.
+    cell_m
+        Edge of a cell in metres; None: so that some 250 lie along the longer side, 1, 2 or 5 times a power of ten.
+    noise_px
+        Expected error of a match in pixels, standard deviation.
+    min_angle_deg, max_angle_deg
+        Pairs of cameras tell depth where their rays meet at angles between these.
+    """
+    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    better = refined or {}
+    source = {name: better if name in better else depths for name in cameras if name in better or name in depths}
+    points = [_surface(cameras[name], depth_of[name]) for name, depth_of in source.items()]
+    if not sum(map(len, points)):
+        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
+    surface = np.concatenate(points)
+    plane = scene.ground if scene is not None else None
+    axes = ground_axes(cameras.values(), plane)
+    extent = float(np.ptp(np.percentile(surface @ axes[:2].T, [1, 99], axis=0), axis=0).max())
+    grid = grid_over(surface, axes, cell_m or preferred_above(extent / _CELLS))
+    heights = _heights(grid, surface, plane)
+    X = cell_centres(grid, heights)
+    known = np.flatnonzero(np.isfinite(X).all(axis=1))
+    seen = np.zeros((len(cameras), len(known)), bool)
+    for k, (name, camera) in enumerate(cameras.items()):
+        frame, depth = frames.get(name), source[name][name] if name in source else None
+        seen[k] = _sees(camera, frame, depth, X[known], grid.cell)
+    limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
+    focals = np.array([camera.K[0, 0] for camera in cameras.values()]) / noise_px
+    angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in cameras.values()]), focals, limits[0], limits[1])
+    return _coverage(poses, list(cameras), grid, heights, known, seen, angle, error)
+
+
+def _coverage(
+    poses: Poses,
+    names: list[str],
+    grid: GroundGrid,
+    heights: Float64s,
+    known: np.ndarray,
+    seen: Bools,
+    angle: Float64s,
+    error: Float64s,
+) -> Coverage:
+    views = seen.sum(axis=0)
+    alone = {name: float(np.mean((views == 2) & seen[k])) for k, name in enumerate(names)}
+
+    def spread(values: np.ndarray, nothing: float, kind: type[np.generic]) -> np.ndarray:
+        full: np.ndarray = np.full(heights.size, nothing, kind)
+        full[known] = values
+        return full.reshape(heights.shape)
+
+    paired = np.isfinite(error)
+    return Coverage(
+        grid,
+        heights.astype(np.float32),
+        spread(np.minimum(views, 255), 0, np.uint8),
+        spread(np.degrees(angle), np.nan, np.float32),
+        spread(error, np.nan, np.float32),
+        area=float(len(known) * grid.cell**2),
+        seen_by_one=float(np.mean(views >= 1)),
+        seen_by_two=float(np.mean(views >= 2)),
+        median_angle_deg=float(np.degrees(np.median(angle[paired]))) if paired.any() else -1.0,
+        median_error=float(np.median(error[paired])) if paired.any() else -1.0,
+        lost_without=alone,
+        metric=poses.metric,
+        crs=poses.crs,
+    )
+
+
+def _surface(camera: Camera, depth: DepthMap) -> Float64s:
+    """World points (n, 3) of a part of a depth map."""
+    step = max(1, camera.width // _ACROSS)
+    z = depth.depth[step // 2 :: step, step // 2 :: step]
+    y, x = np.nonzero(np.isfinite(z))
+    pixels = np.column_stack([x, y]).astype(np.float64) * step + step // 2
+    return backproject(camera, pixels, z[y, x].astype(np.float64))
+
+
+def _heights(grid: GroundGrid, surface: Float64s, plane: Float64s | None) -> Float64s:
+    """(rows, columns) of the surface in the area that it covers: the lowest in each cell, else the ground plane."""
+    found = quantile_by_cell(cells_of(grid, surface), surface @ grid.axes[2], grid.rows * grid.columns, _LOWEST)
+    heights = found.reshape(grid.rows, grid.columns)
+    away, nearest = distance_transform_edt(~np.isfinite(heights), return_indices=True)
+    heights = np.where(away <= _REACH, heights[tuple(nearest)], np.nan)
+    y, x = np.nonzero(np.isfinite(heights))
+    area = np.zeros(heights.shape, np.uint8)
+    hull = cv2.convexHull(np.column_stack([x, y]).astype(np.int32))
+    cv2.fillConvexPoly(area, hull, 1)
+    holes = (area > 0) & ~np.isfinite(heights)
+    if holes.any():
+        flat = cell_centres(grid, np.zeros_like(heights))
+        if plane is None:
+            plane = _low_plane(flat, heights.ravel(), grid.axes[2])
+        level = -(flat @ plane[:3] + plane[3]) / float(plane[:3] @ grid.axes[2])
+        heights[holes] = level.reshape(heights.shape)[holes]
+    return heights
+
+
+def _low_plane(flat: Float64s, heights: Float64s, up: Float64s) -> Float64s:
+    """(4,) the plane that few of the heights (n,) above the places `flat` (n, 3) lie below: what stands on the ground is above.
+
+    Regression to a low quantile by least squares with weights, again and again (Koenker & Bassett 1978).
+    """
+    known = np.isfinite(heights)
+    across = np.linalg.svd(up[None])[2][1:]
+    A = np.column_stack([flat[known] @ across.T, np.ones(int(known.sum()))])
+    wanted, weights = heights[known], np.ones(int(known.sum()))
+    for _ in range(30):
+        found = np.linalg.lstsq(A * weights[:, None], wanted * weights, rcond=None)[0]
+        off = wanted - A @ found
+        weights = np.sqrt(np.where(off > 0, _ON_GROUND, 1 - _ON_GROUND) / np.maximum(np.abs(off), 1e-3 * np.ptp(wanted) + 1e-12))
+    normal = up - found[:2] @ across
+    return np.append(normal, -found[2])
+
+
+def _sees(camera: Camera, frame: Frame | None, depth: DepthMap | None, X: Float64s, cell: float) -> Bools:
+    """(n,) bool: is a point X (n, 3) in a camera's image, unmasked, and is nothing in front of it?"""
+    x, z = project(camera, X)
+    inside = (z > 0) & (x > -0.5).all(axis=1) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
+    at = np.rint(x[inside]).astype(np.intp)
+    free = np.ones(len(at), bool)
+    if frame is not None:
+        free &= frame.mask[at[:, 1], at[:, 0]]
+    if depth is not None:
+        there, sigma = depth.depth[at[:, 1], at[:, 0]], depth.sigma[at[:, 1], at[:, 0]]
+        tolerance = 3.0 * sigma + 0.02 * z[inside] + cell
+        free &= ~(there < z[inside] - tolerance)  # where nothing is known, nothing is known to be in front
+    seen = np.zeros(len(X), bool)
+    seen[inside] = free
+    return seen
+
+
+@kernel
+def _best_pairs(
+    X: Float64s, seen: Bools, centres: Float64s, focals: Float64s, cos_least: float, cos_most: float
+) -> tuple[Float64s, Float64s]:
+    """Radians between the rays (n,), and the error (n,) of the point, of the pair of cameras that tells it best; nan without.
+
+    A camera knows a point across its ray to range / focal; the sum of the information of two rays at an angle has its smallest
+    eigenvalue in their plane: ((a + b) - sqrt((a - b)^2 + 4 a b cos^2)) / 2 for weights a and b.
+    """
+    n, count = len(X), len(centres)
+    angle, error = np.full(n, np.nan), np.full(n, np.nan)
+    rays, weights = np.empty((count, 3)), np.empty(count)
+    for k in range(n):
+        used = 0
+        for c in range(count):
+            if not seen[c, k]:
+                continue
+            dx, dy, dz = X[k, 0] - centres[c, 0], X[k, 1] - centres[c, 1], X[k, 2] - centres[c, 2]
+            r = np.sqrt(dx * dx + dy * dy + dz * dz)
+            rays[used, 0], rays[used, 1], rays[used, 2] = dx / r, dy / r, dz / r
+            weights[used] = (focals[c] / r) ** 2
+            used += 1
+        best = 0.0
+        for i in range(used):
+            for j in range(i + 1, used):
+                cos = rays[i, 0] * rays[j, 0] + rays[i, 1] * rays[j, 1] + rays[i, 2] * rays[j, 2]
+                if cos > cos_least or cos < cos_most:
+                    continue
+                a, b = weights[i], weights[j]
+                information = 0.5 * (a + b - np.sqrt((a - b) ** 2 + 4.0 * a * b * cos * cos))
+                if information > best:
+                    best = information
+                    angle[k], error[k] = np.arccos(cos), 1.0 / np.sqrt(information)
+    return angle, error

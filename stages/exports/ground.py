@@ -1,0 +1,141 @@
+"""Maps of the ground: pictures of them, and files for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import cv2
+import numpy as np
+
+from ..core.ground_grid import cell_centres
+from ..io.rasters import png
+from ..types import Camera, Coverage, Float32s, Float64s, GroundGrid, Poses, Uint8s
+
+_WIDTH = 960
+_QUALITY = 85
+_GROUND = (24, 24, 24)
+_STEPS = ((196, 60, 50), (232, 150, 50), (240, 215, 90), (150, 205, 95), (60, 170, 90), (25, 120, 110), (20, 80, 120))
+"""Colours of 0, 1, 2, ... cameras; the last one of so many or more."""
+
+
+def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
+    """coverage.png, and where the site lies on a map coverage.tif: cameras, angle and expected error of each cell."""
+    yield "coverage.png", png(_map(coverage))
+    if coverage.crs:
+        layers = {
+            "cameras that see it": np.where(np.isfinite(coverage.heights), coverage.views, np.nan).astype(np.float32),
+            "best angle between rays, degrees": coverage.angle_deg,
+            "expected error, metres": coverage.error,
+        }
+        yield "coverage.tif", on_the_map(coverage.grid, coverage.heights, layers, coverage.crs)
+
+
+def coverage_preview(coverage: Coverage, poses: Poses | None = None, **_: object) -> Uint8s:
+    """How many cameras see each place, from above, as a JPEG file's bytes; poses: where the cameras are drawn in."""
+    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0} if poses else {}
+    return _jpeg(_map(coverage, cameras))
+
+
+def _jpeg(image: Uint8s) -> Uint8s:
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return np.asarray(data, dtype=np.uint8).ravel()
+
+
+def on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32s], crs: str) -> bytes:
+    """GeoTIFF, float32, nan where unknown: layers (rows, columns) by what they hold, in the UTM zone of the site.
+
+    Parameters
+    ----------
+    grid
+        Of the layers, in the local frame.
+    heights
+        (rows, columns) of the surface along the grid's up: north on the map hardly depends on it.
+    layers
+        What the bands hold, and their description.
+    crs
+        The local frame's.
+
+    Raises
+    ------
+    ValueError
+        No map has the place.
+    """
+    from rasterio.crs import CRS  # here: only georeferenced sites need it
+    from rasterio.io import MemoryFile
+    from rasterio.transform import Affine
+    from scipy.spatial import cKDTree
+
+    from .world import georeference
+
+    reference = georeference(crs)
+    level = float(np.nanmedian(heights)) if np.isfinite(heights).any() else 0.0
+    centres = reference.points(cell_centres(grid, np.full(heights.shape, level)))[:, :2]
+    low, high = np.floor(centres.min(axis=0) / grid.cell), np.ceil(centres.max(axis=0) / grid.cell)
+    columns, rows = (high - low).astype(int)
+    x, y = np.meshgrid((low[0] + np.arange(columns) + 0.5) * grid.cell, (high[1] - np.arange(rows) - 0.5) * grid.cell)
+    distance, nearest = cKDTree(centres).query(np.column_stack([x.ravel(), y.ravel()]), workers=1)
+    inside = distance < 0.75 * grid.cell
+    transform = Affine(grid.cell, 0.0, low[0] * grid.cell, 0.0, -grid.cell, high[1] * grid.cell)
+    layout = {
+        "driver": "GTiff",
+        "width": columns,
+        "height": rows,
+        "count": len(layers),
+        "dtype": "float32",
+        "nodata": float("nan"),
+    }
+    packing = {"compress": "deflate", "predictor": 3, "num_threads": 1}
+    with MemoryFile() as memory:
+        with memory.open(**layout, **packing, crs=CRS.from_epsg(reference.epsg), transform=transform) as file:
+            for k, (words, values) in enumerate(layers.items(), 1):
+                file.write(np.where(inside, values.ravel()[nearest], np.nan).reshape(rows, columns).astype(np.float32), k)
+                file.set_band_description(k, words)
+        return bytes(memory.read())
+
+
+def _map(coverage: Coverage, cameras: Mapping[str, Camera] | None = None) -> Uint8s:
+    """(h, w, 3) uint8: the number of cameras as colours, a legend below, and the cameras."""
+    views = np.minimum(coverage.views, len(_STEPS) - 1)
+    colours = np.where(np.isfinite(coverage.heights)[..., None], np.array(_STEPS, np.uint8)[views], np.uint8(_GROUND[0]))
+    return _legend(drawn(coverage.grid, colours.astype(np.uint8), cameras or {}))
+
+
+def drawn(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> Uint8s:
+    """Cells (rows, columns, 3) as squares of some pixels, and cameras as triangles that open the way they look, where the picture
+    reaches with a margin around both."""
+    scale = max(1, _WIDTH // max(grid.columns, grid.rows))
+    image = np.repeat(np.repeat(colours, scale, axis=0), scale, axis=1)
+    if not cameras:
+        return image
+    at = {name: _pixel(grid, camera.C, scale) for name, camera in cameras.items()}
+    every = np.array(list(at.values()))
+    size = np.array([image.shape[1], image.shape[0]])
+    before = np.clip(np.ceil(20 - every.min(axis=0)), 0, size / 2).astype(int)
+    after = np.clip(np.ceil(every.max(axis=0) + 20 - size), 0, size / 2).astype(int)
+    canvas = np.full((*(size + before + after)[::-1], 3), _GROUND, np.uint8)
+    canvas[before[1] : before[1] + size[1], before[0] : before[0] + size[0]] = image
+    for name, camera in cameras.items():
+        ahead = grid.axes[:2] @ camera.R[2] * (1.0, -1.0)
+        ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+        aside = np.array([-ahead[1], ahead[0]])
+        corners = at[name] + before + np.array([np.zeros(2), 22 * ahead + 10 * aside, 22 * ahead - 10 * aside])
+        cv2.polylines(canvas, [np.round(corners).astype(np.int32)], True, (255, 255, 255), 2, cv2.LINE_AA)
+        cv2.putText(canvas, name, tuple((at[name] + before + 6).astype(int).tolist()), 0, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
+    return np.asarray(canvas, dtype=np.uint8)
+
+
+def _pixel(grid: GroundGrid, X: Float64s, scale: int) -> Float64s:
+    east, north = grid.axes[:2] @ X
+    return np.array([(east - grid.left) / grid.cell * scale, (grid.top - north) / grid.cell * scale])
+
+
+def _legend(image: Uint8s) -> Uint8s:
+    wide = max(image.shape[1], 60 * len(_STEPS))
+    canvas = np.full((image.shape[0] + 34, wide, 3), _GROUND, np.uint8)
+    canvas[: image.shape[0], : image.shape[1]] = image
+    for k, colour in enumerate(_STEPS):
+        x, y = 8 + 58 * k, image.shape[0] + 8
+        cv2.rectangle(canvas, (x, y), (x + 18, y + 18), colour, -1)
+        words = f"{k}{'+' if k == len(_STEPS) - 1 else ''}"
+        cv2.putText(canvas, words, (x + 24, y + 15), 0, 0.5, (230, 230, 230), 1, cv2.LINE_AA)
+    return np.asarray(canvas, dtype=np.uint8)

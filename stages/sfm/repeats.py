@@ -1,0 +1,84 @@
+"""Does a scene look the same from other sides, or along a row?  Then wrong pairs may close all loops.
+
+A pair's rival (`twoview.rivals`) tells, by the angle between its rotation and the accepted one.  What looks the same from another
+side gives one that is turned by a part of a full turn; what repeats along a row gives the same rotation with another step.  One
+pair may have such a rival by chance, and few pairs of a scene that does repeat see what tells; the site's pairs together decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from math import isfinite, log
+
+from ..reasons import Reason
+from ..twoview.rivals import MUCH_TURNED, TURNED_DEG
+from ..types import Geometry
+
+PARTS_DEG = (180.0, 120.0, 90.0, 60.0)
+"""Of a full turn: buildings with two, three, four and six equal sides."""
+PART_WITHIN_DEG = 2.0
+SAME_ROTATION_DEG = 1.0
+ROW_SHARE, ROW_INLIERS = 0.2, 20
+"""Of the accepted inliers, and matches, that a rival of the same rotation needs."""
+
+
+class Rivalry(Enum):
+    """What the rival of a pair looks like."""
+
+    NONE = "none"
+    TURNED = "turned"
+    SIDE = "side"
+    """Turned by a part of a full turn."""
+    ROW = "row"
+    """Not turned at all."""
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Of the pairs of a scene that have a rival of each kind."""
+
+    turned: float
+    side: float
+    row: float
+
+    def log_odds(self, other: Shares, kind: Rivalry) -> float:
+        """For this scene against the other, of one pair."""
+        return log(self._of(kind) / other._of(kind))
+
+    def _of(self, kind: Rivalry) -> float:
+        none = 1 - self.turned - self.side - self.row
+        return {Rivalry.NONE: none, Rivalry.TURNED: self.turned, Rivalry.SIDE: self.side, Rivalry.ROW: self.row}[kind]
+
+
+FROM_OTHER_SIDES, IN_A_ROW = Shares(turned=0.3, side=0.2, row=0.01), Shares(turned=0.1, side=0.01, row=0.5)
+"""Scenes that repeat; by what a pair can see, since there is one family of each to measure: only cameras that look around a
+corner see another side, and any two of a row see another house."""
+P_REPEATS = 0.2
+"""Of a site to be the one or the other."""
+
+
+def rivalry(geometry: Geometry) -> Rivalry | None:
+    """The kind of a pair's rival, None where nobody looked for one."""
+    turned = geometry.rival_turned_deg
+    if not isfinite(turned):
+        return None
+    share = geometry.rival_elsewhere / max(geometry.inliers, 1)
+    if share >= MUCH_TURNED and min(abs(turned - part) for part in PARTS_DEG) <= PART_WITHIN_DEG:
+        return Rivalry.SIDE
+    if share >= ROW_SHARE and geometry.rival_elsewhere >= ROW_INLIERS and turned < SAME_ROTATION_DEG:
+        return Rivalry.ROW
+    return Rivalry.TURNED if share >= MUCH_TURNED and turned > TURNED_DEG else Rivalry.NONE
+
+
+def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | None:
+    """In which way a scene repeats, None where it more likely does not; usual: the shares of scenes that don't."""
+    kinds = [kind for geometry in geometries if (kind := rivalry(geometry)) is not None]
+    prior = log(P_REPEATS / (1 - P_REPEATS))
+    odds = {
+        Reason.SAME_FROM_OTHER_SIDES: prior + sum(FROM_OTHER_SIDES.log_odds(usual, kind) for kind in kinds),
+        Reason.SAME_ALONG_A_ROW: prior + sum(IN_A_ROW.log_odds(usual, kind) for kind in kinds),
+    }
+    likely = max(odds, key=lambda reason: odds[reason])
+    return likely if odds[likely] > 0 else None

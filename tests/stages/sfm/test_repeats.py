@@ -1,0 +1,59 @@
+"""A scene that repeats is told by what the rivals of its pairs look like."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wbflow_stages.reasons import Reason
+from wbflow_stages.sfm.loops import USUAL
+from wbflow_stages.sfm.repeats import Rivalry, rivalry, why_ambiguous
+from wbflow_stages.types import Geometry, View
+
+NOTHING = np.zeros((0, 2))
+PLAIN = Geometry(
+    F=np.eye(3), x1=NOTHING, x2=NOTHING, i1=None, i2=None, probability=np.zeros(0, np.float32), view1=View(1, 1),
+    view2=View(1, 1), cam2_R_cam1=None, cam2_t_cam1=None, matches=200, inliers=200, model="E", epipolar_px=0.3, angle_deg=20.0,
+    homography_share=0.3, score=5.0, good_probability=0.99, rival_turned_deg=0.0,
+)  # fmt: skip
+
+
+def pair(share: float, turned_deg: float) -> Geometry:
+    return replace(PLAIN, rival_elsewhere=round(share * PLAIN.inliers), rival_turned_deg=turned_deg)
+
+
+@pytest.mark.parametrize(
+    ("share", "turned_deg", "kind"),
+    [
+        (0.1, 179.0, Rivalry.SIDE),
+        (0.1, 90.8, Rivalry.SIDE),
+        (0.1, 75.0, Rivalry.TURNED),
+        (0.3, 0.3, Rivalry.ROW),
+        (0.1, 0.3, Rivalry.NONE),
+        (0.3, 8.0, Rivalry.NONE),
+        (0.02, 180.0, Rivalry.NONE),
+    ],
+)
+def test_a_rival_is_of_a_side_of_a_row_or_of_nothing_that_repeats(share: float, turned_deg: float, kind: Rivalry) -> None:
+    assert rivalry(pair(share, turned_deg)) is kind
+
+
+def test_where_nobody_looked_for_rivals_nothing_is_said() -> None:
+    bare = replace(PLAIN, rival_turned_deg=float("nan"))
+    assert rivalry(bare) is None
+    assert why_ambiguous([bare] * 5, USUAL.rivals) is None
+
+
+def test_one_rival_of_another_side_is_enough_among_few_pairs_and_not_among_many() -> None:
+    plain, side = pair(0.02, 60.0), pair(0.15, 90.0)
+    assert why_ambiguous([side, plain, plain], USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
+    assert why_ambiguous([side] + [plain] * 27, USUAL.rivals) is None
+    assert why_ambiguous([side] * 6 + [plain] * 20, USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
+
+
+def test_a_row_of_the_same_house_is_told_from_other_sides() -> None:
+    plain, shifted = pair(0.02, 60.0), pair(0.4, 0.1)
+    assert why_ambiguous([shifted] * 3 + [plain], USUAL.rivals) is Reason.SAME_ALONG_A_ROW
+    assert why_ambiguous([plain] * 4, USUAL.rivals) is None

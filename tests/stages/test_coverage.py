@@ -1,0 +1,106 @@
+"""Which places cameras see, how well, and what the site loses without one of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.helpers.exact_scene import make_yard
+from wbflow_stages.core.ground_grid import cell_centres, cells_of
+from wbflow_stages.coverage import find_coverage
+from wbflow_stages.exports.ground import coverage_files, coverage_preview
+from wbflow_stages.types import Coverage, Poses, Rejected, Scene
+
+YARD = make_yard((-40, -20, 0, 20, 40), width=160)
+DEPTHS = YARD.depths()
+POSES = Poses(YARD.cameras, {}, {}, metric=True, source="calibration")
+
+
+def covered(leave_out: str = "", max_angle_deg: float = 60.0) -> Coverage:
+    cameras = {name: camera for name, camera in YARD.cameras.items() if name != leave_out}
+    found = find_coverage(replace(POSES, cameras=cameras), YARD.frames, DEPTHS, scene=Scene(), max_angle_deg=max_angle_deg)
+    assert isinstance(found, Coverage)
+    return found
+
+
+def at(coverage: Coverage, values: np.ndarray, x: float, y: float) -> float:
+    return float(values.ravel()[cells_of(coverage.grid, np.array([[x, y, 0.0]]))[0]])
+
+
+def test_open_ground_is_seen_by_all_and_what_the_box_hides_by_fewer() -> None:
+    coverage = covered()
+    assert at(coverage, coverage.views, -0.5, -2.0) == 5
+    assert at(coverage, coverage.heights, -0.5, -2.0) == pytest.approx(0.0, abs=0.05)
+    assert at(coverage, coverage.heights, -0.5, 0.0) == pytest.approx(1.6, abs=0.05)  # on the box
+    assert at(coverage, coverage.views, -0.5, 1.4) < 5  # behind it
+    assert 0 < coverage.seen_by_two <= coverage.seen_by_one <= 1
+
+
+def test_the_best_pair_tells_angle_and_error() -> None:
+    coverage = covered(max_angle_deg=50)
+    angle, error = at(coverage, coverage.angle_deg, -0.5, -2.0), at(coverage, coverage.error, -0.5, -2.0)
+    assert 30 < angle <= 50
+    # by the plain formula of two equal rays: range / focal * noise / (sqrt(2) sin(angle / 2))
+    reach = float(np.median([np.linalg.norm(c.C - (-0.5, -2.0, 0.0)) for c in YARD.cameras.values()]))
+    plain = reach / YARD.cameras["cam+0"].K[0, 0] * 0.35 / (np.sqrt(2) * np.sin(np.radians(angle) / 2))
+    assert error == pytest.approx(plain, rel=0.15)
+    assert at(covered(max_angle_deg=25), covered(max_angle_deg=25).error, -0.5, -2.0) > 1.2 * error
+
+
+def test_what_is_said_of_a_lost_camera_comes_true() -> None:
+    coverage = covered()
+    lost = max(coverage.lost_without, key=lambda name: coverage.lost_without[name])
+    without = covered(lost)
+    centres = cell_centres(coverage.grid, coverage.heights.astype(np.float64))
+    cells = cells_of(without.grid, np.nan_to_num(centres))
+    both = (cells >= 0) & np.isfinite(coverage.heights.ravel())
+    fell = (coverage.views.ravel()[both] >= 2) & (without.views.ravel()[cells[both]] < 2)
+    assert coverage.lost_without[lost] == pytest.approx(fell.sum() / np.isfinite(coverage.heights).sum(), abs=0.02)
+
+
+def test_masked_pixels_see_nothing() -> None:
+    frames = {name: replace(frame, mask=np.zeros_like(frame.mask)) for name, frame in YARD.frames.items()}
+    blind = find_coverage(POSES, frames, DEPTHS)
+    assert isinstance(blind, Coverage)
+    assert (blind.seen_by_one, blind.median_error) == (0, -1)
+
+
+def test_a_world_in_any_position_is_covered_alike() -> None:
+    turned = make_yard((-40, -20, 0, 20, 40), width=160, scale=0.1, shift=(100.0, -50.0, 3.0))
+    other = find_coverage(replace(POSES, cameras=turned.cameras), turned.frames, turned.depths())
+    assert isinstance(other, Coverage)
+    assert other.seen_by_two == pytest.approx(covered().seen_by_two, abs=0.03)
+    assert other.median_error == pytest.approx(0.1 * covered().median_error, rel=0.1)
+
+
+def test_holes_lie_on_the_ground_plane_where_that_is_known() -> None:
+    plane = Scene(ground=np.array([0.0, 0.0, 1.0, 0.25]))
+    found = find_coverage(POSES, YARD.frames, DEPTHS, scene=plane)
+    assert isinstance(found, Coverage)
+    behind = at(found, found.heights, -0.5, 1.05)
+    assert behind == pytest.approx(-0.25, abs=1e-6) or at(found, found.views, -0.5, 1.05) > 1
+
+
+def test_without_any_depth_there_is_no_ground() -> None:
+    assert isinstance(find_coverage(POSES, YARD.frames, {}), Rejected)
+
+
+def test_it_is_drawn_and_written_for_maps() -> None:
+    rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
+    pytest.importorskip("pyproj", reason="the extra geo is not installed")
+    coverage = replace(covered(), crs="+proj=topocentric +ellps=WGS84 +lat_0=53.5 +lon_0=9.9 +h_0=0 +type=crs")
+    files = dict(coverage_files(coverage))
+    assert set(files) == {"coverage.png", "coverage.tif"}
+    shown = cv2.imdecode(np.frombuffer(files["coverage.png"], np.uint8), 1)
+    assert shown is not None
+    assert len(np.unique(shown.reshape(-1, 3), axis=0)) > 5
+    with rasterio.MemoryFile(files["coverage.tif"]) as memory, memory.open() as file:
+        views = file.read(1)
+        assert file.crs.to_epsg() == 32632
+        assert np.nanmax(views) == 5
+        assert np.isfinite(views).sum() == pytest.approx(np.isfinite(coverage.heights).sum(), rel=0.02)
+    assert cv2.imdecode(coverage_preview(coverage, POSES), 1) is not None
+    assert list(dict(coverage_files(covered()))) == ["coverage.png"]

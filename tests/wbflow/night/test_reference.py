@@ -1,0 +1,232 @@
+"""The pinned reference: what later nights take from it, and that no night changes it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.store import atomic, reference
+from wbflow.store.layout import WorkFolder
+
+GEOMETRY = {"features", "matches", "geometry", "poses", "rectify", "overlap", "pairs"}
+FIRST, SECOND, THIRD = "2026-11-01", "2026-11-02", "2026-11-03"
+
+
+@pytest.fixture(autouse=True)
+def toy_stages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(HELPERS))
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> ToySite:
+    """A site with three cameras whose first night is pinned."""
+    site = ToySite(tmp_path, ["a", "b", "c"], watched=True, dated=True)
+    site.run("--date", FIRST)
+    return site
+
+
+def ran(site: ToySite) -> set[str]:
+    """Tasks of pinned geometry that the last run worked out."""
+    return {task for task in site.ran() if task.split(" ")[0] in GEOMETRY}
+
+
+def record_of(site: ToySite) -> Path:
+    return WorkFolder(site.work).reference_record
+
+
+def camera(record: dict[str, Any], name: str) -> dict[str, Any]:
+    found: dict[str, Any] = next(c for c in record["cameras"] if c["id"] == name)
+    return found
+
+
+def test_the_first_good_run_is_pinned_and_says_so(toy: ToySite) -> None:
+    pinned = json.loads(record_of(toy).read_text())
+    assert pinned["date"] == FIRST
+    assert pinned["pinned"] == "automatically"
+    assert {c["id"]: bool(c["camera"]) for c in pinned["cameras"]} == {"a": True, "b": True, "c": True}
+    listed = toy.wbflow("pin", "--list").stdout
+    assert pinned["run"] in listed
+    assert "a--b" in listed
+
+
+def test_a_second_night_works_no_geometry_out(toy: ToySite) -> None:
+    toy.night(SECOND)
+    record = toy.run("--date", SECOND)
+    assert ran(toy) == set()
+    assert {task.split(" ")[0] for task in toy.ran()} == {"frames", "health", "disparity", "depth", "fuse"}
+    assert record["reference"] == json.loads(record_of(toy).read_text())["run"]
+    assert camera(record, "a")["health"]["state"] == "ok"
+
+
+def test_the_reference_s_own_night_run_again_does_nothing(toy: ToySite) -> None:
+    cloud = toy.cloud
+    assert toy.run("--date", FIRST)["tasks"]["ran"] == 0
+    assert toy.cloud == cloud
+
+
+def test_a_nudge_is_corrected_and_only_its_pairs_are_rectified_anew(toy: ToySite) -> None:
+    toy.night(SECOND, b="nudged")
+    toy.run("--date", SECOND, code=None)
+    assert ran(toy) == {"poses", "geometry a--b", "geometry b--c", "rectify a--b", "rectify b--c"}
+
+
+def test_a_moved_camera_is_matched_with_the_others_and_solved_anew(toy: ToySite) -> None:
+    toy.night(SECOND, c="moved")
+    toy.run("--date", SECOND, code=None)
+    around_c = {f"{stage} {pair}" for stage in ("matches", "geometry", "rectify") for pair in ("a--c", "b--c")}
+    assert ran(toy) - {f"rectify {pair}" for pair in ("a--c", "b--c")} <= {"poses", "features c", *around_c}
+    assert {"features c", "matches a--c", "geometry b--c"} <= ran(toy)
+
+
+@pytest.mark.parametrize("state", ["blind", "foreign"])
+def test_a_camera_that_shows_nothing_of_the_site_gives_nothing_and_costs_no_other(toy: ToySite, state: str) -> None:
+    toy.night(SECOND, c=state)
+    record = toy.run("--date", SECOND, code=3)
+    assert ran(toy) == set()
+    outcomes = {f"{p['left']}--{p['right']}": p["outcome"] for p in record["pairs"]}
+    assert outcomes == {"a--b": "ok", "a--c": "skipped", "b--c": "skipped"}
+    assert camera(record, "c")["health"]["state"] == state
+    assert state in next(p["reason"] for p in record["pairs"] if p["right"] == "c")
+    assert record["cloud"]["points"] > 0
+
+
+def test_nights_out_of_order_and_twice_do_not_change_the_reference_or_each_other(toy: ToySite) -> None:
+    before = record_of(toy).read_bytes()
+    clouds: dict[str, bytes] = {}
+    for date in (THIRD, SECOND, FIRST, SECOND, THIRD):
+        toy.night(date) if date != FIRST else None
+        toy.run("--date", date)
+        assert clouds.setdefault(date, toy.cloud) == toy.cloud
+    assert record_of(toy).read_bytes() == before
+
+
+def test_earlier_nights_tell_what_is_usual(toy: ToySite) -> None:
+    seen = []
+    for date in (SECOND, THIRD):
+        toy.night(date)
+        seen.append(camera(toy.run("--date", date), "a")["health"]["figures"]["nights"])
+    assert seen == [0, 1]
+
+
+def test_the_reference_outlives_the_cache(toy: ToySite) -> None:
+    shutil.rmtree(toy.work / "cache")
+    toy.night(SECOND)
+    toy.run("--date", SECOND)
+    assert ran(toy) == set()
+
+
+def test_cleaning_up_leaves_the_reference_whole(toy: ToySite) -> None:
+    for date in (SECOND, THIRD):
+        toy.night(date)
+        toy.run("--date", date)
+    toy.wbflow("clean", "--keep", "1")
+    toy.night("2026-11-04")
+    toy.run("--date", "2026-11-04")
+    assert ran(toy) == set()
+
+
+def test_a_damaged_artifact_of_the_reference_is_done_without(toy: ToySite) -> None:
+    work = WorkFolder(toy.work)
+    pinned = reference.read_reference(work)
+    assert pinned is not None
+    task = next(task for task in pinned.artifacts if task.stage == "frames" and task.subject == ("b",))
+    file = work.artifact(task, pinned.artifacts[task].key, ".wbf")
+    data = bytearray(file.read_bytes())
+    data[-3] ^= 1
+    file.write_bytes(data)  # a link: the copy is the same file
+    toy.night(SECOND)
+    assert toy.run("--date", SECOND)["cloud"]["points"] > 0
+
+
+def test_with_other_settings_the_reference_is_not_used_and_the_run_says_so(toy: ToySite) -> None:
+    toy.parameters["matches"] = {"shift": 2.0}
+    toy.write()
+    toy.night(SECOND)
+    toy.run("--date", SECOND)
+    assert {"matches a--b", "poses"} <= ran(toy)
+    newest = WorkFolder(toy.work).run(WorkFolder(toy.work).run_ids()[-1])
+    assert "matches.shift 1.0" in newest.log.read_text()
+
+
+def test_settings_of_what_is_not_pinned_do_not_matter(toy: ToySite) -> None:
+    toy.parameters["disparity"] = {"tolerance": 2.0}
+    toy.write()
+    toy.night(SECOND)
+    toy.run("--date", SECOND)
+    assert ran(toy) == set()
+
+
+def test_what_is_forced_is_worked_out_all_the_same(toy: ToySite) -> None:
+    toy.night(SECOND)
+    toy.run("--date", SECOND, "--force", "rectify")
+    assert ran(toy) == {"rectify a--b", "rectify a--c", "rectify b--c"}
+
+
+def test_pin_none_switches_it_off(tmp_path: Path) -> None:
+    site = ToySite(tmp_path, ["a", "b"], watched=True, dated=True, keys={"pin": "none"})
+    for date in (FIRST, SECOND):
+        site.night(date)
+        record = site.run("--date", date)
+    assert not record_of(site).exists()
+    assert record["reference"] is None
+    assert "matches a--b" in ran(site)
+
+
+def test_another_run_is_pinned_by_hand_and_dropped(toy: ToySite) -> None:
+    toy.night(SECOND)
+    second = toy.run("--date", SECOND)["run"]
+    assert toy.wbflow("pin", second).returncode == 0
+    pinned = json.loads(record_of(toy).read_text())
+    assert (pinned["run"], pinned["pinned"]) == (second, "by hand")
+    toy.night(THIRD)
+    toy.run("--date", THIRD)
+    assert ran(toy) == set()
+    assert toy.wbflow("pin", "--drop").returncode == 0
+    assert not WorkFolder(toy.work).reference.exists()
+
+
+def test_a_run_without_a_cloud_cannot_be_pinned(toy: ToySite) -> None:
+    run = toy.run("--date", FIRST, "--until", "poses")["run"]
+    answer = toy.wbflow("pin", run)
+    assert answer.returncode == 2
+    assert "made no cloud" in answer.stderr
+
+
+def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    from wbflow.night.pin import good_run, pin
+
+    work = WorkFolder(toy.work)
+    toy.night(SECOND)
+    second = toy.run("--date", SECOND)["run"]
+    old = reference.read_reference(work)
+    steps = iter(range(1000))
+    for last in range(40):
+        monkeypatch.setattr(reference, "link_atomic", _dying(atomic.link_atomic, steps := iter(range(1000)), last))
+        monkeypatch.setattr(reference, "write_atomic", _dying(atomic.write_atomic, steps, last))
+        try:
+            pin(work, good_run(work, second))
+            break
+        except KeyboardInterrupt:
+            assert reference.read_reference(work) == old
+            assert all(work.pinned(work.receipt(t, p.key)).is_file() for t, p in old.artifacts.items()) if old else False
+    monkeypatch.undo()
+    pin(work, good_run(work, second))
+    now = reference.read_reference(work)
+    assert now is not None
+    assert now.run == second
+    files = [path for path in work.reference.rglob("*") if path.is_file()]
+    assert len(files) == 1 + sum(2 if pinned.digest else 1 for pinned in now.artifacts.values())
+
+
+def _dying(function: Any, steps: Any, last: int) -> Any:
+    def do(*arguments: Any, **options: Any) -> Any:
+        if next(steps) >= last:
+            raise KeyboardInterrupt
+        return function(*arguments, **options)
+
+    return do
