@@ -70,7 +70,7 @@ def encoded(form: str, seed: int = 0, wide: int = WIDE, high: int = HIGH) -> byt
 
 def png(wide: int, high: int, rows: int, bits: int = 8, colour: int = 2) -> bytes:
     """A PNG whose header promises wide x high, with so many rows of black in it."""
-    row = b"\0" + bytes(wide * bits // 8 * (3 if colour == 2 else 1))
+    row = b"\0" + bytes(wide * bits // 8 * (3 if colour == 2 else 1)) if rows else b""
     pack = zlib.compressobj(9)
     body = b"".join(pack.compress(row) for _ in range(rows)) + pack.flush()
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", wide, high, bits, colour, 0, 0, 0)), (b"IDAT", body), (b"IEND", b"")]

@@ -149,7 +149,8 @@ class Supervisor:
     def _took_all(self, hand: Hand) -> tuple[str, Cause]:
         hand.end()
         limit = self._limits.memory
-        why = f"ran out of memory: it held {in_words(hand.most)}, and all workers together more than the {in_words(limit)} that they may"
+        together = f"all workers together more than the {in_words(limit)} that they may"
+        why = f"ran out of memory: it held {in_words(hand.most)}, and {together}"
         return why, Cause.OUT_OF_MEMORY
 
     def _why(self, hand: Hand) -> tuple[str, Cause]:
