@@ -35,9 +35,10 @@ class CapturesSection(Section):
     @field_validator("pattern")
     @classmethod
     def _known_fields(cls, pattern: str) -> str:
-        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date"}]
+        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date", "time"}]
         if unknown:
-            raise PydanticCustomError("pattern", f"{{{unknown[0]}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, * and **")
+            use = "use {camera}, {date:%Y-%m-%d}, {time:%H%M%S}, * and **"
+            raise PydanticCustomError("pattern", f"{{{unknown[0]}}} is not known; {use}")
         return pattern
 
 
@@ -125,7 +126,18 @@ class CameraSection(Section):
     distortion: Annotated[list[float], Field(min_length=1, max_length=5)] | None = None
     pose: PoseSection | None = None
     mask: str | None = None
+    privacy: list[list[Annotated[list[float], Field(min_length=2, max_length=2)]]] = Field(default_factory=list)
     images: list[str] | None = None
+
+    @field_validator("privacy")
+    @classmethod
+    def _areas(cls, polygons: list[list[list[float]]]) -> list[list[list[float]]]:
+        for polygon in polygons:
+            if len(polygon) < 3:
+                raise PydanticCustomError("privacy", "a polygon has three corners or more: [[x, y], [x, y], [x, y]]")
+            if min(value for corner in polygon for value in corner) < 0:
+                raise PydanticCustomError("privacy", "corners are pixels of a capture, or shares of its width and height, from 0")
+        return polygons
 
 
 class PairsSection(Section):

@@ -67,12 +67,17 @@ REJECTED = "wbflow_stages.types:Rejected"
 SITE_TYPES = {
     SiteValue.CAPTURES: "wbflow_stages.types:Capture",
     SiteValue.MASK: "wbflow_stages.types:Capture",
+    SiteValue.PRIVACY: "wbflow_stages.types:Privacy",
     SiteValue.LENS: "wbflow_stages.types:Lens",
     SiteValue.PLACEMENT: "wbflow_stages.types:Placement",
     SiteValue.SURVEY: "wbflow_stages.types:Survey",
 }
 """The type that a value of the site is handed over as."""
 
+_OF_A_FRAME = (
+    "brightness", "contrast", "saturated", "sharpness", "frames_used", "doubtful", "unchanged",
+    "taken_first", "taken_last", "taken_in_order",
+)  # fmt: skip
 _SIDES: dict[str, Need] = {"left": FromStage("features", Which.LEFT), "right": FromStage("features", Which.RIGHT)}
 _FRAMES: dict[str, Need] = {"left": FromStage("frames", Which.LEFT), "right": FromStage("frames", Which.RIGHT)}
 _FRAMES_TOO: dict[str, Need] = {f"{side}_frame": need for side, need in _FRAMES.items()}
@@ -105,12 +110,13 @@ STAGES: tuple[Stage, ...] = (
             "captures": FromSite(SiteValue.CAPTURES),
             "lens": FromSite(SiteValue.LENS),
             "mask": FromSite(SiteValue.MASK, optional=True),
+            "privacy": FromSite(SiteValue.PRIVACY, optional=True),
         },
         role=Role.FRAME,
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        reports=Reports({name: name for name in ("brightness", "contrast", "saturated", "sharpness")}, notes="notes"),
+        reports=Reports({name: name for name in _OF_A_FRAME}, notes="notes"),
     ),
     Stage(
         "health",

@@ -59,6 +59,8 @@ class SiteValue(Enum):
     """The capture files of a camera, as they are: a list."""
     MASK = auto()
     """The mask file of a camera, as it is."""
+    PRIVACY = auto()
+    """What nobody may see of a camera's picture."""
     LENS = auto()
     """Intrinsics of a camera."""
     PLACEMENT = auto()

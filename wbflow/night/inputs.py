@@ -211,6 +211,8 @@ class Inputs:
             if file and not file.digest:
                 raise Impossible(f"mask {file.name} {file.fault}", Cause.BAD_INPUT)
             return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+        if what is SiteValue.PRIVACY and not camera.privacy.counts:
+            return Absent()
         if what is SiteValue.CAPTURES:
             return Files(SITE_TYPES[what], self._captured(camera))
         return stated(camera, what)

@@ -39,12 +39,15 @@ class Facts:
     product: bool = True
     """Was a cloud asked for?"""
     interrupted: bool = False
+    stopped: tuple[State, ...] = ()
+    """Of tasks that were not begun since the time was over."""
 
     @staticmethod
     def of(plan: Plan, interrupted: bool) -> Facts:
         """Those of a plan that is settled."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
-        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted)
+        stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
+        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted, stopped)
 
 
 def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunRecord:
@@ -106,6 +109,10 @@ def exit_code(verdict: Verdict, interrupted: bool = False) -> ExitCode:
 
 
 def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+    if facts.stopped:
+        text = f"{facts.stopped[0].reason}: {len(facts.stopped)} tasks were not done"
+        remedy = "run it again without --stop-at: it goes on from there; begin earlier, or lower `resolution`"
+        yield Finding("stopped", (), text, {"tasks": len(facts.stopped)}, remedy=remedy)
     if facts.interrupted:
         yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
     elif facts.product and not record.cloud:
