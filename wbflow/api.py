@@ -35,14 +35,13 @@ from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener
-from .store.keep import Keep
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
-from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
-from .store.run_folder import RunFolder, new_run, turn_links
+from .store.run_folder import RunFolder, new_run
 from .store.sizes import bytes_of, in_words
+from .store.writing import hold_to_write
 from .task import Task
 
 if TYPE_CHECKING:
@@ -247,11 +246,9 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
     place = WorkFolder(site.work)
-    with hold(place.lock, options.wait), terminate_as_interrupt():
+    with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        if place.start_writing():
-            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:
@@ -262,12 +259,9 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         prepare(night, journal)
         worked = work(night, options, journal, costs)
         finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
-        if site.pin == "auto" and fit_to_pin(finished.record) and not place.reference_record.exists():
-            pin(place, finished.folder, automatic=True)
-        _afterwards(finished, site.keep, journal)
+        _afterwards(finished, site, journal)
         if not options.until and not worked.interrupted:
             _tell_people(site, finished, journal)
-        place.done_writing()
     return Run(finished)
 
 
@@ -281,8 +275,11 @@ def _mend_ledger(place: WorkFolder, journal: Journal) -> None:
         journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
 
 
-def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
-    """Index the run, and remove what need not stay.  The night is published: a fault here costs nothing, but is told of."""
+def _afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
+    """Index the run, pin the first good one, and remove what need not stay.
+
+    The night is published: a fault here costs nothing, but is told of.
+    """
     told = len(journal.events)
     try:
         with Ledger(run.work, writes=True) as ledger:
@@ -291,9 +288,11 @@ def _afterwards(run: FinishedRun, keep: Keep, journal: Journal) -> None:
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
+        if site.pin == "auto" and fit_to_pin(run.record) and not run.work.reference_record.exists():
+            pin(run.work, run.folder, automatic=True)
         share_pictures(run.work, run.folder.id)
-        if not keep.everything:
-            over = clean(run.work, keep, asked=False).over
+        if not site.keep.everything:
+            over = clean(run.work, site.keep, asked=False).over
             if over:
                 what = f"the cache holds {in_words(over)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")

@@ -77,6 +77,7 @@ date_option = click.option(
 jobs_option = click.option(
     "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, metavar="N", help="Workers (default: all cores)."
 )
+json_option = click.option("--json", "as_json", is_flag=True, help="The same as JSON, and nothing else.")
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Every task, and tracebacks.")
 until_option = click.option("--until", metavar="STAGE", help="Stop after this stage.")
 force_option = click.option(

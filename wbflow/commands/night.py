@@ -18,6 +18,7 @@ from .common import (
     date_option,
     force_option,
     jobs_option,
+    json_option,
     load,
     site_argument,
     until_option,
@@ -109,9 +110,10 @@ def _nights(site: Site, date: datetime.date | None, since: datetime.date | None)
 @date_option
 @work_option
 @until_option
-def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None) -> None:
+@json_option
+def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why."""
-    _explain(load(site, work), date, until, ())
+    _explain(load(site, work), date, until, (), as_json)
 
 
 @click.command()
@@ -132,15 +134,28 @@ def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
     sys.exit(exit_code(findings))
 
 
-def _explain(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...]) -> None:
+def _explain(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...], as_json: bool = False) -> None:
+    from dataclasses import asdict
+
     from ..night.night import open_night
     from ..night.options import Options
-    from ..results.status import explain, pairs_to_come
+    from ..results.status import explain, pairs_to_come, seconds_to_come, totals
 
     Options(until=until, force=force).check()
     plan = open_night(site, date, until, force).plan
     plan.refresh()
-    for line in explain(plan):
+    lines = explain(plan)
+    seconds, counts = seconds_to_come(lines), totals(lines)
+    if as_json:
+        tasks = [asdict(line) for line in lines]
+        known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
+        say(json.dumps({"site": site.name, "night": plan.night, **known}, indent=1))
+        return
+    if plan.misfit:
+        say(f"the reference is not used: {plan.misfit}", err=True)
+    for line in lines:
         say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):
         say("(tasks of pairs are listed once the pair graph is known)")
+    about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
+    say(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in counts.items())}{about}")

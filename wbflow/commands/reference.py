@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,24 +11,29 @@ from ..errors import ExitCode, UsageError
 from ..screen import say, stop
 from .common import load, place_of, run_argument, site_argument, work_option
 
+if TYPE_CHECKING:
+    from ..config.site import Site
+    from ..store.layout import WorkFolder
+
 
 @click.command()
 @site_argument
 @run_argument
 @click.option("--list", "listed", is_flag=True, help="Say what is pinned.")
 @click.option("--drop", is_flag=True, help="Forget the reference.")
+@click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference's surface.")
 @work_option
-def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | None) -> None:
+def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: Path | None) -> None:
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
 
     The first good run becomes it by itself, unless the site file says `pin: none`.
     """
-    if listed + drop + (run_id is not None) > 1:
-        raise UsageError("--list, --drop and RUN exclude each other")
+    if listed + drop + refine + (run_id is not None) > 1:
+        raise UsageError("--list, --drop, --refine and RUN exclude each other")
     loaded = load(site, work)
     place = place_of(loaded)
-    from ..store.lock import hold
     from ..store.reference import drop_reference, read_reference
+    from ..store.writing import hold_to_write
 
     if listed:
         reference = read_reference(place)
@@ -36,14 +42,29 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | N
         for line in reference.lines():
             say(line)
         return
-    with hold(place.lock, wait=False):
+    with hold_to_write(place, wait=False):
         if drop:
-            say("the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference")
-            return
-        from ..night.pin import good_run
-        from ..night.pin import pin as make
+            said = "the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference"
+        elif refine:
+            said = _refine(loaded, place)
+        else:
+            from ..night.pin import good_run
+            from ..night.pin import pin as make
 
-        reference = make(place, good_run(place, run_id))
-    say(f"run {reference.run} (night of {reference.date}) is the reference now: {place.reference}")
-    if loaded.pin == "none":
+            made = make(place, good_run(place, run_id))
+            said = f"run {made.run} (night of {made.date}) is the reference now: {place.reference}"
+    say(said)
+    if not (drop or refine) and loaded.pin == "none":
         say("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
+
+
+def _refine(site: Site, place: WorkFolder) -> str:
+    from ..night.pool import pool
+    from ..store.reference import read_reference, restore
+
+    reference = read_reference(place)
+    if reference is None:
+        raise UsageError(f"{site.name} has no reference to refine: wbflow pin SITE.yaml")
+    restore(place, reference)
+    pooled = pool(place, reference, site.reader)
+    return "\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet"

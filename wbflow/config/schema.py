@@ -221,6 +221,14 @@ class HealthSection(Section):
     dark: float = Field(6.0, ge=0, le=255)
 
 
+class ZoneSection(Section):
+    """A part of the ground where changes count."""
+
+    name: str
+    polygon: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=3)]
+    least_m: float = Field(0.0, ge=0)
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -235,6 +243,7 @@ class SiteSection(Section):
     pairs: PairsSection = PairsSection.model_validate({})
     pin: Literal["auto", "none"] = "auto"
     health: HealthSection = HealthSection.model_validate({})
+    zones: list[ZoneSection] = Field(default_factory=list)
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
     notify: NotifySection | None = None

@@ -188,6 +188,8 @@ class Site:
     """"auto": the first good run is what later ones are compared with; "none": nothing is."""
     health: dict[str, Any] = field(default_factory=dict)
     """Limits of what a camera may differ by, by name."""
+    zones: list[dict[str, Any]] | None = None
+    """Where changes count: name, polygon (corners x, y on the ground), least_m; None: everywhere."""
 
     @property
     def file(self) -> Path:

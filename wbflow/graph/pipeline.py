@@ -23,42 +23,11 @@ from .rows import (
     Reports,
     Rework,
     Role,
-    Scope,
     SiteValue,
     Stage,
     Which,
     WorldReports,
 )
-
-__all__ = [
-    "REJECTED",
-    "SITE_TYPES",
-    "STAGES",
-    "Entry",
-    "FromPast",
-    "FromReference",
-    "FromSite",
-    "FromStage",
-    "Held",
-    "Judges",
-    "Method",
-    "Need",
-    "Part",
-    "Picture",
-    "PointTable",
-    "Renamed",
-    "Reports",
-    "Rework",
-    "Role",
-    "Scope",
-    "SiteValue",
-    "Stage",
-    "Which",
-    "WorldReports",
-    "ancestors",
-    "stage_named",
-    "stage_with",
-]
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
@@ -85,6 +54,26 @@ _FEATURES_TOO: dict[str, Need] = {f"{side}_features": need for side, need in _SI
 _PLACEMENTS = FromSite(SiteValue.PLACEMENT, Which.ALL)
 _VIEWS = FromStage("frames", Which.ALL, Part("view"))
 _HEALTHS: dict[str, Need] = {"left": FromStage("health", Which.LEFT), "right": FromStage("health", Which.RIGHT)}
+
+_SURFACE: dict[str, Need] = {
+    "frames": FromStage("frames", Which.ALL),
+    "depths": FromStage("depth", Which.ALL),
+    "refined": FromStage("refine", Which.ALL, optional=True),
+    "scene": FromStage("scene", optional=True),
+}
+_SURFACE_THEN: dict[str, Need] = {
+    "then_poses": FromReference("poses"),
+    "then_cloud": FromReference("fuse"),
+    "then_frames": FromReference("frames", Which.ALL),
+    "then_depths": FromReference("depth", Which.ALL),
+    "then_refined": FromReference("refine", Which.ALL),
+}
+
+
+def _told(*figures: str) -> Reports:
+    """Figures that run.json has by the names that they have in the result."""
+    return Reports({name: name for name in figures})
+
 
 _STILL = Held(nudged="kept", moved="kept")
 """Of results that do not depend on where single cameras look."""
@@ -132,7 +121,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.HEALTH,
         optional=True,
         section="health",
-        judges=Judges("state", "text", "figures", "expected", "remedy"),
+        judges=Judges("state", "text", "figures", "expected", "remedy", "corrected"),
         kept=False,
     ),
     Stage(
@@ -288,6 +277,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": FromStage("frames"), "frames": FromStage("frames", Which.AROUND)},
         role=Role.DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
     ),
     Stage(
         "refine",
@@ -302,6 +292,7 @@ STAGES: tuple[Stage, ...] = (
             "scene": FromStage("scene", optional=True),
         },
         role=Role.REFINED_DEPTH,
+        pooled="wbflow_stages.pooled:pool_depths",
         picture=Picture("wbflow_stages.exports.previews:depth_preview"),
         optional=True,
     ),
@@ -329,13 +320,7 @@ STAGES: tuple[Stage, ...] = (
         "coverage",
         scope="site",
         function="wbflow_stages.coverage:find_coverage",
-        needs={
-            "poses": FromStage("poses"),
-            "frames": FromStage("frames", Which.ALL),
-            "depths": FromStage("depth", Which.ALL),
-            "refined": FromStage("refine", Which.ALL, optional=True),
-            "scene": FromStage("scene", optional=True),
-        },
+        needs={"poses": FromStage("poses"), **_SURFACE},
         optional=True,
         picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
         reports=Reports(
@@ -346,10 +331,25 @@ STAGES: tuple[Stage, ...] = (
                 "angle_deg": "median_angle_deg",
                 "error_m": "median_error",
                 "lost_without": "lost_without",
-            }
+            },
+            expects=("area_m2", "seen_by_two"),
         ),
         files="wbflow_stages.exports.ground:coverage_files",
         title="What the cameras see of the ground",
+        kept=False,
+    ),
+    Stage(
+        "changes",
+        scope="site",
+        function="wbflow_stages.changes:find_changes",
+        needs={"poses": FromStage("poses"), "cloud": FromStage("fuse"), **_SURFACE, **_SURFACE_THEN},
+        optional=True,
+        site_parameters=("zones",),
+        picture=Picture("wbflow_stages.exports.changed:changes_preview"),
+        reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
+        files="wbflow_stages.exports.changed:changes_files",
+        title="What has changed",
+        kept=False,
     ),
 )
 

@@ -7,21 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from ..config.site import Site, SiteCamera
-from ..graph.pipeline import (
-    SITE_TYPES,
-    FromPast,
-    FromReference,
-    FromSite,
-    FromStage,
-    Need,
-    Part,
-    Role,
-    SiteValue,
-    Stage,
-    Which,
-    stage_named,
-    stage_with,
-)
+from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
+from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
 from ..store.cache import Cache
 from ..task import Subject, Task
 from .captures import CaptureFile

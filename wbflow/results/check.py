@@ -13,7 +13,8 @@ from typing import Literal
 from ..config.site import Site
 from ..errors import ExitCode
 from ..graph.exports import DECODE
-from ..graph.pipeline import SITE_TYPES, SiteValue
+from ..graph.pipeline import SITE_TYPES
+from ..graph.rows import SiteValue
 from ..night.captures import CaptureFile, expected
 from ..night.night import Night, open_night
 from ..store.layout import WorkFolder
