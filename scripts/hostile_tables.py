@@ -185,9 +185,7 @@ def changed() -> dict[str, dict[str, Any]]:
         "a distance that is no number": {"distances": [["gate", "roof", math.nan]]},
         "a distance without end": {"distances": [["gate", "roof", math.inf]]},
         "a distance of lists": {"distances": [[["gate"], {"a": 1}, 3]]},
-        "a point that is no number": {
-            "control_points": [{"position": [math.nan, 0, 0], "pixels": {"gate": [1, 2], "roof": [1, 2]}}]
-        },
+        "a point that is no number": {"control_points": [{"position": [math.nan] * 3, "pixels": {"gate": [1, 2]}}]},
         "bounds that are no numbers": {"bounds": [[math.nan] * 3, [1, 1, 1]]},
         "a pair of lists": {"pairs": {"include": [[["gate"], "roof"]]}},
         "a degree that is no number": {"pairs": {"degree": math.nan}},

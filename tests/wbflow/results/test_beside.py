@@ -10,7 +10,7 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow.graph import pipeline
-from wbflow.graph.pipeline import Reports
+from wbflow.graph.rows import Reports
 
 STAGE = """
 from wbflow_stages.types import Poses, Scene
