@@ -85,7 +85,7 @@ def run(
         finished = work_through(loaded, date=day, listen=listener(loaded, verbose, quiet or as_json), **asked)
         record = finished.record
         codes.append(record.exit_code)
-        records.append(record.to_json())
+        records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
         if since and not (quiet or as_json):
             say(f"night {record.date}, run {record.run}:")
         if not (quiet or as_json):
