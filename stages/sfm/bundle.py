@@ -54,6 +54,8 @@ def adjust(
     """
     focals = focals or {}
     rows = np.flatnonzero(use)
+    if not len(rows):
+        return dict(cameras), X.copy()  # nothing is seen that could move anything
     model, points = _model(cameras, tracks, X, rows, focals)
     config = pycolmap.BundleAdjustmentConfig()
     for view in cameras:
