@@ -29,7 +29,7 @@ _TOP = 0.9
 _LEAST_AREA = 300.0
 """A change has at least so much surface, in squared spacings of the points."""
 
-_CERTAIN = 3.0
+_CERTAIN = 6.0
 """The volume of a change is so many times its standard deviation, at least."""
 
 _CELL = 2.0

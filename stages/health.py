@@ -26,6 +26,8 @@ _USUAL_NIGHTS = 5
 _GUESSED_FOCAL = 1.2
 """Of the width, where nothing is known: a turn in pixels does not depend on it."""
 _SIGMAS = 3.0
+_TURNED_SHARE = 0.5
+"""So many of the patches that were found must agree that a camera has only turned."""
 _ZOOMED = 0.003
 """So much zoom is no turn: the lens was touched."""
 
@@ -67,10 +69,10 @@ class _Case:
     expected: dict[str, float | str] = field(default_factory=dict)
     turn: Turn | None = None
 
-    def closed(self, state: str, text: str, remedy: str = "") -> CameraHealth:
+    def closed(self, state: str, text: str, remedy: str = "", corrected: bool = False) -> CameraHealth:
         """The finding."""
         turned = (self.turn.R, self.turn.homography) if self.turn else (None, None)
-        return CameraHealth(state, text, remedy, self.figures, self.expected, *turned)
+        return CameraHealth(state, text, remedy, self.figures, self.expected, corrected, *turned)
 
 
 def examine(
@@ -98,7 +100,8 @@ def examine(
         A camera whose picture has moved by more (median over the picture) is nudged, in pixels of the frame; and its pose is
         corrected.  Where it usually sways by more, three standard deviations of that count.
     moved_deg
-        One that has turned by more is moved, and solved anew from the others, in degrees.
+        One that has turned by more is moved, in degrees.  It is corrected, too, where a turn explains what is seen; else it is
+        solved anew from the others.
     flat
         A picture of which a larger share than this shows nothing (covered, fog, no light) is blind.
     dark
@@ -145,8 +148,10 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
     if zoomed or turn.angle_deg > moved_deg:
         also = f", zoomed by {100 * (turn.zoom - 1):+.1f} %" if zoomed else ""
         case.expected["turn_deg"] = moved_deg
-        return case.closed("moved", how + also, "turn it back, or pin a new reference")
-    return case.closed("nudged", f"{how}: corrected", "fasten it; if it stays so, pin a new reference")
+        turned = not zoomed and turn.share >= _TURNED_SHARE  # else things near and far disagree: it has been carried, too
+        how += also + (": corrected" if turned else "")
+        return case.closed("moved", how, "turn it back, or pin a new reference", turned)
+    return case.closed("nudged", f"{how}: corrected", "fasten it; if it stays so, pin a new reference", True)
 
 
 def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:

@@ -22,7 +22,7 @@ def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHeal
     pinned
         The reference's.
     left, right
-        How the cameras have turned; one that is not `nudged` counts as where it was.
+        How the cameras have turned; one that is not `corrected` counts as where it was.
 
     References
     ----------
@@ -62,7 +62,7 @@ def hold_poses(
     max_epipolar_px: float = 2.0,
     min_angle_deg: float = 0.7,
 ) -> Poses | Rejected:
-    """The cameras of the reference: those that were nudged are turned, those that were moved or are new are solved.
+    """The cameras of the reference: those that have turned are turned, those that were moved or are new are solved.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ def hold_poses(
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
-    lost = [n for n, health in healths.items() if health.state == "moved" or n not in pinned.cameras]
+    lost = [n for n, health in healths.items() if _lost(health) or n not in pinned.cameras]
     cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in lost}
-    turned = [n for n in cameras if n in healths and healths[n].state == "nudged"]
+    turned = [n for n in cameras if n in healths and healths[n].corrected]
     sources = {n: "corrected" if n in turned else source for n, source in pinned.sources.items() if n in cameras}
     notes = tuple(f"{name}: {healths[name].text}" for name in (*turned, *(n for n in lost if n in pinned.cameras)))
     held = replace(pinned, cameras=cameras, sources=sources, notes=(*notes, *pinned.notes))
@@ -111,11 +111,12 @@ def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses
     """The held cameras, and those of the lost ones that could be solved in their world."""
     theirs = {name: check for name, check in held.pair_checks.items() if not set(name.split("--")) & set(lost)}
     others = {name: reason for name, reason in held.unsolved.items() if name not in lost}
+    components = tuple(tuple(n for n in group if n not in lost) for group in held.components) or ((),)
     if isinstance(found, Rejected):
-        return replace(held, pair_checks=theirs, unsolved=others | dict.fromkeys(lost, f"moved, and not solved: {found.reason}"))
+        why = dict.fromkeys(lost, f"moved, and not solved: {found.reason}")
+        return replace(held, pair_checks=theirs, unsolved=others | why, components=components)
     solved = {name: found.cameras[name] for name in lost if name in found.cameras and found.cameras[name].component == 0}
     unsolved = {n: f"moved, and not solved: {found.unsolved.get(n, 'its pairs do not join it to the others')}" for n in lost}
-    components = tuple(tuple(n for n in group if n not in lost) for group in held.components) or ((),)
     return replace(
         held,
         cameras={**held.cameras, **solved},
@@ -130,14 +131,18 @@ def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses
 
 
 def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
-    """Of a nudged camera, old pixels to new ones and old axes to new ones."""
-    if health.state != "nudged" or health.homography is None or health.turn is None:
+    """Of a camera that has turned, old pixels to new ones and old axes to new ones."""
+    if not health.corrected or health.homography is None or health.turn is None:
         return _ITSELF, _ITSELF
     return health.homography, health.turn
 
 
 def _turned(camera: Camera, health: CameraHealth | None) -> Camera:
-    return camera if health is None else replace(camera, R=_motion(health)[1] @ camera.R)
+    return camera if health is None or not health.corrected else replace(camera, R=_motion(health)[1] @ camera.R)
+
+
+def _lost(health: CameraHealth) -> bool:
+    return health.state == "moved" and not health.corrected
 
 
 def _moved(points: Float64s, H: Float64s, view: View) -> tuple[Float64s, Bools]:

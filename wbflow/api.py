@@ -161,6 +161,7 @@ def run(
     scheduler: str | None = None,
     memory: str | None = None,
     time_limit: float | None = None,
+    stop_at: datetime.datetime | None = None,
     listen: Listener | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
@@ -187,6 +188,8 @@ def run(
         What all workers together may hold, such as "4GB"; four fifths of what the machine has, if not given.
     time_limit : float, optional
         Seconds that a task may take; told by what its stage took before, if not given.
+    stop_at : datetime, optional
+        Local time from which on only what is there already is put together and published.
     listen : callable, optional
         Told of every event as it happens.
 
@@ -208,7 +211,7 @@ def run(
     """
     site = site if isinstance(site, Site) else load_site(site)
     most = bytes_of(memory) if memory else None
-    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit)
+    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit, stop_at)
     options.check()
     try:
         return _run(site, options, listen or _quiet)
@@ -251,7 +254,7 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        for damage in filter(None, (night.digests.damage, site.reader.damage)):
+        for damage in filter(None, (night.digests.damage, night.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         _mend_ledger(place, journal)
         prepare(night, journal)

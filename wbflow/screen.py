@@ -66,9 +66,10 @@ def findings(record: RunRecord) -> None:
     if verdict is None or (verdict.good and not verdict.findings):
         return
     say(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
-    for finding in verdict.findings[:MOST_FINDINGS]:
+    shown = verdict.findings[:MOST_FINDINGS]
+    for finding, following in zip(shown, [*shown[1:], None], strict=True):
         say(f"  {finding}", err=True)
-        if finding.remedy:
+        if finding.remedy and not (following and following.remedy == finding.remedy):  # said once, after those it is for
             say(f"    {finding.remedy}", err=True)
     if (left := len(verdict.findings) - MOST_FINDINGS) > 0:
         say(f"  and {left} more: the report has them", err=True)

@@ -29,8 +29,9 @@ _LEAST_STD = 2.0
 _TRIALS = 400
 _AGREE_PX = 1.5
 """So far a patch may lie from where the turn puts it."""
-_FEWEST, _FEWEST_CELLS = 10, 5
-"""So many patches, of so many cells, must agree: what agrees by chance, or is a clock that is burnt into the picture, is less."""
+_FEWEST, _FEWEST_CELLS, _SHARE = 10, 8, 0.1
+"""So many patches must agree, of so many cells, and this share of all: what agrees by chance, or is a clock in the picture, is
+less."""
 _ROUNDS = 5
 
 
@@ -74,6 +75,11 @@ class Turn:
     """(n,) of the patches, which agree."""
     residual_px: float
     """Their median distance from where the turn puts them."""
+
+    @property
+    def share(self) -> float:
+        """Of the patches that were found: how many agree."""
+        return float(self.inliers.mean())
 
 
 def corners(image: Uint8s, mask: Bools) -> Float64s:
@@ -199,7 +205,7 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float
         parameters = parameters + step
         residual = _residuals(parameters, rays, found.x2, K)[0]
         inliers = np.linalg.norm(residual, axis=1) <= agree_px
-    if inliers.sum() < _FEWEST or len(_cells(found.x1[inliers], width, height)) < _FEWEST_CELLS:
+    if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or len(_cells(found.x1[inliers], width, height)) < _FEWEST_CELLS:
         return None
     return _turn(parameters, _residuals(parameters, rays[inliers], found.x2[inliers], K), inliers, found, K, (width, height))
 

@@ -27,6 +27,8 @@ class CameraHealth:
     """What was measured, by name; finite."""
     expected: Mapping[str, float | str] = field(default_factory=dict)
     """Limits of figures of the same names, where there are such."""
+    corrected: bool = False
+    """The pose is that of the reference, turned by `turn`."""
     turn: Float64s | None = None
     """(3, 3) rotation from the camera's axes in the reference to those of tonight; None where it was not measured."""
     homography: Float64s | None = None

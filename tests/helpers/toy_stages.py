@@ -61,7 +61,7 @@ def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nu
     _trouble("health")
     state = frame.notes[1] if pinned_frame else "ok"
     figures = {"shift_x_px": 0.5, "shift_y_px": 0.0, "roll_deg": 0.0, "nights": float(len(usual.roll_deg)) if usual else -1.0}
-    return CameraHealth(state, "as the capture says", "none", figures if pinned_frame else {})
+    return CameraHealth(state, "as the capture says", "none", figures if pinned_frame else {}, corrected=state == "nudged")
 
 
 def detect(frame: Frame, *, offset: float = 0.0) -> Features:

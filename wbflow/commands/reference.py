@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,20 +11,25 @@ from ..errors import ExitCode, UsageError
 from ..screen import say, stop
 from .common import load, place_of, run_argument, site_argument, work_option
 
+if TYPE_CHECKING:
+    from ..config.site import Site
+    from ..store.layout import WorkFolder
+
 
 @click.command()
 @site_argument
 @run_argument
 @click.option("--list", "listed", is_flag=True, help="Say what is pinned.")
 @click.option("--drop", is_flag=True, help="Forget the reference.")
+@click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference's surface.")
 @work_option
-def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | None) -> None:
+def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: Path | None) -> None:
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
 
     The first good run becomes it by itself, unless the site file says `pin: none`.
     """
-    if listed + drop + (run_id is not None) > 1:
-        raise UsageError("--list, --drop and RUN exclude each other")
+    if listed + drop + refine + (run_id is not None) > 1:
+        raise UsageError("--list, --drop, --refine and RUN exclude each other")
     loaded = load(site, work)
     place = place_of(loaded)
     from ..store.reference import drop_reference, read_reference
@@ -38,15 +44,27 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, work: Path | N
         return
     with hold_to_write(place, wait=False):
         if drop:
-            dropped = drop_reference(place)
-        else:
-            from ..night.pin import good_run
-            from ..night.pin import pin as make
+            say("the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference")
+            return
+        if refine:
+            _refine(loaded, place)
+            return
+        from ..night.pin import good_run
+        from ..night.pin import pin as make
 
-            made = make(place, good_run(place, run_id))
-    if drop:
-        say("the reference is dropped" if dropped else f"{loaded.name} has no reference")
-        return
+        made = make(place, good_run(place, run_id))
     say(f"run {made.run} (night of {made.date}) is the reference now: {place.reference}")
     if loaded.pin == "none":
         say("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
+
+
+def _refine(site: Site, place: WorkFolder) -> None:
+    from ..night.pool import pool
+    from ..store.reference import read_reference, restore
+
+    reference = read_reference(place)
+    if reference is None:
+        raise UsageError(f"{site.name} has no reference to refine: wbflow pin SITE.yaml")
+    restore(place, reference)
+    for task, nights in pool(place, reference, site.reader).items():
+        say(f"{task}: pooled from {nights} nights")

@@ -13,7 +13,7 @@ from .calibration import Calibrated, CalibrationError, find_camera, read_calibra
 from .geodesy import LocalFrame
 from .positions import Document, Place, SiteProblem
 from .schema import CameraSection, SiteSection
-from .site import SiteCamera, StatedLens, StatedPlacement
+from .site import SiteCamera, StatedLens, StatedPlacement, StatedPrivacy
 
 ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """What a camera, and a site, may be called."""
@@ -96,7 +96,8 @@ def read_cameras(
             problems.append(document.problem((*place, "mask"), f"there is no file {mask}", remedy))
         lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
-        found.append(SiteCamera(camera.id, lens, placement, mask, images, place))
+        privacy = StatedPrivacy([c for p in camera.privacy for c in p], [float(len(p)) for p in camera.privacy])
+        found.append(SiteCamera(camera.id, lens, placement, mask, privacy, images, place))
     _refuse_ambiguous([camera.id for camera in model.cameras], document, problems)
     return found
 

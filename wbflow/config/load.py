@@ -90,6 +90,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         tuple(notes),
         model.pin,
         model.health.model_dump(),
+        [zone.model_dump() for zone in model.zones] or None,
     )
 
 

@@ -59,6 +59,8 @@ class SiteValue(Enum):
     """The capture files of a camera, as they are: a list."""
     MASK = auto()
     """The mask file of a camera, as it is."""
+    PRIVACY = auto()
+    """What nobody may see of a camera's picture."""
     LENS = auto()
     """Intrinsics of a camera."""
     PLACEMENT = auto()
@@ -170,6 +172,8 @@ class Judges:
     figures: str
     expected: str
     remedy: str
+    corrected: str
+    """Its pose is known from the reference and from how it has turned, whatever the state."""
 
 
 @dataclass(frozen=True)
@@ -239,6 +243,8 @@ class Reports:
     """The same, of a rejection."""
     notes: str = ""
     """Figure that holds notes for the operator."""
+    expects: tuple[str, ...] = ()
+    """Fields of a site-wide stage whose product should be what is usual; `expect` in the site file has it under its name."""
 
 
 @dataclass(frozen=True)
@@ -302,6 +308,8 @@ class Stage:
     kept: bool = True
     """The reference keeps its results."""
     judges: Judges | None = None
+    pooled: str = ""
+    """Dotted function: results of many nights, as a mapping by night -> one."""
 
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""

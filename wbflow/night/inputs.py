@@ -209,6 +209,8 @@ class Inputs:
         if what is SiteValue.MASK:
             file = self.masks.get(camera.id)
             return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+        if what is SiteValue.PRIVACY and not camera.privacy.counts:
+            return Absent()
         if what is SiteValue.CAPTURES:
             return Files(SITE_TYPES[what], self._captured(camera))
         return stated(camera, what)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 from dataclasses import dataclass, field
 
@@ -27,6 +28,8 @@ class Limits:
     seconds: float | None = None
     """For every task; None: told by the past."""
     past: Past = field(default_factory=Past)
+    until: datetime.datetime | None = None
+    """When the run looks up, whatever is at work (local time)."""
 
     def seconds_for(self, task: Task) -> float:
         """After how long a task is taken for stuck."""

@@ -27,14 +27,14 @@ from ..store.cache import Cache, Receipt
 from ..store.record import Health
 from ..store.reference import Reference
 from ..task import Subject, Task
-from .obstacles import Impossible, Waiting
+from .obstacles import Impossible, Waiting, because
 from .past import Past
 from .spec import Absent, Input, Joined, Stored, Value
 from .state import Cause, State
 from .stated import subject_of
 
-HELD = frozenset({"ok", "nudged"})
-"""States of a camera whose pose is known from the reference."""
+_STILL, _TURNED, _LOST = "still", "turned", "lost"
+"""A camera's pose is that of the reference, is known from it, or is not known."""
 USELESS = frozenset({"blind", "stale", "foreign"})
 """States of a camera that shows nothing of the site tonight."""
 FEWEST = 2
@@ -132,9 +132,10 @@ class Pinned:
     def unfit(self, subject: Subject) -> Impossible:
         """Why what one of these cameras shows is not used."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
-        health = self.health(camera)
-        why = f"{health.state}: {health.text}" if health else "without a frame"
-        return Impossible(f"camera {camera} is {why}", Cause.UNFIT)
+        if health := self.health(camera):
+            return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
+        frame = Task(stage_with(Role.FRAME).name, (camera,))
+        return because(frame, self.states[frame])
 
     def lose(self, task: Task) -> None:
         """An artifact was found damaged: where it was the reference's, that has it no longer."""
@@ -146,20 +147,25 @@ class Pinned:
         if self._own_night(tuple(self.cameras)):
             return "kept"
         cameras = subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
-        states = {"moved" if self._homeless(c) else self.state_of(c) for c in cameras}
-        if "moved" in states:
+        standing = {self._standing(c) for c in cameras}
+        if _LOST in standing:
             return held.moved
-        return held.nudged if "nudged" in states else "kept"
+        return held.nudged if _TURNED in standing else "kept"
 
-    def _homeless(self, camera: str) -> bool:
-        """Has the reference no pose for it?"""
-        return self.reference is not None and camera not in self.reference.placed
+    def _standing(self, camera: str) -> str:
+        """Is a camera's pose that of the reference, or known from it?  Raises Waiting."""
+        if self.reference is None or camera not in self.reference.placed:
+            return _LOST
+        state = self.state_of(camera)
+        task = self.states.get(Task(stage_with(Role.HEALTH).name, (camera,)))
+        judges = stage_with(Role.HEALTH).judges
+        if task and task.usable and task.receipt and judges and task.receipt.figures.get(judges.corrected):
+            return _TURNED
+        return _STILL if state == "ok" else _LOST
 
     def _in_force(self) -> bool:
         """Do enough cameras stand where they did?  Raises Waiting."""
-        states = [self.state_of(camera) for camera in self.cameras]
-        still = [c for c, state in zip(self.cameras, states, strict=True) if state in HELD and not self._homeless(c)]
-        return len(still) >= FEWEST
+        return sum(self._standing(camera) != _LOST for camera in self.cameras) >= FEWEST
 
     def _own_night(self, cameras: Subject) -> bool:
         """Are the frames of these cameras those of the reference itself?"""

@@ -57,6 +57,8 @@ class Plan:
     """What tonight is compared with."""
     misfit: str = ""
     """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
+    stale: dict[str, Health] = field(default_factory=dict)
+    """Cameras whose captures are not of tonight."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
@@ -74,7 +76,7 @@ class Plan:
         past = Past(self.cache.work, self.night, self.reference.run) if self.reference else Past()
         cameras = [camera.id for camera in self.site.cameras]
         forced = frozenset(name.split(" ")[0] for name in self.force)
-        self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced)
+        self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
         known = self.site, self.captures, self.masks, self.expectations, self.cache
         self._from = Inputs(*known, self._subjects, self._stages, self.states, self._pinned)
 

@@ -9,7 +9,9 @@ from .spec import Joined, Value
 
 
 def stated(camera: SiteCamera, what: SiteValue) -> Value:
-    """What the site file says of a camera: `LENS` or `PLACEMENT`."""
+    """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
+    if what is SiteValue.PRIVACY:
+        return Value(SITE_TYPES[what], plain(camera.privacy))
     return Value(SITE_TYPES[what], plain(camera.lens if what is SiteValue.LENS else camera.placement))
 
 

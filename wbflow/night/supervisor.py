@@ -7,6 +7,7 @@ done again, alone.  One that took too long is not: it has had its time.
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
@@ -70,6 +71,7 @@ class Supervisor:
         self._idle: list[Hand] = []
         self._busy: dict[Hand, _Lane] = {}
         self._kills = machine.kills_for_memory()
+        self._until = limits.until
 
     def submit(self, lanes: list[list[TaskSpec]]) -> None:
         """Lanes to be done, longest expected first."""
@@ -77,9 +79,13 @@ class Supervisor:
         self._queue.sort(key=self._expected, reverse=True)
 
     def reports(self) -> Iterator[Report]:
-        """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it."""
+        """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it, and once when the
+        time of the run is over."""
         ended = False
         while self._queue or (not ended and (self._busy or self._alone)):
+            if self._until and datetime.datetime.now() >= self._until:
+                self._until = None
+                return
             self._assign()
             for report in self._listen():
                 ended = ended or report.done is None

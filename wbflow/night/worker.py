@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import LONGEST_TRACE, printable
-from ..graph.pipeline import REJECTED
+from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
@@ -235,7 +235,8 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     result = lane.results.get(value.file_digest)
     if result is None:
         assert value.path is not None
-        result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
+        data, table = lane.cache.read(value.task, value.path, value.file_digest), stage_named(value.task.stage).table
+        result = load(table.restore)(columns_of(data)) if table else artifact.decode(data)
         if keep:
             lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result

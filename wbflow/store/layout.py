@@ -168,6 +168,11 @@ class WorkFolder:
         return self.cache / "captures.json"
 
     @property
+    def seen_memo(self) -> Path:
+        """Digests of what cameras have delivered in earlier nights."""
+        return self.root / "delivered.json"
+
+    @property
     def functions_memo(self) -> Path:
         """What was read of the stages' functions, remembered from run to run."""
         return self.cache / "functions.json"

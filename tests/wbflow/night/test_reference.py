@@ -190,6 +190,26 @@ def test_another_run_is_pinned_by_hand_and_dropped(toy: ToySite) -> None:
     assert not WorkFolder(toy.work).reference.exists()
 
 
+def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> None:
+    early = toy.wbflow("pin", "--refine")
+    assert early.returncode == 2
+    assert "fewer than 3 nights" in early.stderr
+    for date in (SECOND, THIRD):
+        toy.night(date, c="nudged" if date == THIRD else "ok")
+        toy.run("--date", date, code=None)
+    before = reference.read_reference(WorkFolder(toy.work))
+    pooled = toy.wbflow("pin", "--refine")
+    after = reference.read_reference(WorkFolder(toy.work))
+    assert before is not None
+    assert after is not None
+    changed = {task for task in after.artifacts if after.artifacts[task] != before.artifacts[task]}
+    assert {str(task) for task in changed} == {"depth a", "depth b"}  # c was nudged one night: too few are left
+    assert "depth a: pooled from 3 nights" in pooled.stdout
+    toy.night("2026-11-04")
+    toy.run("--date", "2026-11-04")
+    assert ran(toy) == set()
+
+
 def test_a_run_without_a_cloud_cannot_be_pinned(toy: ToySite) -> None:
     run = toy.run("--date", FIRST, "--until", "poses")["run"]
     answer = toy.wbflow("pin", run)

@@ -1,0 +1,129 @@
+"""A camera compared with its own reference: what has become of it, by how much, and no false alarm."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.helpers.dots import frame_of, texture
+from wbflow_stages.core.rotations import rotation_matrix
+from wbflow_stages.health import examine
+from wbflow_stages.types import Frame, Usual
+
+W, H, F = 480, 320, 500.0
+K = np.array([[F, 0, (W - 1) / 2], [0, F, (H - 1) / 2], [0, 0, 1]])
+WORLD = texture(2 * H, 2 * W, seed=3)
+
+
+def seen(
+    pan_deg: float = 0.0, tilt_deg: float = 0.0, roll_deg: float = 0.0, zoom: float = 1.0, world: np.ndarray = WORLD
+) -> Frame:
+    """What a camera sees of a far picture when it has turned: the turn of its axes is known exactly."""
+    R = turn(pan_deg, tilt_deg, roll_deg)
+    far = np.array([[F, 0, W - 0.5], [0, F, H - 0.5], [0, 0, 1]])
+    lens = K @ np.diag([1, 1, 1 / zoom])
+    back = far @ R.T @ np.linalg.inv(lens)
+    grey = cv2.warpPerspective(world, back, (W, H), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
+    frame = frame_of(grey)
+    object.__setattr__(frame.view, "K", K)
+    return frame
+
+
+def turn(pan_deg: float, tilt_deg: float, roll_deg: float) -> np.ndarray:
+    """(3, 3) from the axes before to those after."""
+    return rotation_matrix(np.radians([tilt_deg, pan_deg, roll_deg]))
+
+
+def lit(frame: Frame, image: np.ndarray) -> Frame:
+    """The same view in another light."""
+    return Frame(np.clip(np.rint(image), 0, 255).astype(np.uint8), frame.mask, frame.view)
+
+
+REFERENCE = seen()
+
+
+def test_without_a_reference_there_is_nothing_to_compare_with() -> None:
+    assert examine(REFERENCE).state == "ok"
+
+
+@pytest.mark.parametrize("light", ["same", "lamps", "noise", "shade"])
+def test_a_camera_that_stands_still_is_ok_whatever_the_light(light: str) -> None:
+    rng = np.random.default_rng(1)
+    image = REFERENCE.image.astype(np.float64)
+    x = np.linspace(0, 1, W)[None, :, None]
+    tonight = {
+        "same": image,
+        "lamps": 12 + 0.35 * image * (0.2 + np.exp(-((x - 0.3) ** 2) / 0.05)),
+        "noise": image + rng.normal(0, 12, image.shape),
+        "shade": np.where(x > 0.5, 0.4 * image, image),
+    }[light]
+    found = examine(lit(REFERENCE, tonight), REFERENCE)
+    assert found.state == "ok"
+    assert "unverified" not in found.text
+    assert float(found.figures["motion_px"]) < 0.3
+
+
+@pytest.mark.parametrize("angles", [(0.25, 0.1, 0.0), (-0.1, 0.2, 0.15), (0.0, 0.0, 0.35)])
+def test_a_nudge_is_measured_with_its_standard_deviation(angles: tuple[float, float, float]) -> None:
+    found = examine(seen(*angles), REFERENCE, nudged_px=0.5)
+    assert found.state == "nudged"
+    true = float(np.linalg.norm(angles))
+    sigma = float(found.figures["turn_sigma_deg"])
+    assert abs(float(found.figures["turn_deg"]) - true) < max(4 * sigma, 0.003)
+    assert sigma < 0.02
+    assert found.turn is not None
+    assert np.abs(found.turn - turn(*angles)).max() < 2e-4
+    assert found.homography is not None
+    assert found.expected["motion_px"] == 0.5
+    assert found.remedy
+
+
+def test_a_small_turn_is_a_nudge_and_a_larger_one_a_move() -> None:
+    assert examine(seen(0.3), REFERENCE).state == "nudged"
+    moved = examine(seen(0.6), REFERENCE)
+    assert moved.state == "moved"
+    assert float(moved.figures["turn_deg"]) == pytest.approx(0.6, rel=0.03)
+    far = examine(seen(9.0), REFERENCE)
+    assert far.state == "moved"
+    assert float(far.figures["turn_deg"]) == pytest.approx(9.0, rel=0.05)
+
+
+def test_a_lens_that_was_touched_is_a_move() -> None:
+    assert examine(seen(zoom=1.02), REFERENCE).state == "moved"
+
+
+def test_a_camera_that_always_sways_is_not_nudged_when_it_does() -> None:
+    swaying = Usual(np.array([-1.5, 2.0, 0.3, 1.8, -2.1, 0.9]), np.zeros(6), np.zeros(6))
+    tonight = seen(0.25)
+    assert examine(tonight, REFERENCE).state == "nudged"
+    assert examine(tonight, REFERENCE, usual=swaying).state == "ok"
+    still = Usual(np.full(6, 0.1), np.zeros(6), np.zeros(6))
+    assert examine(tonight, REFERENCE, usual=still).state == "nudged"
+
+
+@pytest.mark.parametrize("level", [2.0, 70.0])
+def test_a_lens_that_is_covered_or_without_light_is_blind(level: float) -> None:
+    rng = np.random.default_rng(2)
+    found = examine(lit(REFERENCE, rng.normal(level, 1.5, REFERENCE.image.shape)), REFERENCE)
+    assert found.state == "blind"
+    assert float(found.figures["flat"]) > float(found.expected["flat"])
+
+
+def test_another_place_is_foreign_even_with_the_same_clock_burnt_in() -> None:
+    other = seen(world=texture(2 * H, 2 * W, seed=9))
+    assert examine(other, REFERENCE).state == "foreign"
+    image = other.image.copy()
+    image[4:40, 8:160] = REFERENCE.image[4:40, 8:160]
+    assert examine(lit(other, image), REFERENCE).state == "foreign"
+
+
+def test_what_cannot_be_decided_is_ok_and_unverified() -> None:
+    other = seen(world=texture(2 * H, 2 * W, seed=9))
+    found = examine(lit(other, 8 + 0.12 * other.image.astype(np.float64)), REFERENCE)
+    assert found.state == "ok"
+    assert "unverified" in found.text
+
+
+def test_pictures_of_another_size_are_those_of_another_camera() -> None:
+    assert examine(frame_of(texture(100, 200)), REFERENCE).state == "moved"
