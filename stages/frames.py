@@ -15,12 +15,13 @@ import cv2
 import numpy as np
 
 from .capture.background import merge
-from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
+from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated, wrong_size
 from .capture.looks import looks, weigh
 from .capture.privacy import around, blanked, private_area
 from .capture.video import is_video, pictures
 from .core.cameras import scaled_intrinsics
 from .io.exif import focal_in_long_sides, taken_at
+from .io.header import picture_size
 from .types import Bools, Capture, Float64s, Frame, Lens, Privacy, Uint8s, View
 
 _T = TypeVar("_T")
@@ -74,7 +75,7 @@ def clean_frame(
     chosen = _spread(captures, max_captures)
     for capture in chosen:
         try:
-            for name, image in _pictures(capture, video_step, max_captures):
+            for name, image in _pictures(capture, lens, video_step, max_captures):
                 camera = _Pinhole.of(image, _as_written(lens, capture, image), name)
                 area = private_area(privacy, camera.width, camera.height, name)
                 straight = camera.undistort(blanked(image, area))
@@ -152,12 +153,12 @@ class _Clean:
     """What that is, in the capture."""
 
 
-def _pictures(capture: Capture, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
+def _pictures(capture: Capture, lens: Lens, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
     """A capture's pictures with their names: one, or several of a video."""
     if is_video(capture):
         yield from pictures(capture, video_step, most)
     else:
-        yield capture.name, decode(capture)
+        yield capture.name, decode(capture, lens)
 
 
 def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:
@@ -194,13 +195,7 @@ class _Pinhole:
     def of(cls, image: Uint8s, lens: Lens, name: str) -> _Pinhole:
         height, width = image.shape[:2]
         if lens.width and lens.height and (width, height) != (lens.width, lens.height):
-            turned = (height, width) == (lens.width, lens.height)
-            remedy = "state the intrinsics for the size captured, or set the camera back"
-            if turned:
-                remedy = "is the camera turned, or the EXIF orientation wrong?"
-            raise WrongSize(
-                f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}"
-            )
+            raise wrong_size(name, width, height, lens)
         return cls(width, height, *_intrinsics(lens, width, height), lens.distortion)
 
     def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
@@ -277,13 +272,20 @@ def _decode_mask(mask: Capture, camera: _Pinhole) -> Uint8s:
     if mask.data.size == 0:
         raise EmptyCapture(f"mask {mask.name} is empty (0 bytes)")
     refuse_truncated(f"mask {mask.name}", mask.data.tobytes())
+    promised = picture_size(mask.data.tobytes())
+    if promised and sorted(promised) != sorted((camera.width, camera.height)):
+        raise _wrong_mask(mask.name, *promised, camera)
     image = decoded(np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise NotAnImage(f"mask {mask.name} is no image that can be read ({mask.data.size:,} bytes)")
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
-        raise WrongSize(
-            f"mask {mask.name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
-            "draw the mask over a capture as it comes from the camera"
-        )
+        raise _wrong_mask(mask.name, width, height, camera)
     return np.where(image > 0, 255, 0).astype(np.uint8)
+
+
+def _wrong_mask(name: str, width: int, height: int, camera: _Pinhole) -> WrongSize:
+    return WrongSize(
+        f"mask {name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
+        "draw the mask over a capture as it comes from the camera"
+    )

@@ -25,7 +25,6 @@ from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
-from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
@@ -41,7 +40,7 @@ from .store.ledger import Ledger
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
 from .store.run_folder import RunFolder, new_run
-from .store.sizes import in_words
+from .store.sizes import bytes_of, in_words
 from .store.writing import hold_to_write
 from .task import Task
 
@@ -210,7 +209,7 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    most = bytes_of(memory) if memory else None
+    most = _size(memory) if memory else None
     options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit, stop_at)
     options.check()
     try:
@@ -315,6 +314,13 @@ def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
     except (NotTold, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])
+
+
+def _size(text: str) -> int:
+    try:
+        return bytes_of(text)
+    except ValueError as error:
+        raise UsageError(f"--memory: {error}") from None
 
 
 def _quiet(event: Event) -> None:

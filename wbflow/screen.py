@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from .errors import ExitCode
+from .errors import ExitCode, printable
+
+LONGEST_WORDS = 100_000_000
+"""Characters that are said at once: run.json as a whole is."""
 
 if TYPE_CHECKING:
     from .api import Run
@@ -31,7 +34,7 @@ def listener(site: Site, verbose: bool, quiet: bool) -> Listener:
     def listen(event: Event) -> None:
         nonlocal count
         if watched:
-            say("\r\x1b[K", nl=False, err=True)
+            _echo("\r\x1b[K", nl=False, err=True)
         if isinstance(event, WarningEvent):
             say(f"warning: {event}", err=True)
         else:
@@ -79,7 +82,7 @@ def summary(finished: Run) -> None:
     """What a run came to, in three lines."""
     record, paths = finished.record, finished.finished.folder.paths
     if sys.stderr.isatty():
-        say("\r\x1b[K", nl=False, err=True)
+        _echo("\r\x1b[K", nl=False, err=True)
     tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
     say(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
     if record.cloud:
@@ -88,7 +91,12 @@ def summary(finished: Run) -> None:
 
 
 def say(text: object, nl: bool = True, err: bool = False) -> None:
-    """Print; a reader that went away (`wbflow run ... | head -1`) costs the words, not the night's work."""
+    """Print, without what a terminal would obey; a reader that went away (`wbflow run ... | head -1`) costs the words, not the
+    night's work."""
+    _echo(printable(text, LONGEST_WORDS), nl, err)
+
+
+def _echo(text: str, nl: bool = True, err: bool = False) -> None:
     try:
         click.echo(text, nl=nl, err=err)
     except BrokenPipeError:

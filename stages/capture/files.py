@@ -5,8 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from ..io.header import picture_size
 from ..io.jpeg import SCAN, jpeg_segments
-from ..types import Capture, Uint8s
+from ..types import Capture, Lens, Uint8s
+
+MOST_PIXELS = 200_000_000
+"""Of an image that is decoded, unless its size is stated: 0.6 GB, and twice that while colours are put in order."""
 
 
 class BadCapture(ValueError):
@@ -29,27 +33,66 @@ class FeaturelessImage(BadCapture):
     """Black, white or uniform: nothing to see."""
 
 
+class OversizedImage(BadCapture):
+    """More pixels than are decoded: a few bytes can promise gigabytes."""
+
+
 class WrongSize(BadCapture):
     """Not the size that the intrinsics, the mask or the night's other captures have."""
 
 
-def decode(capture: Capture) -> Uint8s:
+def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
     """Decode an image file into (h, w, 3) uint8 RGB, turned upright as its EXIF data say.
+
+    lens: where it states the size of captures, one whose header promises another is not decoded at all.
 
     Raises
     ------
     BadCapture
-        Empty, no image, truncated, or without any content (black, white, uniform).
+        Empty, no image, truncated, too large, of another size, or without any content (black, white, uniform).
     """
     data = np.ascontiguousarray(capture.data)
     if data.size == 0:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
-    refuse_truncated(capture.name, data.tobytes())
+    written = data.tobytes()
+    refuse_truncated(capture.name, written)
+    _refuse_size(capture.name, picture_size(written), lens)
     image = decoded(data, cv2.IMREAD_COLOR)
     if image is None:
         raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
     refuse_featureless(capture.name, image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
+    """What is wrong with a picture of another size than its intrinsics are for.
+
+    Parameters
+    ----------
+    name : str
+        The capture's.
+    width, height : int
+        Of the picture, pixels.
+    lens : Lens
+        Which states another size.
+    """
+    turned = (height, width) == (lens.width, lens.height)
+    remedy = "state the intrinsics for the size captured, or set the camera back"
+    if turned:
+        remedy = "is the camera turned, or the EXIF orientation wrong?"
+    return WrongSize(f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}")
+
+
+def _refuse_size(name: str, size: tuple[int, int] | None, lens: Lens | None) -> None:
+    """By the header alone, before memory is asked for what it promises.  The image may lie on its side: EXIF data turn it."""
+    if size is None:
+        return
+    width, height = size
+    if lens and lens.width and lens.height and sorted(size) != sorted((lens.width, lens.height)):
+        raise wrong_size(name, width, height, lens)
+    if width * height > MOST_PIXELS:
+        most = f"{MOST_PIXELS // 10**6} million are the most that are decoded"
+        raise OversizedImage(f"{name} has {width} x {height} pixels, {most}")
 
 
 def refuse_truncated(name: str, data: bytes) -> None:

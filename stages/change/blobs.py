@@ -33,6 +33,10 @@ _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
 
 
+_CLEAR = 3.0
+"""Most of a change is higher than so many standard deviations of its points."""
+
+
 @dataclass(frozen=True)
 class Blob:
     """A change, and which core points of a night's evidence it consists of."""
@@ -139,18 +143,17 @@ def _measured(
         return None
     base = quantile_by_cell(there[below], other_points[below] @ up, count, _TOP).reshape(footprint.shape)
     top, base = _filled(top, footprint), _filled(base, near)
-    footprint = _filled_out(footprint & (top - base > _FOOT * np.quantile((top - base)[footprint], 0.9)))
+    noise = float(np.median(side.sigma[rows]))
+    typical = float(np.quantile((top - base)[footprint], 0.9))
+    if typical <= _CLEAR * noise:  # a wall whose upper edge wavers
+        return None
+    footprint = _filled_out(footprint & (top - base > _FOOT * typical))
     weight = np.where(ndimage.binary_erosion(footprint), 1.0, 0.5) * footprint
     height = np.where(footprint, np.maximum(top - base, 0.0), 0.0)
-    if not footprint.any():
-        return None
     volume = float((weight * height).sum() * grid.cell**2)
-    if volume <= 0:
-        return None
     edge = float((footprint & ~ndimage.binary_erosion(footprint)).sum() * grid.cell)
     tall = float(np.quantile(height[footprint], 0.9))
     area = float(weight.sum() * grid.cell**2)
-    noise = float(np.median(side.sigma[rows]))
     sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
     row, column = np.nonzero(footprint)
     middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -116,6 +117,14 @@ def test_with_no_reference_nothing_is_compared() -> None:
     assert (found.compared, found.count, found.changes) == (False, 0, {})
     assert list(changes_files(found)) == []
     assert cv2.imdecode(changes_preview(found), 1) is not None
+
+
+def test_a_world_that_was_solved_anew_is_not_compared() -> None:
+    tonight = night(CRATE, NEW_BOX, seed=1).arguments()
+    poses = tonight["poses"]
+    shifted = {name: replace(camera, C=camera.C + np.array([30.0, 0, 0])) for name, camera in poses.cameras.items()}
+    found = find_changes(**{**tonight, "poses": replace(poses, cameras=shifted)}, **night(CRATE).arguments("then_"))
+    assert not found.compared
 
 
 def test_changes_are_written_for_people_and_programs() -> None:

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 from ..store.keep import Keep
 from ..store.sizes import bytes_of
 from .geodesy import ControlPoint, Distance, Position
-from .rotations import look_at, yaw_pitch_roll
+from .rotations import cross, look_at, yaw_pitch_roll
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
@@ -113,6 +113,8 @@ class PoseSection(Position):
             abs(sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j)) > 1e-3 for i in range(3) for j in range(3)
         ):
             raise PydanticCustomError("pose", "'rotation' is not a rotation matrix (rows of unit length, at right angles)")
+        if R is not None and sum(a * b for a, b in zip(cross(R[0], R[1]), R[2], strict=True)) < 0:
+            raise PydanticCustomError("pose", "'rotation' is a mirror, not a rotation (its determinant is -1)")
         return R
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .pipeline import Role
+from .rows import Role
 
 
 @dataclass(frozen=True)

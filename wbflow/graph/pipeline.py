@@ -23,42 +23,11 @@ from .rows import (
     Reports,
     Rework,
     Role,
-    Scope,
     SiteValue,
     Stage,
     Which,
     WorldReports,
 )
-
-__all__ = [
-    "REJECTED",
-    "SITE_TYPES",
-    "STAGES",
-    "Entry",
-    "FromPast",
-    "FromReference",
-    "FromSite",
-    "FromStage",
-    "Held",
-    "Judges",
-    "Method",
-    "Need",
-    "Part",
-    "Picture",
-    "PointTable",
-    "Renamed",
-    "Reports",
-    "Rework",
-    "Role",
-    "Scope",
-    "SiteValue",
-    "Stage",
-    "Which",
-    "WorldReports",
-    "ancestors",
-    "stage_named",
-    "stage_with",
-]
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""

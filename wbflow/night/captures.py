@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..config.site import Site, SiteCamera
-from ..errors import UsageError
+from ..errors import UsageError, WbflowError, printable
 from ..store.digests import Digests
 from .names import Pattern
 
@@ -21,6 +21,8 @@ class CaptureFile:
     path: Path
     digest: str
     """Of its bytes, "" where it cannot be read."""
+    fault: str = ""
+    """Why it cannot."""
 
 
 def pattern_of(site: Site) -> Pattern:
@@ -92,9 +94,19 @@ def expected(site: Site, camera: SiteCamera, date: datetime.date) -> str:
     return ", ".join(camera.images) if camera.images else pattern_of(site).expected(camera.id, date)
 
 
+def find_masks(site: Site, digests: Digests) -> dict[str, CaptureFile]:
+    """The masks of cameras that have one."""
+    return {camera.id: _digested(camera.mask.name, camera.mask, digests) for camera in site.cameras if camera.mask}
+
+
 def _file(site: Site, path: Path, digests: Digests) -> CaptureFile:
-    name = str(path.relative_to(site.root)) if path.is_relative_to(site.root) else str(path)
+    return _digested(str(path.relative_to(site.root)) if path.is_relative_to(site.root) else str(path), path, digests)
+
+
+def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
+    """name: as it is shown, whatever whoever named the file put into it."""
     try:
-        return CaptureFile(name, path, digests.of(path))
-    except OSError:
-        return CaptureFile(name, path, "")
+        return CaptureFile(printable(name), path, digests.of(path))
+    except (OSError, ValueError) as error:
+        why = error.what if isinstance(error, WbflowError) else getattr(error, "strerror", None) or str(error)
+        return CaptureFile(printable(name), path, "", printable(why))

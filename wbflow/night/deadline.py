@@ -5,7 +5,8 @@ from __future__ import annotations
 import datetime
 from dataclasses import dataclass
 
-from ..graph.pipeline import Role, stage_named
+from ..graph.pipeline import stage_named
+from ..graph.rows import Role
 from ..task import Task
 from .plan import Plan
 from .spec import TaskSpec

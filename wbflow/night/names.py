@@ -41,7 +41,7 @@ class Pattern:
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
-        found = [path for path in map(Path, find_outside(self._wild(camera, date))) if path.is_file()]
+        found = [path for path in map(Path, find_outside(self._wild(camera, date))) if not path.is_dir()]
         moment = self._reader(camera)
         return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 

@@ -12,7 +12,7 @@ from ..store.digests import Digests
 from ..store.layout import WorkFolder
 from ..store.reference import BadReference, Reference, read_reference
 from ..store.seen import Seen
-from .captures import CaptureFile, expected, find_captures, night
+from .captures import CaptureFile, expected, find_captures, find_masks, night
 from .plan import Plan
 from .staleness import look_at
 
@@ -76,7 +76,7 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     seen = Seen(work.seen_memo)
     delivered = look_at(site, date, find_captures(site, date, digests), digests, seen)
     captures = delivered.captures
-    masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
+    masks = find_masks(site, digests)
     missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     reference, misfit = _reference(site, work)
     plan = Plan(

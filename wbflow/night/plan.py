@@ -14,7 +14,8 @@ from typing import Any
 
 from ..config.site import Site
 from ..graph.binding import Binding, bind
-from ..graph.pipeline import STAGES, Rework, Role, Stage, ancestors, stage_named
+from ..graph.pipeline import STAGES, ancestors, stage_named
+from ..graph.rows import Rework, Role, Stage
 from ..store.cache import Cache, Receipt
 from ..store.pictures import is_drawn
 from ..store.record import Health

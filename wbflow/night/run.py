@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..store.cache import Cache, DamagedArtifact
 from ..store.disk import DiskFloor
 from ..store.room import REMEDY

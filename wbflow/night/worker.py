@@ -18,6 +18,7 @@ from ..graph.plugins import load, offer
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
+from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..store.room import FULL, REMEDY
@@ -252,7 +253,7 @@ def _from_plain(value: Value) -> Any:
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    data = np.fromfile(file.path, dtype=np.uint8)
-    if artifact.digest(data.data) != file.digest:  # else what is made of it would be kept as made of something else
+    data = read_outside(file.path)
+    if artifact.digest(data) != file.digest:  # else what is made of it would be kept as made of something else
         raise ChangedFile(file.path)
-    return load(kind)(name=file.name, data=data)
+    return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..graph.pipeline import STAGES, Stage
+from ..graph.pipeline import STAGES
+from ..graph.rows import Stage
 from ..night.journal import Journal
 from ..night.plan import Plan
 from ..store import artifact

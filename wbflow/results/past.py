@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass
 
 from ..config.site import Measure, Site
 from ..graph.binding import bind
-from ..graph.pipeline import STAGES, Role, stage_with
+from ..graph.pipeline import STAGES, stage_with
+from ..graph.rows import Role
 from ..store.layout import WorkFolder
 from ..store.record import CameraRecord, RunRecord, Usual
 from ..store.run_folder import NoSuchRun, RunFolder

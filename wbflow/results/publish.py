@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
 
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.journal import Costs, Journal
 from ..night.night import Night
 from ..night.plan import Plan

@@ -10,7 +10,8 @@ from typing import Any
 
 from .. import __version__
 from ..errors import ExitCode
-from ..graph.pipeline import STAGES, Reports, Role, Stage, WorldReports, stage_with
+from ..graph.pipeline import STAGES, stage_with
+from ..graph.rows import Reports, Role, Stage, WorldReports
 from ..night.plan import Plan
 from ..night.staleness import by_picture
 from ..night.state import Cause, State

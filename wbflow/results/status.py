@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.spec import TaskSpec
 from ..store.cache import Preimage, Receipt

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 from ..config.site import Expected, Measure
 from ..errors import ExitCode
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
