@@ -91,7 +91,7 @@ def _measured(name: str, left: TrueView, right: TrueView, related: bool) -> dict
     errors = (180.0, 180.0), (180.0, 180.0)
     if related:
         errors = _errors(left, right, g, [np.eye(3)]), _errors(left, right, g, symmetry(name))
-    rival = Rival(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg)
+    rival = Rival(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg) if np.isfinite(g.rival_turned_deg) else None
     evidence = PairEvidence(
         g.inliers, g.distinct_cells, g.distinct_share, g.agreement, g.half_rotation_deg, g.stretch, g.angle_deg, rival
     )

@@ -21,7 +21,22 @@ from .change.epoch import Epoch
 from .change.evidence import Evidence, gather, judged, noise_of, seen_by
 from .core.cameras import project
 from .core.ground_grid import cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
-from .types import NEW, SAME, UNKNOWN, VANISHED, Changes, Cloud, DepthMap, Float64s, Frame, GroundGrid, Poses, Scene, Uint8s
+from .types import (
+    NEW,
+    SAME,
+    UNKNOWN,
+    VANISHED,
+    Camera,
+    Changes,
+    Cloud,
+    DepthMap,
+    Float64s,
+    Frame,
+    GroundGrid,
+    Poses,
+    Scene,
+    Uint8s,
+)
 
 _TOP = 0.9
 """Quantile of the heights over a cell that counts as its surface."""
@@ -29,8 +44,11 @@ _TOP = 0.9
 _LEAST_AREA = 300.0
 """A change has at least so much surface, in squared spacings of the points."""
 
-_CERTAIN = 3.0
+_CERTAIN = 6.0
 """The volume of a change is so many times its standard deviation, at least."""
+
+_SAME_PLACE = 0.01
+"""Cameras stand where they stood within this share of the site's size."""
 
 _CELL = 2.0
 """Edge of a cell, at least, in spacings."""
@@ -93,6 +111,8 @@ def find_changes(
     if then_poses is None or then_cloud is None or not len(then_cloud.points) or not len(cloud.points):
         return _nothing(axes, poses)
     old = {name: camera for name, camera in then_poses.cameras.items() if camera.component == 0}
+    if not _same_world(cameras, old, cloud):
+        return _nothing(axes, poses)
     then = Epoch(then_cloud, old, then_frames or {}, then_depths or {}, then_refined or {})
     spacing = max(_spacing(tonight.points), _spacing(then.points))
     grid = grid_over(np.vstack([tonight.points, then.points]), axes, cell_m or preferred_above(_CELL * spacing))
@@ -109,6 +129,13 @@ def find_changes(
     placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
     found = _put_together(grid, now, before, (tonight, then), [(a, b) for a, b in placed if a is not None])
     return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
+
+
+def _same_world(cameras: Mapping[str, Camera], old: Mapping[str, Camera], cloud: Cloud) -> bool:
+    """Do most cameras stand where they stood?  Else tonight's world was solved anew, and lies somewhere else."""
+    off = [float(np.linalg.norm(cameras[name].C - old[name].C)) for name in cameras if name in old]
+    size = float(np.linalg.norm(np.ptp(np.quantile(cloud.points.astype(np.float64), [0.05, 0.95], axis=0), axis=0)))
+    return bool(off) and float(np.median(off)) <= _SAME_PLACE * size
 
 
 def _spacing(points: Float64s, sample: int = 5000) -> float:

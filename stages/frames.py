@@ -6,68 +6,62 @@ because what the operator has to do about it differs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import atan, degrees, radians, tan
+from typing import TypeVar
 
 import cv2
 import numpy as np
 
+from .capture.background import merge
+from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated, wrong_size
+from .capture.looks import looks, weigh
+from .capture.privacy import around, blanked, private_area
+from .capture.video import is_video, pictures
 from .core.cameras import scaled_intrinsics
-from .io.exif import focal_in_long_sides
-from .io.jpeg import SCAN, jpeg_segments
-from .types import Bools, Capture, Float64s, Frame, Lens, Uint8s, View
+from .io.exif import focal_in_long_sides, taken_at
+from .io.header import picture_size
+from .types import Bools, Capture, Float64s, Frame, Lens, Privacy, Uint8s, View
 
-
-class BadCapture(ValueError):
-    """A capture that can't be used."""
-
-
-class EmptyCapture(BadCapture):
-    """The file has no bytes."""
-
-
-class NotAnImage(BadCapture):
-    """The bytes are no image that can be decoded."""
-
-
-class TruncatedImage(BadCapture):
-    """The file ends before the image does."""
-
-
-class FeaturelessImage(BadCapture):
-    """Black, white or uniform: nothing to see."""
-
-
-class WrongSize(BadCapture):
-    """Not the size that the intrinsics, the mask or the night's other captures have."""
+_T = TypeVar("_T")
 
 
 def clean_frame(
     captures: Sequence[Capture],
     lens: Lens,
     mask: Capture | None,
+    privacy: Privacy | None = None,
     *,
     resolution: int | None = 1600,
     max_captures: int = 15,
+    video_step: int = 25,
+    overlays: bool = True,
 ) -> Frame:
     """Make the night's frame of one camera.
 
-    Three and more usable captures are brought to one exposure and merged by the median of each pixel, which removes what moves.
-    Two have no majority: the later one is used.  Damaged captures are left out and noted.
+    Three and more usable captures are brought to one exposure and merged by the median of each pixel, which removes what moves;
+    those that are blurred, dark or blinded compared with the others count less.  Two have no majority: the later one is used.
+    Where no majority agrees, the frame is masked.  Damaged captures are left out and noted.
 
     Parameters
     ----------
     captures
-        The night's image files of this camera, in the order of time; all of one size.
+        The night's image files of this camera, in the order of time; all of one size.  Of a video, pictures are taken.
     lens
         Intrinsics and distortion of the image as captured (after its EXIF orientation is applied).
     mask
         An image of the captured size, or None: pixels that are not zero may be used.
+    privacy
+        Polygons whose pixels are gone before anything else looks at a capture; None: there are none.
     resolution
         Long side of the frame in pixels; None: as captured.  Images are never enlarged.
     max_captures
         At most so many captures are merged, spread evenly over the night: bounds memory and time.
+    video_step
+        Of a video, every so many-th picture is taken, or fewer where these would be more than `max_captures`.
+    overlays
+        Clocks, logos and captions are looked for, as pixels that stay while the exposure changes, and masked.
 
     Raises
     ------
@@ -76,28 +70,105 @@ def clean_frame(
     """
     if not captures:
         raise EmptyCapture("no capture was found for this night")
-    clean: list[tuple[_Pinhole, str, Uint8s]] = []
+    clean: list[_Clean] = []
     notes: list[str] = []
-    for capture in _spread(captures, max_captures):
+    chosen = _spread(captures, max_captures)
+    for capture in chosen:
         try:
-            image = decode(capture)
-            camera = _Pinhole.of(image, _as_written(lens, capture, image), capture.name)
-            clean.append((camera, capture.name, _resize(camera.undistort(image), resolution)))
+            for name, image in _pictures(capture, lens, video_step, max_captures):
+                camera = _Pinhole.of(image, _as_written(lens, capture, image), name)
+                area = private_area(privacy, camera.width, camera.height, name)
+                straight = camera.undistort(blanked(image, area))
+                clean.append(_Clean(camera, name, _resize(straight, resolution), area))
         except BadCapture as error:
             if len(captures) == 1:
                 raise
             notes.append(f"{error}; left out")
     if not clean:
         raise BadCapture("none of this night's captures can be used: " + "; ".join(notes))
-    camera, names, images = _most_common_size(clean, notes)
+    clean = _spread(_most_common_size(clean, notes), max_captures)
     if len(captures) > max_captures:
         notes.append(f"{max_captures} of {len(captures)} captures used")
-    merged = merge(images)
+    return _one_frame(clean, mask, overlays, chosen, notes)
+
+
+def _one_frame(
+    clean: Sequence[_Clean], mask: Capture | None, overlays: bool, captures: Sequence[Capture], notes: list[str]
+) -> Frame:
+    """The frame of clean pictures of one size.
+
+    Parameters
+    ----------
+    clean : sequence of _Clean
+        One or more.
+    mask : Capture or None
+        As of `clean_frame`.
+    overlays : bool
+        As of `clean_frame`.
+    captures : sequence of Capture
+        The files that they are from.
+    notes : list of str
+        What is to be said so far.
+    """
+    camera, images, names = clean[0].camera, [each.image for each in clean], [each.name for each in clean]
+    height, width = images[0].shape[:2]
+    usable = _usable(camera, mask, width, height)
+    private = _seen_privately(clean[0], width, height)
+    allowed = usable & ~private
+    weights, words = weigh(images, names, allowed)
+    background = merge(images, weights)
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
-    height, width = merged.shape[:2]
-    usable = _usable(camera, mask, width, height)
-    return Frame(merged, usable, camera.view(width, height), tuple(notes), **_looks(merged, usable))
+    trusted = allowed & ~background.doubtful
+    if overlays and (background.overlaid & allowed).any():
+        notes.append(f"a clock or logo is masked: {100 * (background.overlaid & allowed).mean():.1f} % of the picture")
+        trusted &= ~background.overlaid
+    if not trusted.any():
+        raise BadCapture("the mask, privacy polygons and what moves leave no pixel to use")
+    taken = taken_at(captures)
+    return Frame(
+        blanked(background.image, private if private.any() else None),
+        trusted,
+        camera.view(width, height),
+        (*notes, *words),
+        **vars(looks(background.image, allowed)),
+        frames_used=len(images) - len(words),
+        doubtful=float((background.doubtful & allowed).mean()),
+        unchanged=background.unchanged,
+        taken_first=taken[0].isoformat() if taken else "",
+        taken_last=taken[-1].isoformat() if taken else "",
+        taken_in_order=list(taken) == sorted(taken),
+    )
+
+
+@dataclass(frozen=True)
+class _Clean:
+    """A picture ready to be merged."""
+
+    camera: _Pinhole
+    name: str
+    image: Uint8s
+    """At working resolution, undistorted, without what nobody may see."""
+    private: Bools | None
+    """What that is, in the capture."""
+
+
+def _pictures(capture: Capture, lens: Lens, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
+    """A capture's pictures with their names: one, or several of a video."""
+    if is_video(capture):
+        yield from pictures(capture, video_step, most)
+    else:
+        yield capture.name, decode(capture, lens)
+
+
+def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:
+    """(height, width) bool, True where a pixel of the frame, or one near it, is one that nobody may see."""
+    if clean.private is None:
+        return np.zeros((height, width), np.bool_)
+    area = clean.camera.undistort(around(clean.private).astype(np.uint8) * np.uint8(255))
+    if (width, height) != (clean.camera.width, clean.camera.height):
+        area = np.asarray(cv2.resize(area, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(area > 0, np.bool_)
 
 
 def working_size(width: int, height: int, resolution: int | None) -> tuple[int, int]:
@@ -108,40 +179,6 @@ def working_size(width: int, height: int, resolution: int | None) -> tuple[int, 
         return width, height
     scale = resolution / max(width, height)
     return max(1, round(width * scale)), max(1, round(height * scale))
-
-
-def decode(capture: Capture) -> Uint8s:
-    """Decode an image file into (h, w, 3) uint8 RGB, turned upright as its EXIF data say.
-
-    Raises
-    ------
-    BadCapture
-        Empty, no image, truncated, or without any content (black, white, uniform).
-    """
-    data = np.ascontiguousarray(capture.data)
-    if data.size == 0:
-        raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
-    _refuse_truncated(capture.name, data.tobytes())
-    image = _decoded(data, cv2.IMREAD_COLOR)
-    if image is None:
-        raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
-    _refuse_featureless(capture.name, image)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def merge(images: Sequence[Uint8s]) -> Uint8s:
-    """The static scene of several (h, w, 3) uint8 images of one view: exposures made equal, then the median of each pixel."""
-    if len(images) < 3:
-        return images[-1]
-    small = np.stack([cv2.resize(image, (96, 64), interpolation=cv2.INTER_AREA) for image in images]).astype(np.float32)
-    reference = np.median(small, axis=0)
-    stack = [_with_gain(image, _gain(thumbnail, reference)) for image, thumbnail in zip(images, small, strict=True)]
-    merged = np.empty_like(images[0])
-    median = len(stack) // 2
-    for top in range(0, len(merged), 64):  # by strips: a night's stack is held once, as bytes
-        strip = np.stack([image[top : top + 64] for image in stack])
-        merged[top : top + 64] = np.partition(strip, median, axis=0)[median]
-    return merged
 
 
 @dataclass(frozen=True)
@@ -158,13 +195,7 @@ class _Pinhole:
     def of(cls, image: Uint8s, lens: Lens, name: str) -> _Pinhole:
         height, width = image.shape[:2]
         if lens.width and lens.height and (width, height) != (lens.width, lens.height):
-            turned = (height, width) == (lens.width, lens.height)
-            remedy = "state the intrinsics for the size captured, or set the camera back"
-            if turned:
-                remedy = "is the camera turned, or the EXIF orientation wrong?"
-            raise WrongSize(
-                f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}"
-            )
+            raise wrong_size(name, width, height, lens)
         return cls(width, height, *_intrinsics(lens, width, height), lens.distortion)
 
     def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
@@ -200,69 +231,20 @@ def _as_written(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
     return lens if focal is None else replace(lens, hfov_deg=2 * degrees(atan(0.5 * width / (focal * max(width, height)))))
 
 
-def _spread(captures: Sequence[Capture], count: int) -> list[Capture]:
-    if len(captures) <= count:
-        return list(captures)
-    return [captures[i] for i in np.linspace(0, len(captures) - 1, count).round().astype(int)]
+def _spread(found: Sequence[_T], count: int) -> list[_T]:
+    if len(found) <= count:
+        return list(found)
+    return [found[i] for i in np.linspace(0, len(found) - 1, count).round().astype(int)]
 
 
-def _most_common_size(
-    clean: Sequence[tuple[_Pinhole, str, Uint8s]], notes: list[str]
-) -> tuple[_Pinhole, list[str], list[Uint8s]]:
+def _most_common_size(clean: Sequence[_Clean], notes: list[str]) -> list[_Clean]:
     """The captures of the most common size (the later one's among equals); the others are noted."""
-    sizes = [(camera.width, camera.height) for camera, _, _ in clean]
+    sizes = [(each.camera.width, each.camera.height) for each in clean]
     width, height = max(reversed(sizes), key=sizes.count)
-    for camera, name, _ in clean:
-        if (camera.width, camera.height) != (width, height):
-            notes.append(f"{name} has {camera.width} x {camera.height} pixels, most have {width} x {height}; left out")
-    kept = [entry for entry, size in zip(clean, sizes, strict=True) if size == (width, height)]
-    return kept[0][0], [name for _, name, _ in kept], [image for _, _, image in kept]
-
-
-def _refuse_truncated(name: str, data: bytes) -> None:
-    """JPEG must have an end marker after its first scan, PNG a last chunk; decoders pad the rest with grey and only mutter."""
-    if data[:3] == b"\xff\xd8\xff":
-        scan = next((start for marker, start, _ in jpeg_segments(data) if marker == SCAN), None)
-        whole = scan is not None and data.find(b"\xff\xd9", scan) >= 0
-    elif data[:8] == b"\x89PNG\r\n\x1a\n":
-        whole = data.rfind(b"IEND") >= 0
-    else:
-        return
-    if not whole:
-        raise TruncatedImage(f"{name} ends after {len(data):,} bytes: the image is truncated")
-
-
-def _decoded(data: Uint8s, flags: int) -> Uint8s | None:
-    try:
-        image = cv2.imdecode(data, flags)
-    except cv2.error:
-        return None
-    return None if image is None else np.asarray(image, dtype=np.uint8)
-
-
-def _refuse_featureless(name: str, image: Uint8s) -> None:
-    """Averaging over cells removes sensor noise; what then spans less than six grey levels shows nothing."""
-    cells = cv2.resize(image, (48, 32), interpolation=cv2.INTER_AREA).astype(np.float32).mean(axis=2)
-    low, high = np.percentile(cells, [1, 99])
-    if high - low >= 6:
-        return
-    look = "black" if high < 24 else "white" if low > 231 else "uniform"
-    raise FeaturelessImage(f"{name} is {look}: nothing can be seen in it; look at the camera, its lens and its light")
-
-
-def _looks(image: Uint8s, usable: Bools) -> dict[str, float]:
-    """How a frame looks, in the figures of `Frame`, by which nights are compared."""
-    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
-    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # the sensor's noise is no sharpness
-    edges = cv2.Laplacian(smooth, cv2.CV_32F)[usable]
-    levels = grey[usable]
-    contrast = float(levels.std())
-    return {
-        "brightness": float(levels.mean()),
-        "contrast": contrast,
-        "saturated": float(np.mean((levels <= 2) | (levels >= 253))),
-        "sharpness": float(edges.std() / max(contrast, 1.0)),
-    }
+    for each, size in zip(clean, sizes, strict=True):
+        if size != (width, height):
+            notes.append(f"{each.name} has {size[0]} x {size[1]} pixels, most have {width} x {height}; left out")
+    return [each for each, size in zip(clean, sizes, strict=True) if size == (width, height)]
 
 
 def _resize(image: Uint8s, resolution: int | None) -> Uint8s:
@@ -270,22 +252,6 @@ def _resize(image: Uint8s, resolution: int | None) -> Uint8s:
     if size == (image.shape[1], image.shape[0]):
         return image
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-def _gain(thumbnail: np.ndarray, reference: np.ndarray) -> Float64s:
-    """(3,) factors per channel that bring a thumbnail to the reference's exposure: robust to what moved, blind to clipping."""
-    usable = (thumbnail > 8) & (thumbnail < 247) & (reference > 8) & (reference < 247)
-    gains = np.ones(3)
-    for c in range(3):
-        ratios = reference[..., c][usable[..., c]] / thumbnail[..., c][usable[..., c]]
-        if ratios.size >= 50:
-            gains[c] = np.median(ratios)
-    return gains
-
-
-def _with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
-    table = np.clip(np.arange(256)[:, None] * gains[None, :] + 0.5, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)
 
 
 def _usable(camera: _Pinhole, mask: Capture | None, width: int, height: int) -> Bools:
@@ -305,14 +271,21 @@ def _decode_mask(mask: Capture, camera: _Pinhole) -> Uint8s:
     """(h, w) uint8 of the captured size, 255 where pixels may be used."""
     if mask.data.size == 0:
         raise EmptyCapture(f"mask {mask.name} is empty (0 bytes)")
-    _refuse_truncated(f"mask {mask.name}", mask.data.tobytes())
-    image = _decoded(np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
+    refuse_truncated(f"mask {mask.name}", mask.data.tobytes())
+    promised = picture_size(mask.data.tobytes())
+    if promised and sorted(promised) != sorted((camera.width, camera.height)):
+        raise _wrong_mask(mask.name, *promised, camera)
+    image = decoded(np.ascontiguousarray(mask.data), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise NotAnImage(f"mask {mask.name} is no image that can be read ({mask.data.size:,} bytes)")
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
-        raise WrongSize(
-            f"mask {mask.name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
-            "draw the mask over a capture as it comes from the camera"
-        )
+        raise _wrong_mask(mask.name, width, height, camera)
     return np.where(image > 0, 255, 0).astype(np.uint8)
+
+
+def _wrong_mask(name: str, width: int, height: int, camera: _Pinhole) -> WrongSize:
+    return WrongSize(
+        f"mask {name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
+        "draw the mask over a capture as it comes from the camera"
+    )

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from .core.cameras import backproject
+from .fusion.company import company
 from .fusion.exposure import exposure_gains
 from .fusion.pair_depth import world_normals
 from .fusion.subsampled import natural_voxel, nearest_views, subsample
@@ -22,6 +23,9 @@ from .fusion.visibility import CrossCheck, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
+
+_LEAST_COMPANY = 0.2
+"""What a single pair shows must lie on one surface with so much of its surroundings."""
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
 """Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
@@ -101,7 +105,9 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, g
     if min_pairs > 1:
         supported &= check.agreeing >= min_pairs
     supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
-    y, x = np.nonzero(np.isfinite(depth.depth) & supported & (2 * check.violating <= check.agreeing))
+    supported &= np.isfinite(depth.depth) & (2 * check.violating <= check.agreeing)
+    supported &= (check.pairs > 1) | (company(depth, supported) >= _LEAST_COMPANY)
+    y, x = np.nonzero(supported)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     return Samples(
         backproject(camera, np.column_stack([x, y]).astype(np.float64), z),

@@ -51,6 +51,10 @@ class Reason(StrEnum):
         "no two cameras could be placed: {unconfirmed:.0f} of {pairs:.0f} pairs may show look-alikes, and no third camera "
         "confirms them",
     )
+    NOTHING_BELIEVED = (
+        "nothing-believed",
+        "no two cameras could be placed: of {pairs:.0f} pairs none is more likely right than wrong",
+    )
     NOTHING_DISTINCT = (
         "nothing-distinct",
         "no two cameras could be placed: {ambiguous:.0f} of {pairs:.0f} pairs fit as well in another way, as where a scene "

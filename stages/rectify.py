@@ -43,6 +43,9 @@ _LEAST_ROW_SHARE, _LEAST_ROW_RATIO = 0.01, 2.0
 """Without matches so much of the common area must match densely, and so many times what matches with one image shifted by eight
 rows."""
 
+_LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO = 0.01, 5.0
+"""The same, of what lies where other views know the ground: pavement that repeats matches on shifted rows, but not there."""
+
 _FEWEST_POINTS = 50
 """So few points of a dense match show no scene."""
 
@@ -175,7 +178,8 @@ def _from_cameras(
     likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
     witness = ask_witness(*frames, likely)
     rows = witness.rows
-    if not rows.passed(_LEAST_ROW_SHARE, _LEAST_ROW_RATIO) or len(witness.x1) < _FEWEST_POINTS:
+    right = rows.passed(_LEAST_ROW_SHARE, _LEAST_ROW_RATIO) or rows.shows_ground(_LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO)
+    if not right or len(witness.x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
     pair = _known_pair(cameras, witness.x1, witness.x2, witness.confidence)
     pair = replace(pair, around=(expected.x1, expected.x2))

@@ -23,7 +23,7 @@ EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/
 FLOORS = [
     {"types", "reasons", "core"},
     {"twoview", "matching", "io"},
-    {"rectification", "stereo", "sfm", "mvs", "fusion", "change"},
+    {"capture", "rectification", "stereo", "sfm", "mvs", "fusion", "change"},
     {"stages"},
     {"synthetic", "exports", "evaluate"},
 ]

@@ -100,7 +100,7 @@ def test_two_photographs_to_disparity(
     assert "of the left view has a disparity" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("guide", ["README.md", "wbflow/README.md", "stages/README.md", "scripts/README.md"])
+@pytest.mark.parametrize("guide", ["README.md", "wbflow/README.md", "stages/README.md", "scripts/README.md", "sites/README.md"])
 def test_what_guides_point_to_is_there(guide: str) -> None:
     text = (ROOT / guide).read_text()
     links = re.findall(r"\]\((?!http)([^)#]+)\)", text)

@@ -25,7 +25,6 @@ from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
 from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
-from .night.limits import bytes_of
 from .night.night import open_night
 from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
@@ -38,11 +37,11 @@ from .store.clean import clean
 from .store.events import Event, Listener
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
-from .store.lock import hold
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
-from .store.run_folder import RunFolder, new_run, turn_links
-from .store.sizes import in_words
+from .store.run_folder import RunFolder, new_run
+from .store.sizes import bytes_of, in_words
+from .store.writing import hold_to_write
 from .task import Task
 
 if TYPE_CHECKING:
@@ -161,6 +160,7 @@ def run(
     scheduler: str | None = None,
     memory: str | None = None,
     time_limit: float | None = None,
+    stop_at: datetime.datetime | None = None,
     listen: Listener | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
@@ -187,6 +187,8 @@ def run(
         What all workers together may hold, such as "4GB"; four fifths of what the machine has, if not given.
     time_limit : float, optional
         Seconds that a task may take; told by what its stage took before, if not given.
+    stop_at : datetime, optional
+        Local time from which on only what is there already is put together and published.
     listen : callable, optional
         Told of every event as it happens.
 
@@ -207,8 +209,8 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    most = bytes_of(memory) if memory else None
-    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit)
+    most = _size(memory) if memory else None
+    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit, stop_at)
     options.check()
     try:
         return _run(site, options, listen or _quiet)
@@ -244,16 +246,14 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 
 def _run(site: Site, options: Options, listen: Listener) -> Run:
     place = WorkFolder(site.work)
-    with hold(place.lock, options.wait), terminate_as_interrupt():
+    with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        if place.start_writing():
-            turn_links(place)
         night = open_night(site, options.date, options.until, options.force)
         journal = Journal(listen)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        for damage in filter(None, (night.digests.damage, site.reader.damage)):
+        for damage in filter(None, (night.digests.damage, night.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         _mend_ledger(place, journal)
         prepare(night, journal)
@@ -262,7 +262,6 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
         _afterwards(finished, site, journal)
         if not options.until and not worked.interrupted:
             _tell_people(site, finished, journal)
-        place.done_writing()
     return Run(finished)
 
 
@@ -289,9 +288,9 @@ def _afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
             ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
-        share_pictures(run.work, run.folder.id)
         if site.pin == "auto" and fit_to_pin(run.record) and not run.work.reference_record.exists():
             pin(run.work, run.folder, automatic=True)
+        share_pictures(run.work, run.folder.id)
         if not site.keep.everything:
             over = clean(run.work, site.keep, asked=False).over
             if over:
@@ -315,6 +314,13 @@ def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
     except (NotTold, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])
+
+
+def _size(text: str) -> int:
+    try:
+        return bytes_of(text)
+    except ValueError as error:
+        raise UsageError(f"--memory: {error}") from None
 
 
 def _quiet(event: Event) -> None:

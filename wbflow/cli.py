@@ -39,7 +39,7 @@ class _Plain(click.Group):
 def main() -> None:
     """A metric, coloured point cloud of a site, every night, from fixed cameras far apart.
 
-    Exit codes: 0 complete; 1 no cloud could be made; 2 wrong usage or site file; 3 a cloud, but something failed;
+    Exit codes: 0 good; 1 no cloud could be made; 2 wrong usage or site file; 3 degraded: a cloud, but look at the findings;
     4 another run holds the work folder; 130 interrupted (everything finished is kept).
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from enum import IntEnum
 
 LONGEST = 500
@@ -28,6 +29,12 @@ class ExitCode(IntEnum):
     """Another run holds the work folder."""
     INTERRUPTED = 130
     """Stopped from outside; everything finished is kept."""
+
+
+def worst(codes: Iterable[int]) -> int:
+    """The exit code of several runs: interrupted, else no cloud, else degraded, else good."""
+    order = (ExitCode.GOOD, ExitCode.DEGRADED, ExitCode.FAILED, ExitCode.INTERRUPTED)
+    return max(codes, key=lambda code: order.index(ExitCode(code)), default=ExitCode.GOOD)
 
 
 class WbflowError(Exception):

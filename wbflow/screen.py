@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from .errors import ExitCode
+from .errors import ExitCode, printable
+
+LONGEST_WORDS = 100_000_000
+"""Characters that are said at once: run.json as a whole is."""
 
 if TYPE_CHECKING:
     from .api import Run
@@ -31,7 +34,7 @@ def listener(site: Site, verbose: bool, quiet: bool) -> Listener:
     def listen(event: Event) -> None:
         nonlocal count
         if watched:
-            say("\r\x1b[K", nl=False, err=True)
+            _echo("\r\x1b[K", nl=False, err=True)
         if isinstance(event, WarningEvent):
             say(f"warning: {event}", err=True)
         else:
@@ -66,9 +69,10 @@ def findings(record: RunRecord) -> None:
     if verdict is None or (verdict.good and not verdict.findings):
         return
     say(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
-    for finding in verdict.findings[:MOST_FINDINGS]:
+    shown = verdict.findings[:MOST_FINDINGS]
+    for finding, following in zip(shown, [*shown[1:], None], strict=True):
         say(f"  {finding}", err=True)
-        if finding.remedy:
+        if finding.remedy and not (following and following.remedy == finding.remedy):  # said once, after those it is for
             say(f"    {finding.remedy}", err=True)
     if (left := len(verdict.findings) - MOST_FINDINGS) > 0:
         say(f"  and {left} more: the report has them", err=True)
@@ -78,7 +82,7 @@ def summary(finished: Run) -> None:
     """What a run came to, in three lines."""
     record, paths = finished.record, finished.finished.folder.paths
     if sys.stderr.isatty():
-        say("\r\x1b[K", nl=False, err=True)
+        _echo("\r\x1b[K", nl=False, err=True)
     tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
     say(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
     if record.cloud:
@@ -87,7 +91,12 @@ def summary(finished: Run) -> None:
 
 
 def say(text: object, nl: bool = True, err: bool = False) -> None:
-    """Print; a reader that went away (`wbflow run ... | head -1`) costs the words, not the night's work."""
+    """Print, without what a terminal would obey; a reader that went away (`wbflow run ... | head -1`) costs the words, not the
+    night's work."""
+    _echo(printable(text, LONGEST_WORDS), nl, err)
+
+
+def _echo(text: str, nl: bool = True, err: bool = False) -> None:
     try:
         click.echo(text, nl=nl, err=err)
     except BrokenPipeError:

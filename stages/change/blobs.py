@@ -26,6 +26,17 @@ _SAME_COLOUR = 0.05
 """...and its colour, as shares of red and green, within this."""
 
 
+_SOLID, _WHOLE = 0.5, 0.8
+"""What covers a share of its convex hull between these fills it: of most things only the sides that face the cameras are seen."""
+
+_FOOT = 0.25
+"""Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
+
+
+_CLEAR = 3.0
+"""Most of a change is higher than so many standard deviations of its points."""
+
+
 @dataclass(frozen=True)
 class Blob:
     """A change, and which core points of a night's evidence it consists of."""
@@ -132,22 +143,23 @@ def _measured(
         return None
     base = quantile_by_cell(there[below], other_points[below] @ up, count, _TOP).reshape(footprint.shape)
     top, base = _filled(top, footprint), _filled(base, near)
+    noise = float(np.median(side.sigma[rows]))
+    typical = float(np.quantile((top - base)[footprint], 0.9))
+    if typical <= _CLEAR * noise:  # a wall whose upper edge wavers
+        return None
+    footprint = _filled_out(footprint & (top - base > _FOOT * typical))
     weight = np.where(ndimage.binary_erosion(footprint), 1.0, 0.5) * footprint
     height = np.where(footprint, np.maximum(top - base, 0.0), 0.0)
     volume = float((weight * height).sum() * grid.cell**2)
-    if volume <= 0:
-        return None
     edge = float((footprint & ~ndimage.binary_erosion(footprint)).sum() * grid.cell)
     tall = float(np.quantile(height[footprint], 0.9))
     area = float(weight.sum() * grid.cell**2)
-    noise = float(np.median(side.sigma[rows]))
     sigma = float(np.hypot(0.5 * spacing * edge * tall, area * noise))
     row, column = np.nonzero(footprint)
-    share = (weight * height)[row, column]
-    middle = np.array([np.average(v, weights=share) for v in (column, row, (base + 0.5 * height)[row, column])])
-    place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, middle[2]]) @ grid.axes
-    corners = np.column_stack([column, row]).astype(np.float32)
-    sides = sorted(float((v + 1) * grid.cell) for v in cv2.minAreaRect(corners)[1])
+    middle, sides, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
+    level = float(np.median(base[footprint])) + 0.5 * tall
+    place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
+    sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are covered by half
     likeness = side.likeness[rows]
     known = likeness[np.isfinite(likeness)]
     return Change(
@@ -166,6 +178,16 @@ def _measured(
         points=len(rows),
         cameras="",
     )
+
+
+def _filled_out(footprint: Bools) -> Bools:
+    """The convex hull of cells that cover much of it, but not nearly all; else the cells themselves."""
+    if not footprint.any():
+        return footprint
+    row, column = np.nonzero(footprint)
+    hull = np.zeros(footprint.shape, np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
+    return np.asarray(hull > 0) if _SOLID <= footprint.sum() / hull.sum() <= _WHOLE else footprint
 
 
 def _filled(values: Float64s, within: Bools) -> Float64s:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.cameras import project
 from ..core.jit import kernel
 from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
 from .cloud_distance import CONFIDENCE, Distances, MeasuredCloud, cloud_distances
@@ -25,6 +26,12 @@ RADIUS, REACH, CORE = 3.0, 15.0, 2.0
 _THROUGH = 2.0
 """So many cameras must see through a point for each that sees a surface there."""
 
+_UNCHANGED, _NORMAL = 0.9, 1.645
+"""Share of the surface that is as it was, and how many standard deviations this share of normal errors keeps within."""
+
+_APART_PX = 2.0
+"""A surface that has moved by so many pixels no longer looks the same at its old place."""
+
 _NEAR = 4.0
 """Core points so many spacings apart are neighbours."""
 
@@ -34,6 +41,8 @@ class Evidence:
     """Of each core point of a night, (n,) each unless said otherwise."""
 
     core: Float64s
+    """(n, 3)"""
+    normals: Float64s
     """(n, 3)"""
     rows: Int64s
     """Places of the core points in the night's cloud."""
@@ -84,13 +93,18 @@ def gather(own: Epoch, other: Epoch, spacing: float, registration: float) -> Evi
     sight = look_at(core, sigma[rows], other.cameras, other.seeing, other.depth)
     measured = np.isfinite(found.distance)
     nothing = np.zeros(len(core), bool)
-    return Evidence(core, rows, found.distance, found.sigma, sight, measured, np.full(len(core), np.nan, np.float32), nothing)
+    return Evidence(
+        core, normals, rows, found.distance, found.sigma, sight, measured, np.full(len(core), np.nan, np.float32), nothing
+    )
 
 
 def noise_of(*sides: Evidence) -> float:
-    """By how much distances exceed their standard deviations where nothing has changed: nearly everywhere; at least 1."""
+    """By how much distances exceed their standard deviations where nothing has changed; at least 1.
+
+    By the 90th percentile: so much of a site is taken to be as it was, and other light errs in the tails (shadows, façades).
+    """
     ratios = np.concatenate([side.distance[side.measured] / side.sigma[side.measured] for side in sides])
-    return max(1.0, 1.4826 * float(np.median(np.abs(ratios)))) if len(ratios) else 1.0
+    return max(1.0, float(np.quantile(np.abs(ratios), _UNCHANGED)) / _NORMAL) if len(ratios) else 1.0
 
 
 def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: float, sigmas: float, alike: float) -> Evidence:
@@ -117,13 +131,16 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
     told = sight.through.astype(int) + sight.agreeing + sight.hidden
     needed = np.minimum(2, np.maximum(told, 1))
     free = (sight.through >= needed) & (sight.through > _THROUGH * sight.agreeing) & ~same
+    with np.errstate(invalid="ignore"):
+        free &= sight.gap > sigmas * noise * sight.doubt
     by_sight = free & ~nearer
     distance = np.where(by_sight, sight.gap, side.distance)
-    sigma = np.where(by_sight, sight.doubt, sigma)
+    sigma = np.where(by_sight, noise * sight.doubt, sigma)
     changed = _with_neighbours(side.core, nearer | free, spacing)
     like = np.full(len(side.core), np.nan, np.float32)
-    candidates = np.flatnonzero(changed)
-    like[candidates] = _likeness(side.core[candidates], own.sigma[side.rows[candidates]], own, other)
+    rows = np.flatnonzero(changed)
+    offset = np.where((side.measured & ~by_sight)[rows, None], side.distance[rows, None] * side.normals[rows], np.nan)
+    like[rows] = _likeness(side.core[rows], offset, own.sigma[side.rows[rows]], own, other, alike)
     with np.errstate(invalid="ignore"):
         changed &= ~(like > alike)
     changed = _with_neighbours(side.core, changed, spacing)
@@ -148,12 +165,20 @@ def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
     return np.asarray(sight.agreeing > 0)
 
 
-def _likeness(X: Float64s, sigma: Float64s, own: Epoch, other: Epoch) -> Float32s:
-    """(n,) the median over the cameras that see a point; nan where none can tell."""
+def _likeness(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other: Epoch, alike: float) -> Float32s:
+    """(n,) the median over the cameras that see a point; nan where none can tell.
+
+    offset (n, 3): by which the surface is said to have moved, nan where it is another one.  A camera in whose picture that is
+    hardly a pixel can't tell what is alike from what has moved a little.
+    """
     both = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
     if not both or not len(X):
         return np.full(len(X), np.nan, np.float32)
-    told = np.stack([likeness(X, seen_by(X, sigma, own, name), own.photograph(name), other.photograph(name)) for name in both])
+    told = np.stack([likeness(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in both])
+    for row, name in zip(told, both, strict=True):
+        (here, _), (there, _) = project(own.cameras[name], X), project(own.cameras[name], X - offset)
+        with np.errstate(invalid="ignore"):
+            row[(row > alike) & (np.linalg.norm(here - there, axis=1) < _APART_PX)] = np.nan
     known = np.isfinite(told).any(axis=0)
     found = np.full(len(X), np.nan, np.float32)
     found[known] = np.nanmedian(told[:, known], axis=0)

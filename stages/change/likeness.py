@@ -18,7 +18,10 @@ _CONTRAST = 2.5
 """Standard deviation of grey values (0 to 255) below which a patch shows nothing."""
 
 _CLEAR_CONTRAST = 9.0
-"""One patch with so much, the other with nothing: they differ."""
+"""One patch with so much, the other with nothing: they differ..."""
+
+_LIT = 40.0
+"""...where both are so bright, at least: what is dark shows nothing of what is there."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ def _correlate(
                 s1 += here
                 s11 += here * here
         spread1 = np.sqrt(max(s11 / n - (s1 / n) ** 2, 0.0))
-        best, widest = -2.0, 0.0
+        best, widest, darkest = -2.0, 0.0, s1 / n
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 s2, s22, s12 = 0.0, 0.0, 0.0
@@ -101,10 +104,10 @@ def _correlate(
                         s22 += there * there
                         s12 += there * image1[b + y * step, a + x * step]
                 spread2 = np.sqrt(max(s22 / n - (s2 / n) ** 2, 0.0))
-                widest = max(widest, spread2)
+                widest, darkest = max(widest, spread2), min(darkest, s2 / n)
                 if spread1 >= _CONTRAST and spread2 >= _CONTRAST:
                     best = max(best, (s12 / n - s1 * s2 / n / n) / (spread1 * spread2))
         if best >= -1.0:
             out[k] = best
-        elif max(spread1, widest) >= _CLEAR_CONTRAST:
+        elif max(spread1, widest) >= _CLEAR_CONTRAST and darkest >= _LIT:
             out[k] = 0.0

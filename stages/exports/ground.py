@@ -33,10 +33,11 @@ def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
 def coverage_preview(coverage: Coverage, poses: Poses | None = None, **_: object) -> Uint8s:
     """How many cameras see each place, from above, as a JPEG file's bytes; poses: where the cameras are drawn in."""
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0} if poses else {}
-    return _jpeg(_map(coverage, cameras))
+    return jpeg(_map(coverage, cameras))
 
 
-def _jpeg(image: Uint8s) -> Uint8s:
+def jpeg(image: Uint8s) -> Uint8s:
+    """A JPEG file's bytes, (n,) uint8, of (h, w, 3) RGB."""
     _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return np.asarray(data, dtype=np.uint8).ravel()
 

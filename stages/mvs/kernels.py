@@ -277,45 +277,7 @@ def propagate(
     reach: int, noise: Float32s, number: int, far: int, low: Scalar, high: Scalar, planes: Float32s, cost: Float32s, best: Int32s,
 ) -> None:  # fmt: skip
     """One pass, down if `number` is even, else up.  A plane is tried on the source that is best here, the one best where it comes
-    from, and one more in turn: of six sources half are enough.
-
-    Parameters
-    ----------
-    image : ndarray
-        (h + 2 reach, w + 2 reach) grey levels of the view, with a margin.
-    usable : ndarray
-        The same shape: 1 where a pixel may be used, 0 elsewhere.
-    pairs : ndarray
-        (sources, height * width) two neighbouring grey levels of a source in one number.
-    height : int
-        Of the sources, pixels.
-    width : int
-        Of the sources, pixels.
-    M : ndarray
-        (sources, 9) rotation from the view to the source, rows of the homography.
-    b : ndarray
-        (sources, 3) its translation part.
-    taps : ndarray
-        (n, 2) offsets x, y of the patch.
-    reach : int
-        The largest offset.
-    noise : ndarray
-        (NOISE,) random numbers.
-    number : int
-        Of the pass, from 0.
-    far : int
-        Rows between neighbours of another pass that are asked.
-    low : Scalar
-        Least inverse depth.
-    high : Scalar
-        Largest inverse depth.
-    planes : ndarray
-        (3, h, w) q, A, B; improved in place.
-    cost : ndarray
-        (h, w) of the planes; improved in place.
-    best : ndarray
-        (h, w) the source in which each plane is cheapest; kept up in place.
-    """
+    from, and one more in turn: of six sources half are enough."""
     h, w = cost.shape
     count = len(M)
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
@@ -377,41 +339,7 @@ def judge(
     reach: int, limit: Scalar, planes: Float32s, first: Float32s, second: Float32s, support: Uint32s, parallax: Float32s,
 ) -> None:  # fmt: skip
     """The least (`first`) and second least cost of each plane over the sources, `support`: a bit for each source below `limit`,
-    and `parallax`: the sum over these of squared pixels a unit of inverse depth.  All are (h, w), and written.
-
-    Parameters
-    ----------
-    image : ndarray
-        (h + 2 reach, w + 2 reach) grey levels of the view, with a margin.
-    usable : ndarray
-        The same shape: 1 where a pixel may be used, 0 elsewhere.
-    pairs : ndarray
-        (sources, height * width) two neighbouring grey levels of a source in one number.
-    height : int
-        Of the sources, pixels.
-    width : int
-        Of the sources, pixels.
-    M : ndarray
-        (sources, 9) rotation from the view to the source.
-    b : ndarray
-        (sources, 3) its translation part.
-    taps : ndarray
-        (n, 2) offsets x, y of the patch.
-    reach : int
-        The largest offset.
-    limit : Scalar
-        A source that costs less supports the plane.
-    planes : ndarray
-        (3, h, w) q, A, B.
-    first : ndarray
-        (h, w) the least cost; written.
-    second : ndarray
-        (h, w) the second least; written.
-    support : ndarray
-        (h, w) one bit for each source that supports the plane; written.
-    parallax : ndarray
-        (h, w) sum over them of squared pixels a unit of inverse depth; written.
-    """
+    and `parallax`: the sum over these of squared pixels a unit of inverse depth.  All are (h, w), and written."""
     h, w = first.shape
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)

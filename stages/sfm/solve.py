@@ -14,6 +14,7 @@ from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_dist
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
 from .pose_check import BELIEVED, confirmed
+from .support import straight_error_px, without_unsupported
 from .tracks import Edge, without_distortion
 from .view_graph import ViewGraph
 from .world import World, to_world
@@ -48,12 +49,15 @@ def solve_from_pairs(
     trusted, dropped = graph.consistent(max_rotation_error_deg)
     number = {name: view for view, name in enumerate(graph.names)}
     grown = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
-    models = [model for model in (refine(model, rounds=3) for model in grown) if model.use.any()]
+    believed = {edge: graph.geometries[edge] for edge in trusted}
+    supported = [without_unsupported(refine(model, rounds=3), believed, max_epipolar_px) for model in grown]
+    models = [model for model, _ in supported if model.use.any()]
+    unsupported = {graph.names[view] for _, out in supported for view in out}
     if not models:
         return graph.why_nothing(trusted, dropped)
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
-    return _collect(graph, worlds, stated, exact, metric, dropped, max_epipolar_px, survey)
+    return _collect(graph, worlds, stated, exact, metric, dropped, unsupported, max_epipolar_px, survey)
 
 
 def _exact(placement: Placement) -> bool:
@@ -85,6 +89,7 @@ def _collect(
     exact: Mapping[str, Camera],
     exact_metric: bool,
     dropped: dict[Edge, Rejected],
+    unsupported: set[str],
     max_epipolar_px: float,
     survey: Survey,
 ) -> Poses:
@@ -113,7 +118,7 @@ def _collect(
                 notes.append(f"{name}: pose as stated; no pair could check it")
     order = [name for name in graph.names if name in cameras]
     checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
-    unsolved = {name: _why_unsolved(graph, name, dropped) for name in graph.names if name not in cameras}
+    unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
     notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
     if bent := {name: px for name in order if (px := _bent_px(cameras[name])) > BENT_PX}:
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
@@ -153,8 +158,7 @@ def _check(
         return PairCheck(False, apart.reason, apart.code, own)
     F = fundamental_from_cameras(left, right)
     adjusted = float(np.median(symmetric_epipolar_distance(F, geometry.x1, geometry.x2)))
-    x1, x2 = without_distortion(left, geometry.x1), without_distortion(right, geometry.x2)
-    straight = float(np.median(symmetric_epipolar_distance(F, x1, x2)))
+    straight = straight_error_px(left, right, geometry)
     R = graph.rotations.get(edge)
     off = float("nan") if R is None else angle_between_deg(R, relative_pose(left, right)[0])
     if straight <= max_epipolar_px:
@@ -174,7 +178,7 @@ def _bent_px(camera: Camera) -> float:
     return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
-def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected]) -> str:
+def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected], unsupported: set[str]) -> str:
     view = graph.names.index(name)
     mine = [edge for edge in graph.geometries if view in edge]
     if view not in graph.lenses.K:
@@ -183,6 +187,8 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected])
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in mine):
         return f"each of its {len(mine)} pairs contradicts the others"
+    if name in unsupported:
+        return "where the points that it shares would put it, the pairs that see most with it do not fit"
     return "too few points in common with the solved cameras"
 
 

@@ -90,4 +90,5 @@ class ViewGraph:
             return Rejected(Reason.NOTHING_DISTINCT, figures)
         if figures["unconfirmed"] > 0.5 * len(codes):
             return Rejected(Reason.NOTHING_CONFIRMED, figures)
-        return Rejected(Reason.PAIRS_CONTRADICT, figures)
+        nobody = codes.count(Reason.NOT_BELIEVED) > 0.5 * len(codes)
+        return Rejected(Reason.NOTHING_BELIEVED if nobody else Reason.PAIRS_CONTRADICT, figures)

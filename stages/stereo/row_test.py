@@ -3,6 +3,8 @@
 If rows correspond, many pixels find a partner that finds them back; if one image is shifted by a few rows, hardly any do.  So the
 share of pixels that survive the check between the two views, against the same share with one image shifted, tells whether the
 geometry is right, and where it is a little wrong, by how many rows.  It says nothing of what repeats along the rows.
+
+Pavement that repeats matches on shifted rows, too.  But only on the right rows does it lie where other views know the ground.
 """
 
 from __future__ import annotations
@@ -23,6 +25,10 @@ _SPECKLE_SHARE = 5e-4
 """Smaller pieces than this share of the image match anywhere."""
 
 
+_SAME_PX = 0.75
+"""Disparities of the halved images that differ by no more are those of one surface."""
+
+
 @dataclass(frozen=True)
 class RowTest:
     """How many pixels find their partners on the rows as they are, and on shifted ones."""
@@ -33,10 +39,18 @@ class RowTest:
     """The largest such share with one image shifted by eight rows."""
     row_error_px: float
     """By how many rows of the rectified images they seem to be shifted, with sign."""
+    ground: float = 0.0
+    """Share of the common area that matches where the ground is known to be, without being led there; 0 if nobody knows it."""
+    ground_chance: float = 0.0
+    """The largest such share with one image shifted by eight rows."""
 
     def passed(self, least_share: float, least_ratio: float) -> bool:
         """The rows are right: enough matches on them, and much less on shifted ones."""
         return self.share >= least_share and self.share >= least_ratio * self.chance
+
+    def shows_ground(self, least_share: float, least_ratio: float) -> bool:
+        """The same, of what lies on the ground."""
+        return self.ground >= least_share and self.ground >= least_ratio * self.ground_chance
 
 
 def row_test(pair: RectifiedPair) -> tuple[RowTest, Float32s, Float32s]:
@@ -51,16 +65,28 @@ def row_test(pair: RectifiedPair) -> tuple[RowTest, Float32s, Float32s]:
     """
     small = halved(pair)
     here, disparity, confidence = _matched(small)
-    shares = {shift: _matched(_shifted(small, shift))[0] for shift in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
-    above, below = shares[-_BESIDE], shares[_BESIDE]
+    matched = {shift: _matched(_shifted(small, shift)) for shift in (_BESIDE, -_BESIDE, _AWAY, -_AWAY)}
+    above, below, *away = (matched[shift][0] for shift in (-_BESIDE, _BESIDE, _AWAY, -_AWAY))
     error = 2.0 * _BESIDE * (below - above) / max(above + here + below, 1e-9)
-    return RowTest(max(above, here, below), max(shares[_AWAY], shares[-_AWAY]), error), disparity, confidence
+    ground, chance = 0.0, 0.0
+    if small.prior_left is not None:
+        ground = _on_ground(small, small.prior_left, _matched(_shifted(small, 0))[1])
+        chance = max(_on_ground(small, small.prior_left, matched[shift][1]) for shift in (_AWAY, -_AWAY))
+    return RowTest(max(above, here, below), max(away), error, ground, chance), disparity, confidence
+
+
+def _on_ground(pair: RectifiedPair, ground: Float32s, disparity: Float32s) -> float:
+    """Share of the pixels with a possible partner that lie on the ground; ground, disparity: (h, w), nan where unknown."""
+    common = within_reach(pair.valid_left, pair.valid_right, pair.disparity_min, pair.disparity_max, -1)
+    return float(np.sum(np.abs(disparity - ground) <= _SAME_PX) / max(common.sum(), 1))
 
 
 def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
-    """The pair with its right image moved down by so many rows; rows without a partner may not be matched."""
+    """The pair with its right image moved down by so many rows, and nothing known of where the scene is; rows without a partner
+    may not be matched."""
     valid = np.roll(pair.valid_right, rows, axis=0)
-    valid[slice(rows) if rows > 0 else slice(rows, None)] = False
+    if rows:
+        valid[slice(rows) if rows > 0 else slice(rows, None)] = False
     return replace(pair, right=np.roll(pair.right, rows, axis=0), valid_right=valid, prior_left=None, prior_right=None)
 
 

@@ -46,7 +46,7 @@ class PairEvidence:
     angle_deg: float = float("nan")
     """Median angle between the rays, nan without a pose."""
     rival: Rival | None = None
-    """The best other hypothesis, None where nobody looked for one: points that are no keypoints."""
+    """The best other hypothesis, None where nobody looked for one: no pose, or no keypoints."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def pair_evidence(
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
         stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
         angle_deg=ray_angle_deg(x1, x2, left.view, right.view, found.R),
-        rival=find_rival(left, right, pairs, i1, i2, found.R, found.F, seed),
+        rival=None if found.R is None else find_rival(left, right, pairs, i1, i2, found.R, found.F, seed),
     )
 
 
@@ -178,7 +178,7 @@ def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
         score = 0.54 * cells + 8.9 * e.distinct_share + 4.8 * e.agreement + 2.7 * stretch + 0.53 * inliers - 0.84 * halves - 4.0
     else:
         score = 0.9 * cells + 12.0 * e.distinct_share + 5.5 * e.agreement + 3.0 * stretch + 0.6 * inliers - 6.5
-    ambiguous = e.rival is not None and isfinite(e.rival.turned_deg) and e.rival.ambiguous(e.inliers)
+    ambiguous = e.rival is not None and e.rival.ambiguous(e.inliers)
     return min(score, 0.0) if contradicted or ambiguous else score
 
 

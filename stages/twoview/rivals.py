@@ -19,7 +19,7 @@ from ..matching.initial import Correspondences, confirmations
 from ..matching.structural import solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .epipolar import symmetric_epipolar_distance
-from .robust import estimate_essential, estimate_fundamental
+from .robust import estimate_essential
 
 EXPLAINED_PX = 12.0
 """A candidate this near to where the accepted matches put its keypoint is no rival."""
@@ -44,7 +44,7 @@ class Rival:
     elsewhere: int = 0
     """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, not another pose."""
     turned_deg: float = 0.0
-    """Between the accepted rotation and that of the matches off the lines; nan without K."""
+    """Between the accepted rotation and that of the matches off the lines."""
 
     def ambiguous(self, inliers: int) -> bool:
         """Nothing decides between this and a geometry with so many inliers.
@@ -61,7 +61,7 @@ def find_rival(
     pairs: tuple[ViewPair, ...],
     i1: Int32s,
     i2: Int32s,
-    R: Float64s | None,
+    R: Float64s,
     F: Float64s,
     seed: int = 0,
 ) -> Rival:
@@ -76,14 +76,14 @@ def find_rival(
     i1, i2
         (n,) int32, the accepted matches: rows of the features.
     R, F
-        Their rotation, None without K, and F.
+        Their rotation and F.
     seed
         Of the random samples.
     """
     others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
     found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
     if found is None or len(found.i1) < FEWEST:
-        return Rival() if R is not None else Rival(turned_deg=float("nan"))
+        return Rival()
     x1, x2 = left.xy[found.i1], right.xy[found.i2]
     inliers, _ = _one_pose(x1, x2, left.view, right.view, R, seed)
     off = symmetric_epipolar_distance(F, x1, x2) > OFF_LINES_PX
@@ -91,13 +91,10 @@ def find_rival(
     return Rival(inliers, elsewhere, turned)
 
 
-def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s | None, seed: int) -> tuple[int, float]:
-    """How many matches agree with one pose, or without K with one F, and by how much it is turned against R."""
+def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, seed: int) -> tuple[int, float]:
+    """How many matches agree with one pose, and by how much it is turned against R."""
     if len(x1) < FEWEST:
-        return 0, 0.0 if R is not None else float("nan")
-    if R is None:
-        bare = estimate_fundamental(x1, x2, 1.0, seed)
-        return (0 if bare is None else int(bare.inliers.sum())), float("nan")
+        return 0, 0.0
     pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
     if pose is None or pose.R is None:
         return 0, 0.0

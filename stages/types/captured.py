@@ -37,6 +37,18 @@ class Lens:
 
 @short_repr
 @dataclass(frozen=True)
+class Privacy:
+    """Polygons of a capture that nobody may see."""
+
+    corners: Float64s = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) of all polygons one after the other: pixels of a capture as it is (upright); or, where all of a polygon's are from 0
+    to 1, shares of width and height."""
+    counts: Float64s = field(default_factory=lambda: np.zeros(0))
+    """(polygons,) how many corners each has."""
+
+
+@short_repr
+@dataclass(frozen=True)
 class Placement:
     """Where the site says that a camera is."""
 

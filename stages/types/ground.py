@@ -69,7 +69,7 @@ class Change:
     kind: str
     """"new", "vanished" or "moved"."""
     x: float
-    """Middle of its volume, in the world..."""
+    """Middle of the box around it, in the world."""
     y: float
     z: float
     length: float

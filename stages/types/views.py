@@ -75,6 +75,18 @@ class Frame:
     """Share of them that is black or white, beyond what the sensor can tell."""
     sharpness: float = float("nan")
     """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
+    frames_used: int = 1
+    """Captures that count fully."""
+    doubtful: float = 0.0
+    """Share of pixels where no majority of the captures agrees: something stood or moved there."""
+    unchanged: float = 0.0
+    """Share of pixels that all captures show alike to the last grey level; 0 for a single one."""
+    taken_first: str = ""
+    """When the first capture was taken, ISO 8601, by what the camera wrote into it; "" where it says nothing."""
+    taken_last: str = ""
+    """The same of the last."""
+    taken_in_order: bool = True
+    """False where the cameras' times contradict the order of the captures."""
 
 
 @short_repr

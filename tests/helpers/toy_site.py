@@ -74,7 +74,7 @@ class ToySite:
         stages: dict[str, Any] = {
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
-        stages["scene"] = stages["refine"] = stages["coverage"] = False
+        stages["scene"] = stages["refine"] = stages["coverage"] = stages["changes"] = False
         stages["health"] = {"use": "toy_stages:examine"} if self.watched else False
         site = {
             "site": "toy",

@@ -8,18 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from wbflow_stages.core.cameras import project
-from wbflow_stages.frames import (
+from wbflow_stages.capture.files import (
     BadCapture,
     EmptyCapture,
     FeaturelessImage,
     NotAnImage,
     TruncatedImage,
     WrongSize,
-    clean_frame,
     decode,
-    working_size,
 )
+from wbflow_stages.core.cameras import project
+from wbflow_stages.frames import clean_frame, working_size
 from wbflow_stages.types import Camera, Capture, Lens, Uint8s
 
 WIDTH, HEIGHT = 320, 240

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
     from ..config.site import Site
     from ..store.layout import WorkFolder
 
+    _Type = click.ParamType[datetime.date]
+    _Moment = click.ParamType[datetime.datetime]
+else:
+    _Type = _Moment = click.ParamType
+
 BACKENDS = ("processes", "loky", "threading", "dask")
 PATH = click.Path(path_type=Path)
 site_argument = click.argument("site", metavar="SITE.yaml", type=PATH)
@@ -24,21 +30,59 @@ run_argument = click.argument("run_id", metavar="[RUN]", required=False)
 work_option = click.option(
     "--work", type=PATH, metavar="DIR", help="Work folder (default: `work:` of the site, else .wbflow/<site>/ beside it)."
 )
+
+
+class Day(_Type):
+    """A day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
+
+    name = "day"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime.date:
+        import datetime
+
+        if isinstance(value, datetime.date):
+            return value
+        today = datetime.date.today()
+        if value in {"today", "yesterday"} or re.fullmatch(r"-\d{1,5}", value):
+            back = int(value) if value.startswith("-") else {"today": 0, "yesterday": -1}[value]
+            return today + datetime.timedelta(days=back)
+        try:
+            return datetime.date.fromisoformat(value)
+        except ValueError:
+            self.fail(f"{value!r} is no day; write 2026-11-19, yesterday, or -1", param, ctx)
+
+
+class Clock(_Moment):
+    """A time of day, the next that comes: 06:00."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime.datetime:
+        import datetime
+
+        if isinstance(value, datetime.datetime):
+            return value
+        try:
+            at = datetime.time.fromisoformat(value)
+        except ValueError:
+            self.fail(f"{value!r} is no time of day; write 06:00", param, ctx)
+        now = datetime.datetime.now()
+        moment = datetime.datetime.combine(now.date(), at)
+        return moment if moment > now else moment + datetime.timedelta(days=1)
+
+
 date_option = click.option(
-    "--date", type=click.DateTime(["%Y-%m-%d"]), help="Night to work on (default: the newest that has captures)."
+    "--date", type=Day(), metavar="DAY", help="Night to work on: 2026-11-19, yesterday, -1 (default: the newest with captures)."
 )
 jobs_option = click.option(
     "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, metavar="N", help="Workers (default: all cores)."
 )
+json_option = click.option("--json", "as_json", is_flag=True, help="The same as JSON, and nothing else.")
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Every task, and tracebacks.")
 until_option = click.option("--until", metavar="STAGE", help="Stop after this stage.")
 force_option = click.option(
     "--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`."
 )
-
-
-def day_of(date: datetime.datetime | None) -> datetime.date | None:
-    return date.date() if date else None
 
 
 def load(path: Path, work: Path | None, notes: bool = True) -> Site:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..errors import ExitCode, UsageError, worst
 from ..screen import findings, listener, say, summary
 from .common import (
     BACKENDS,
+    Clock,
+    Day,
     date_option,
-    day_of,
     force_option,
     jobs_option,
+    json_option,
     load,
     site_argument,
     until_option,
@@ -32,12 +35,14 @@ if TYPE_CHECKING:
 @click.command()
 @site_argument
 @date_option
+@click.option("--since", type=Day(), metavar="DAY", help="All nights from this day on that have captures, one after the other.")
 @work_option
 @jobs_option
 @until_option
 @force_option
 @click.option("--dry-run", is_flag=True, help="Say what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
+@click.option("--stop-at", type=Clock(), metavar="HH:MM", help="Then put together and publish what there is, and end.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
@@ -47,48 +52,57 @@ if TYPE_CHECKING:
 @click.option("-q", "--quiet", is_flag=True, help="Only what went wrong.")
 def run(
     site: Path,
-    date: datetime.datetime | None,
+    date: datetime.date | None,
+    since: datetime.date | None,
     work: Path | None,
-    jobs: int,
-    until: str | None,
-    force: tuple[str, ...],
     dry_run: bool,
-    wait: bool,
     as_json: bool,
-    backend: str,
-    scheduler: str | None,
-    memory: str | None,
-    time_limit: float | None,
     verbose: bool,
     quiet: bool,
+    **asked: Any,
 ) -> None:
-    """The night's work: from captures to cloud and report.  What has not changed is taken from the cache."""
+    """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
+
+    With --since, the nights of a machine that was off are caught up with, one run for each; the exit code is that of the worst.
+    """
+    if date and since:
+        raise UsageError("--date and --since name two things to do: give one of them")
     loaded = load(site, work, notes=dry_run)
     if dry_run:
-        _explain(loaded, date, until, force)
+        for day in _nights(loaded, date, since):
+            _explain(loaded, day, asked["until"], asked["force"])
         return
     from ..api import run as work_through
 
-    finished = work_through(
-        loaded,
-        date=day_of(date),
-        jobs=jobs,
-        until=until,
-        force=force,
-        wait=wait,
-        backend=backend,
-        scheduler=scheduler,
-        memory=memory,
-        time_limit=time_limit,
-        listen=listener(loaded, verbose, quiet or as_json),
-    )
+    codes: list[int] = []
+    records = []
+    nights = _nights(loaded, date, since)
+    for day in nights:
+        if codes and (at := asked["stop_at"]) and at <= type(at).now():
+            say(f"{len(nights) - len(codes)} nights were not begun: the run was to stop at {at:%H:%M}", err=True)
+            codes.append(ExitCode.DEGRADED)
+            break
+        finished = work_through(loaded, date=day, listen=listener(loaded, verbose, quiet or as_json), **asked)
+        record = finished.record
+        codes.append(record.exit_code)
+        records.append(record.to_json())
+        if since and not (quiet or as_json):
+            say(f"night {record.date}, run {record.run}:")
+        if not (quiet or as_json):
+            summary(finished)
+        if record.exit_code or not (quiet or as_json):
+            findings(record)
+        if record.exit_code == ExitCode.INTERRUPTED:
+            break
     if as_json:
-        say(json.dumps(finished.record.to_json(), indent=1))
-    elif not quiet:
-        summary(finished)
-    if finished.record.exit_code or not (quiet or as_json):
-        findings(finished.record)
-    sys.exit(finished.record.exit_code)
+        say(json.dumps(records if since else records[0], indent=1))
+    sys.exit(worst(codes))
+
+
+def _nights(site: Site, date: datetime.date | None, since: datetime.date | None) -> list[datetime.date | None]:
+    from ..night.captures import backlog
+
+    return [date] if since is None else [*backlog(site, since)]
 
 
 @click.command()
@@ -96,22 +110,23 @@ def run(
 @date_option
 @work_option
 @until_option
-def status(site: Path, date: datetime.datetime | None, work: Path | None, until: str | None) -> None:
+@json_option
+def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why."""
-    _explain(load(site, work), date, until, ())
+    _explain(load(site, work), date, until, (), as_json)
 
 
 @click.command()
 @site_argument
 @date_option
 @work_option
-def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None:
+def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
     """Site, captures and machine examined without running; every finding, with its remedy."""
     loaded = load(site, work)
     from ..results.check import check as examine
     from ..results.check import exit_code
 
-    findings = examine(loaded, day_of(date))
+    findings = examine(loaded, date)
     for finding in findings:
         say(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:
@@ -119,17 +134,28 @@ def check(site: Path, date: datetime.datetime | None, work: Path | None) -> None
     sys.exit(exit_code(findings))
 
 
-def _explain(site: Site, date: datetime.datetime | None, until: str | None, force: tuple[str, ...]) -> None:
+def _explain(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...], as_json: bool = False) -> None:
+    from dataclasses import asdict
+
     from ..night.night import open_night
     from ..night.options import Options
-    from ..results.status import explain, pairs_to_come
+    from ..results.status import explain, pairs_to_come, seconds_to_come, totals
 
     Options(until=until, force=force).check()
-    plan = open_night(site, day_of(date), until, force).plan
+    plan = open_night(site, date, until, force).plan
     plan.refresh()
+    lines = explain(plan)
+    seconds, counts = seconds_to_come(lines), totals(lines)
+    if as_json:
+        tasks = [asdict(line) for line in lines]
+        known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
+        say(json.dumps({"site": site.name, "night": plan.night, **known}, indent=1))
+        return
     if plan.misfit:
         say(f"the reference is not used: {plan.misfit}", err=True)
-    for line in explain(plan):
+    for line in lines:
         say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):
         say("(tasks of pairs are listed once the pair graph is known)")
+    about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
+    say(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in counts.items())}{about}")

@@ -32,8 +32,8 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
         raise UsageError("--list, --drop, --refine and RUN exclude each other")
     loaded = load(site, work)
     place = place_of(loaded)
-    from ..store.lock import hold
     from ..store.reference import drop_reference, read_reference
+    from ..store.writing import hold_to_write
 
     if listed:
         reference = read_reference(place)
@@ -42,23 +42,23 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
         for line in reference.lines():
             say(line)
         return
-    with hold(place.lock, wait=False):
+    with hold_to_write(place, wait=False):
         if drop:
-            say("the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference")
-            return
-        if refine:
-            _refine(loaded, place)
-            return
-        from ..night.pin import good_run
-        from ..night.pin import pin as make
+            said = "the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference"
+        elif refine:
+            said = _refine(loaded, place)
+        else:
+            from ..night.pin import good_run
+            from ..night.pin import pin as make
 
-        reference = make(place, good_run(place, run_id))
-    say(f"run {reference.run} (night of {reference.date}) is the reference now: {place.reference}")
-    if loaded.pin == "none":
+            made = make(place, good_run(place, run_id))
+            said = f"run {made.run} (night of {made.date}) is the reference now: {place.reference}"
+    say(said)
+    if not (drop or refine) and loaded.pin == "none":
         say("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
 
 
-def _refine(site: Site, place: WorkFolder) -> None:
+def _refine(site: Site, place: WorkFolder) -> str:
     from ..night.pool import pool
     from ..store.reference import read_reference, restore
 
@@ -66,5 +66,5 @@ def _refine(site: Site, place: WorkFolder) -> None:
     if reference is None:
         raise UsageError(f"{site.name} has no reference to refine: wbflow pin SITE.yaml")
     restore(place, reference)
-    for task, nights in pool(place, reference, site.reader).items():
-        say(f"{task}: pooled from {nights} nights")
+    pooled = pool(place, reference, site.reader)
+    return "\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet"

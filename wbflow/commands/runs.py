@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import click
 
 from ..errors import ExitCode, UsageError
 from ..screen import say, stop
-from .common import PATH, load, place_of, run_argument, site_argument, work_option
+from .common import PATH, json_option, load, place_of, run_argument, site_argument, work_option
 
 if TYPE_CHECKING:
     pass
@@ -31,35 +32,62 @@ def report(site: Path, run_id: str | None, work: Path | None) -> None:
 
 @click.command()
 @site_argument
+@json_option
 @work_option
-def history(site: Path, work: Path | None) -> None:
-    """Runs: when, how long, cached/ran/failed, cloud size, exit code."""
+def history(site: Path, as_json: bool, work: Path | None) -> None:
+    """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding."""
     loaded = load(site, work)
     place = place_of(loaded)
-    if not place.run_ids():
-        stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
-    from ..store.ledger import Ledger
+    from ..results.history import history as entries
 
-    with Ledger(place) as ledger:
-        runs = ledger.runs()
+    runs = entries(place) if place.run_ids() else []
+    if as_json:
+        say(json.dumps([entry.to_json() for entry in runs], indent=1))
+        return
+    if not runs:
+        stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
     head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
-    say(f"{'run':17} {'night':10} {head} {'points':>11} exit")
-    for r in runs:
+    say(f"{'run':17} {'night':10} {head} {'points':>11} exit  verdict")
+    for entry in runs:
+        r = entry.run
         points = f"{r.points:,}" if r.points else "-"
         figures = f"{r.wall:8.1f} {r.cpu:8.1f} {r.cached:6} {r.ran:5} {r.rejected:8} {r.failed:6}"
-        say(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}")
+        say(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}  {entry.words}".rstrip())
 
 
 @click.command()
-@click.argument("run_a", type=PATH)
-@click.argument("run_b", type=PATH)
-def compare(run_a: Path, run_b: Path) -> None:
-    """Two nights side by side: folders of two runs."""
-    from ..results.compare import compare as rows
+@click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
+@json_option
+@work_option
+def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
+    """Two nights side by side: what differs by more than noise.
+
+    \b
+    wbflow compare SITE.yaml                           the newest run, and the newest good one before it
+    wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
+    wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
+    """
+    from ..results.compare import compare as rows_of
+    from ..results.compare import last_two, run_named, told
     from ..store.run_folder import RunFolder
 
-    for row in rows(RunFolder.at(run_a).record(), RunFolder.at(run_b).record()):
-        say(f"{'*' if row.changed else ' '} {row.what:24} {row.a:>32}   {row.b}")
+    if len(nights) == 2:
+        a, b = (RunFolder.at(folder) for folder in nights)
+    elif len(nights) == 1:
+        a, b = last_two(place_of(load(nights[0], work)))
+    elif len(nights) == 3:
+        place = place_of(load(nights[0], work))
+        a, b = (run_named(place, str(name)) for name in nights[1:])
+    else:
+        raise UsageError("name two runs: wbflow compare SITE.yaml RUN_A RUN_B")
+    rows = rows_of(a.record(), b.record())
+    if as_json:
+        say(json.dumps({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}, indent=1))
+        return
+    for row in told(rows):
+        say(row)
+    if len(told(rows)) == 3:
+        say("nothing else differs by more than noise")
 
 
 @click.command()
@@ -99,9 +127,9 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     place = place_of(load(site, work))
     from ..store.clean import clean as remove
     from ..store.keep import Keep
-    from ..store.lock import hold
+    from ..store.writing import hold_to_write
 
-    with hold(place.lock, wait=False):
+    with hold_to_write(place, wait=False):
         done = remove(place, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"
     say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from ..store.outside import MOST_TEXT_BYTES, Unreadable, read_outside
+from ..store.outside import MOST_TEXT_BYTES, Unreadable, is_file, is_folder, read_outside
 from .positions import SiteError, parse_yaml
 
 Matrix = list[list[float]]
@@ -59,7 +59,7 @@ def read_calibration(path: Path) -> dict[str, Calibrated]:
     CalibrationError
         Missing, unreadable, or an entry without what it needs.
     """
-    if path.is_dir():
+    if is_folder(path):
         return _read_colmap(path)
     text = _text(path)
     try:
@@ -173,7 +173,7 @@ def _is_rotation(R: Matrix, tolerance: float = 1e-3) -> bool:
 
 def _read_colmap(folder: Path) -> dict[str, Calibrated]:
     files = folder / "cameras.txt", folder / "images.txt"
-    if not all(file.exists() for file in files):
+    if not all(map(is_file, files)):
         what = "must hold cameras.txt and images.txt (COLMAP's text model)"
         raise CalibrationError(what, where=str(folder), remedy="in COLMAP: model_converter --output_type TXT")
     cameras: dict[str, tuple[Matrix, int, int, list[float] | None]] = {}

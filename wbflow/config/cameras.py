@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import printable
+from ..store.outside import is_file
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import LocalFrame
 from .positions import Document, Place, SiteProblem
 from .schema import CameraSection, SiteSection
-from .site import SiteCamera, StatedLens, StatedPlacement
+from .site import SiteCamera, StatedLens, StatedPlacement, StatedPrivacy
 
 ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """What a camera, and a site, may be called."""
@@ -68,7 +69,10 @@ def read_cameras(
     calibrated: dict[str, Calibrated] = {}
     if model.calibration:
         try:
-            calibrated = read_calibration(beside(model.calibration, ("calibration",), document, problems))
+            file = beside(model.calibration, ("calibration",), document, problems)
+            calibrated = read_calibration(file)
+            if not calibrated:
+                raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
         except CalibrationError as error:
             remedy = error.remedy or "give the path of cameras.json or of a COLMAP text model"
             problems.append(document.problem(("calibration",), f"{error.where}: {error.what}", remedy))
@@ -91,12 +95,13 @@ def read_cameras(
                 document.problem(place, what, "correct the id, add the camera to that file, or give its intrinsics here")
             )
         mask = beside(camera.mask, (*place, "mask"), document, problems) if camera.mask else None
-        if mask and not mask.is_file():
+        if mask and not is_file(mask):
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
-            problems.append(document.problem((*place, "mask"), f"there is no file {mask}", remedy))
+            problems.append(document.problem((*place, "mask"), f"there is no file {printable(mask)}", remedy))
         lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
-        found.append(SiteCamera(camera.id, lens, placement, mask, images, place))
+        privacy = StatedPrivacy([c for p in camera.privacy for c in p], [float(len(p)) for p in camera.privacy])
+        found.append(SiteCamera(camera.id, lens, placement, mask, privacy, images, place))
     _refuse_ambiguous([camera.id for camera in model.cameras], document, problems)
     return found
 

@@ -19,6 +19,7 @@ from .schema import (
     PairsSection,
     PoseSection,
     SiteSection,
+    ZoneSection,
 )
 
 _REMEDIES = {
@@ -33,6 +34,8 @@ _REMEDIES = {
     "site": "give the site a name: site: harbour",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
+    "zones": "give name, three corners or more and, if you like, a least size in metres: zones: [{name: quay, polygon: [[0, 0], "
+    "[20, 0], [20, 8]], least_m: 0.5}]",
     "degree": "give a whole number, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
@@ -99,6 +102,7 @@ def _fields_at(place: Place) -> list[str]:
         "keep": KeepSection,
         "expect": ExpectSection,
         "notify": NotifySection,
+        "zones": ZoneSection,
     }
     for step in place:
         model = sections.get(str(step), model)

@@ -10,8 +10,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from ..errors import printable
 from ..graph.functions import FunctionReader
 from ..store.layout import WorkFolder
+from ..store.outside import is_folder
 from .cameras import beside, is_name, read_cameras
 from .explain import explained, without_faults
 from .geodesy import Position, local_frame
@@ -32,7 +34,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     SiteError
         With every problem that was found.
     """
-    path = path / "site.yaml" if path.is_dir() else path
+    path = path / "site.yaml" if is_folder(path) else path
     document = load_yaml(path)
     if not isinstance(document.data, dict):
         raise SiteError(
@@ -56,15 +58,14 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     cameras = read_cameras(model, frame, document, problems)
     ids = [camera.id for camera in model.cameras]
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
-    if work is None:
-        work = beside(model.work, ("work",), document, problems) if model.work else WorkFolder.beside(path, model.site).root
+    work = work or _work_folder(model, path, document, problems)
     reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
     root = beside(model.captures.root, ("captures", "root"), document, problems)
-    if not root.is_dir():
+    if not is_folder(root):
         remedy = "check the path and the variables in it; it is relative to the site file"
-        problems.append(document.problem(("captures", "root"), f"there is no folder {root}", remedy))
+        problems.append(document.problem(("captures", "root"), f"there is no folder {printable(root)}", remedy))
     if not is_name(model.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
         problems.append(document.problem(("site",), f"{model.site!r} is not a name", remedy))
@@ -90,7 +91,14 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         tuple(notes),
         model.pin,
         model.health.model_dump(),
+        [zone.model_dump() for zone in model.zones] or None,
     )
+
+
+def _work_folder(model: SiteSection, path: Path, document: Document, problems: list[SiteProblem]) -> Path:
+    if model.work:
+        return beside(model.work, ("work",), document, problems)
+    return WorkFolder.beside(path, model.site if is_name(model.site) else "site").root
 
 
 def _notify(model: SiteSection, path: Path) -> Notify | None:

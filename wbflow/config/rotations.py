@@ -17,11 +17,11 @@ def look_at(position: Vector, target: Vector) -> Matrix:
         The two points coincide, or the camera would look straight up or down (its roll would be undefined).
     """
     forward = _unit([t - p for t, p in zip(target, position, strict=True)])
-    right = _cross(forward, [0.0, 0.0, 1.0])
+    right = cross(forward, [0.0, 0.0, 1.0])
     if math.hypot(*right) < 1e-6:
         raise ValueError("looks straight up or down, so which way is up in the image is unknown: give a rotation instead")
     right = _unit(right)
-    return [right, _cross(forward, right), forward]
+    return [right, cross(forward, right), forward]
 
 
 def yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
@@ -29,12 +29,13 @@ def yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
     yaw, pitch, roll = (math.radians(v) for v in (yaw_deg, pitch_deg, roll_deg))
     forward = [math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)]
     level = [math.cos(yaw), -math.sin(yaw), 0.0]
-    down = _cross(forward, level)
+    down = cross(forward, level)
     right = [math.cos(roll) * a + math.sin(roll) * b for a, b in zip(level, down, strict=True)]
-    return [right, _cross(forward, right), forward]
+    return [right, cross(forward, right), forward]
 
 
-def _cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Vector, b: Vector) -> Vector:
+    """The vector product."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 from ..store.keep import Keep
 from ..store.sizes import bytes_of
 from .geodesy import ControlPoint, Distance, Position
-from .rotations import look_at, yaw_pitch_roll
+from .rotations import cross, look_at, yaw_pitch_roll
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position that is given by latitude and longitude without one: a plain satellite receiver's, metres."""
@@ -35,9 +35,10 @@ class CapturesSection(Section):
     @field_validator("pattern")
     @classmethod
     def _known_fields(cls, pattern: str) -> str:
-        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date"}]
+        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date", "time"}]
         if unknown:
-            raise PydanticCustomError("pattern", f"{{{unknown[0]}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, * and **")
+            use = "use {camera}, {date:%Y-%m-%d}, {time:%H%M%S}, * and **"
+            raise PydanticCustomError("pattern", f"{{{unknown[0]}}} is not known; {use}")
         return pattern
 
 
@@ -112,6 +113,8 @@ class PoseSection(Position):
             abs(sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j)) > 1e-3 for i in range(3) for j in range(3)
         ):
             raise PydanticCustomError("pose", "'rotation' is not a rotation matrix (rows of unit length, at right angles)")
+        if R is not None and sum(a * b for a, b in zip(cross(R[0], R[1]), R[2], strict=True)) < 0:
+            raise PydanticCustomError("pose", "'rotation' is a mirror, not a rotation (its determinant is -1)")
         return R
 
 
@@ -123,7 +126,18 @@ class CameraSection(Section):
     distortion: Annotated[list[float], Field(min_length=1, max_length=5)] | None = None
     pose: PoseSection | None = None
     mask: str | None = None
+    privacy: list[list[Annotated[list[float], Field(min_length=2, max_length=2)]]] = Field(default_factory=list)
     images: list[str] | None = None
+
+    @field_validator("privacy")
+    @classmethod
+    def _areas(cls, polygons: list[list[list[float]]]) -> list[list[list[float]]]:
+        for polygon in polygons:
+            if len(polygon) < 3:
+                raise PydanticCustomError("privacy", "a polygon has three corners or more: [[x, y], [x, y], [x, y]]")
+            if min(value for corner in polygon for value in corner) < 0:
+                raise PydanticCustomError("privacy", "corners are pixels of a capture, or shares of its width and height, from 0")
+        return polygons
 
 
 class PairsSection(Section):
@@ -207,6 +221,14 @@ class HealthSection(Section):
     dark: float = Field(6.0, ge=0, le=255)
 
 
+class ZoneSection(Section):
+    """A part of the ground where changes count."""
+
+    name: str
+    polygon: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=3)]
+    least_m: float = Field(0.0, ge=0)
+
+
 class SiteSection(Section):
     """The whole file."""
 
@@ -221,6 +243,7 @@ class SiteSection(Section):
     pairs: PairsSection = PairsSection.model_validate({})
     pin: Literal["auto", "none"] = "auto"
     health: HealthSection = HealthSection.model_validate({})
+    zones: list[ZoneSection] = Field(default_factory=list)
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: ExpectSection = ExpectSection.model_validate({})
     notify: NotifySection | None = None

@@ -32,6 +32,16 @@ class StatedLens:
 
 
 @dataclass(frozen=True)
+class StatedPrivacy:
+    """Polygons of a capture that nobody may see."""
+
+    corners: Matrix = field(default_factory=list)
+    """x and y of the corners of all polygons one after the other: pixels of a capture, or shares of width and height."""
+    counts: list[float] = field(default_factory=list)
+    """How many corners each has."""
+
+
+@dataclass(frozen=True)
 class StatedPlacement:
     """Where a camera is said to be: x ~ K R (X - C)."""
 
@@ -62,7 +72,7 @@ class StatedSurvey:
     """Coordinate system of the world; "" where it is local."""
 
 
-def plain(stated: StatedLens | StatedPlacement | StatedSurvey) -> dict[str, Any]:
+def plain(stated: StatedLens | StatedPrivacy | StatedPlacement | StatedSurvey) -> dict[str, Any]:
     """The fields that say something, by name."""
     nothing = type(stated)()
     values = {f.name: getattr(stated, f.name) for f in dataclasses.fields(stated)}
@@ -77,6 +87,8 @@ class SiteCamera:
     lens: StatedLens
     placement: StatedPlacement
     mask: Path | None = None
+    privacy: StatedPrivacy = field(default_factory=StatedPrivacy)
+    """What nobody may see of its picture."""
     images: tuple[str, ...] | None = None
     """File names below the captures' root, where the site file lists them."""
     place: Place = ()
@@ -176,6 +188,8 @@ class Site:
     """"auto": the first good run is what later ones are compared with; "none": nothing is."""
     health: dict[str, Any] = field(default_factory=dict)
     """Limits of what a camera may differ by, by name."""
+    zones: list[dict[str, Any]] | None = None
+    """Where changes count: name, polygon (corners x, y on the ground), least_m; None: everywhere."""
 
     @property
     def file(self) -> Path:

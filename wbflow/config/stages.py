@@ -9,7 +9,8 @@ from ..errors import printable
 from ..graph.binding import Binding, bind, method_parameters
 from ..graph.functions import FunctionReader
 from ..graph.modules import FunctionError
-from ..graph.pipeline import STAGES, Stage
+from ..graph.pipeline import STAGES
+from ..graph.rows import Stage
 from .positions import Document, Place, SiteProblem
 from .site import StageSettings
 

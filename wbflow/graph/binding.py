@@ -13,7 +13,7 @@ from typing import Any
 
 from .functions import FunctionInfo, FunctionReader
 from .modules import FunctionError
-from .pipeline import FromStage, Need, Stage
+from .rows import FromStage, Need, Stage
 from .signature import Parameter, Signature
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from .binding import method_parameters
 from .docs import ParameterDoc, parameter_docs, summary, unit_of
 from .functions import FunctionReader
-from .pipeline import STAGES, Stage
+from .pipeline import STAGES
+from .rows import Stage
 from .signature import Parameter
 
 WIDTH = 110

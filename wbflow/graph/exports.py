@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .pipeline import Role
+from .rows import Role
 
 
 @dataclass(frozen=True)
@@ -62,5 +62,5 @@ DEMO_NIGHTS = "wbflow_stages.synthetic.night_files:demo_nights"
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""
 
-DECODE = "wbflow_stages.frames:decode"
+DECODE = "wbflow_stages.capture.video:one_picture"
 """Makes pixels of a capture; a ValueError says what is wrong with it."""

@@ -23,42 +23,11 @@ from .rows import (
     Reports,
     Rework,
     Role,
-    Scope,
     SiteValue,
     Stage,
     Which,
     WorldReports,
 )
-
-__all__ = [
-    "REJECTED",
-    "SITE_TYPES",
-    "STAGES",
-    "Entry",
-    "FromPast",
-    "FromReference",
-    "FromSite",
-    "FromStage",
-    "Held",
-    "Judges",
-    "Method",
-    "Need",
-    "Part",
-    "Picture",
-    "PointTable",
-    "Renamed",
-    "Reports",
-    "Rework",
-    "Role",
-    "Scope",
-    "SiteValue",
-    "Stage",
-    "Which",
-    "WorldReports",
-    "ancestors",
-    "stage_named",
-    "stage_with",
-]
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
@@ -67,12 +36,17 @@ REJECTED = "wbflow_stages.types:Rejected"
 SITE_TYPES = {
     SiteValue.CAPTURES: "wbflow_stages.types:Capture",
     SiteValue.MASK: "wbflow_stages.types:Capture",
+    SiteValue.PRIVACY: "wbflow_stages.types:Privacy",
     SiteValue.LENS: "wbflow_stages.types:Lens",
     SiteValue.PLACEMENT: "wbflow_stages.types:Placement",
     SiteValue.SURVEY: "wbflow_stages.types:Survey",
 }
 """The type that a value of the site is handed over as."""
 
+_OF_A_FRAME = (
+    "brightness", "contrast", "saturated", "sharpness", "frames_used", "doubtful", "unchanged",
+    "taken_first", "taken_last", "taken_in_order",
+)  # fmt: skip
 _SIDES: dict[str, Need] = {"left": FromStage("features", Which.LEFT), "right": FromStage("features", Which.RIGHT)}
 _FRAMES: dict[str, Need] = {"left": FromStage("frames", Which.LEFT), "right": FromStage("frames", Which.RIGHT)}
 _FRAMES_TOO: dict[str, Need] = {f"{side}_frame": need for side, need in _FRAMES.items()}
@@ -80,6 +54,26 @@ _FEATURES_TOO: dict[str, Need] = {f"{side}_features": need for side, need in _SI
 _PLACEMENTS = FromSite(SiteValue.PLACEMENT, Which.ALL)
 _VIEWS = FromStage("frames", Which.ALL, Part("view"))
 _HEALTHS: dict[str, Need] = {"left": FromStage("health", Which.LEFT), "right": FromStage("health", Which.RIGHT)}
+
+_SURFACE: dict[str, Need] = {
+    "frames": FromStage("frames", Which.ALL),
+    "depths": FromStage("depth", Which.ALL),
+    "refined": FromStage("refine", Which.ALL, optional=True),
+    "scene": FromStage("scene", optional=True),
+}
+_SURFACE_THEN: dict[str, Need] = {
+    "then_poses": FromReference("poses"),
+    "then_cloud": FromReference("fuse"),
+    "then_frames": FromReference("frames", Which.ALL),
+    "then_depths": FromReference("depth", Which.ALL),
+    "then_refined": FromReference("refine", Which.ALL),
+}
+
+
+def _told(*figures: str) -> Reports:
+    """Figures that run.json has by the names that they have in the result."""
+    return Reports({name: name for name in figures})
+
 
 _STILL = Held(nudged="kept", moved="kept")
 """Of results that do not depend on where single cameras look."""
@@ -105,12 +99,13 @@ STAGES: tuple[Stage, ...] = (
             "captures": FromSite(SiteValue.CAPTURES),
             "lens": FromSite(SiteValue.LENS),
             "mask": FromSite(SiteValue.MASK, optional=True),
+            "privacy": FromSite(SiteValue.PRIVACY, optional=True),
         },
         role=Role.FRAME,
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        reports=Reports({name: name for name in ("brightness", "contrast", "saturated", "sharpness")}, notes="notes"),
+        reports=Reports({name: name for name in _OF_A_FRAME}, notes="notes"),
     ),
     Stage(
         "health",
@@ -325,13 +320,7 @@ STAGES: tuple[Stage, ...] = (
         "coverage",
         scope="site",
         function="wbflow_stages.coverage:find_coverage",
-        needs={
-            "poses": FromStage("poses"),
-            "frames": FromStage("frames", Which.ALL),
-            "depths": FromStage("depth", Which.ALL),
-            "refined": FromStage("refine", Which.ALL, optional=True),
-            "scene": FromStage("scene", optional=True),
-        },
+        needs={"poses": FromStage("poses"), **_SURFACE},
         optional=True,
         picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
         reports=Reports(
@@ -342,10 +331,25 @@ STAGES: tuple[Stage, ...] = (
                 "angle_deg": "median_angle_deg",
                 "error_m": "median_error",
                 "lost_without": "lost_without",
-            }
+            },
+            expects=("area_m2", "seen_by_two"),
         ),
         files="wbflow_stages.exports.ground:coverage_files",
         title="What the cameras see of the ground",
+        kept=False,
+    ),
+    Stage(
+        "changes",
+        scope="site",
+        function="wbflow_stages.changes:find_changes",
+        needs={"poses": FromStage("poses"), "cloud": FromStage("fuse"), **_SURFACE, **_SURFACE_THEN},
+        optional=True,
+        site_parameters=("zones",),
+        picture=Picture("wbflow_stages.exports.changed:changes_preview"),
+        reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
+        files="wbflow_stages.exports.changed:changes_files",
+        title="What has changed",
+        kept=False,
     ),
 )
 

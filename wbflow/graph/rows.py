@@ -59,6 +59,8 @@ class SiteValue(Enum):
     """The capture files of a camera, as they are: a list."""
     MASK = auto()
     """The mask file of a camera, as it is."""
+    PRIVACY = auto()
+    """What nobody may see of a camera's picture."""
     LENS = auto()
     """Intrinsics of a camera."""
     PLACEMENT = auto()
@@ -241,6 +243,8 @@ class Reports:
     """The same, of a rejection."""
     notes: str = ""
     """Figure that holds notes for the operator."""
+    expects: tuple[str, ...] = ()
+    """Fields of a site-wide stage whose product should be what is usual; `expect` in the site file has it under its name."""
 
 
 @dataclass(frozen=True)

@@ -54,4 +54,5 @@ def executor(options: Options, cache: Cache, warn: Callable[[str, Task], None]) 
 
         return Cluster(options.scheduler or "", cache)
     memory = options.memory or machine.memory()
-    return Supervisor(options.jobs, cache, Limits(memory, options.time_limit, read_past(cache.work)), warn)
+    limits = Limits(memory, options.time_limit, read_past(cache.work), options.stop_at)
+    return Supervisor(options.jobs, cache, limits, warn)

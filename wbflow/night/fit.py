@@ -8,7 +8,7 @@ from typing import Any
 
 from ..config.site import Site
 from ..graph.binding import Binding
-from ..graph.pipeline import FromSite, Held, Rework, Role, SiteValue, Stage, Which
+from ..graph.rows import FromSite, Held, Rework, Role, SiteValue, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.reference import Reference
 from ..task import Task

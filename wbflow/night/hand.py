@@ -20,6 +20,8 @@ from .worker import Done
 
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""
+PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
+"""Of an image whose header nobody has read before OpenCV does."""
 
 
 class Hand:
@@ -33,7 +35,7 @@ class Hand:
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", code],
-                env=os.environ | dict.fromkeys(THREADS, "1"),
+                env=PIXELS | os.environ | dict.fromkeys(THREADS, "1"),
                 stdin=subprocess.DEVNULL,
                 stdout=_where_words_go(),  # what a stage prints is none of ours
                 pass_fds=(number,),

@@ -7,21 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from ..config.site import Site, SiteCamera
-from ..graph.pipeline import (
-    SITE_TYPES,
-    FromPast,
-    FromReference,
-    FromSite,
-    FromStage,
-    Need,
-    Part,
-    Role,
-    SiteValue,
-    Stage,
-    Which,
-    stage_named,
-    stage_with,
-)
+from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
+from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
 from ..store.cache import Cache
 from ..task import Subject, Task
 from .captures import CaptureFile
@@ -208,7 +195,11 @@ class Inputs:
         camera = self.subjects.camera(task.subject[0])
         if what is SiteValue.MASK:
             file = self.masks.get(camera.id)
+            if file and not file.digest:
+                raise Impossible(f"mask {file.name} {file.fault}", Cause.BAD_INPUT)
             return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+        if what is SiteValue.PRIVACY and not camera.privacy.counts:
+            return Absent()
         if what is SiteValue.CAPTURES:
             return Files(SITE_TYPES[what], self._captured(camera))
         return stated(camera, what)
@@ -220,5 +211,5 @@ class Inputs:
             raise Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
-            raise Impossible(f"no capture: {files[0].name} cannot be read", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: {files[0].name} {files[0].fault}", Cause.NO_CAPTURE)
         return readable

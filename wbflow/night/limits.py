@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
+import datetime
 from dataclasses import dataclass, field
 
-from ..errors import UsageError
 from ..store.past import Past
 from ..task import Task
 
@@ -15,7 +14,6 @@ LONGEST = 6 * 3600.0
 """A task that takes longer is taken for stuck, however slow its stage was before; so is one of a stage without a past."""
 TIMES = 20.0
 """A task may take so many times what its stage took before (the median, by the clock)."""
-_POWERS = " KMGT"
 
 
 @dataclass(frozen=True)
@@ -27,6 +25,8 @@ class Limits:
     seconds: float | None = None
     """For every task; None: told by the past."""
     past: Past = field(default_factory=Past)
+    until: datetime.datetime | None = None
+    """When the run looks up, whatever is at work (local time)."""
 
     def seconds_for(self, task: Task) -> float:
         """After how long a task is taken for stuck."""
@@ -34,17 +34,3 @@ class Limits:
             return self.seconds
         before = self.past.stages.get(task.stage)
         return LONGEST if before is None else min(max(SHORTEST, TIMES * before), LONGEST)
-
-
-def bytes_of(text: str) -> int:
-    """A size as people write it: 4GB, 1.5G, 800 MB, 2GiB.
-
-    Raises
-    ------
-    UsageError
-        It is none.
-    """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?\s*", text, re.IGNORECASE)
-    if not found or not float(found[1]):
-        raise UsageError(f"{text!r} is no size", remedy="write for example 4GB or 800MB")
-    return int(float(found[1]) * (1024 if found[3] else 1000) ** _POWERS.index(found[2].upper() or " "))

@@ -11,8 +11,10 @@ from ..store.cache import Cache
 from ..store.digests import Digests
 from ..store.layout import WorkFolder
 from ..store.reference import BadReference, Reference, read_reference
-from .captures import CaptureFile, expected, find_captures, night
+from ..store.seen import Seen
+from .captures import CaptureFile, expected, find_captures, find_masks, night
 from .plan import Plan
+from .staleness import look_at
 
 
 @dataclass
@@ -25,11 +27,16 @@ class Night:
     captures: dict[str, list[CaptureFile]]
     digests: Digests
     """To be saved by a run."""
+    seen: Seen
+    """To be saved by a run that comes to its end."""
+    notes: dict[str, str]
+    """What is to be said of a camera's captures."""
     plan: Plan
 
     def remember(self) -> None:
         """Keep what was learnt of files, for the next run.  Raises OSError."""
         self.digests.save()
+        self.seen.save()
         self.site.reader.save()
 
     def look_again(self, path: Path) -> None:
@@ -66,8 +73,10 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
     work = WorkFolder(site.work)
     digests = Digests(work.captures_memo)
     date = night(site, date)
-    captures = find_captures(site, date, digests)
-    masks = {c.id: CaptureFile(c.mask.name, c.mask, digests.of(c.mask)) for c in site.cameras if c.mask}
+    seen = Seen(work.seen_memo)
+    delivered = look_at(site, date, find_captures(site, date, digests), digests, seen)
+    captures = delivered.captures
+    masks = find_masks(site, digests)
     missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
     reference, misfit = _reference(site, work)
     plan = Plan(
@@ -81,8 +90,9 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
         frozenset(force),
         reference=reference,
         misfit=misfit,
+        stale=delivered.stale,
     )
-    return Night(site, date, captures, digests, plan)
+    return Night(site, date, captures, digests, seen, delivered.notes, plan)
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

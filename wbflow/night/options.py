@@ -32,6 +32,8 @@ class Options:
     """Bytes that all workers together may hold; None: four fifths of what the machine has."""
     time_limit: float | None = None
     """Seconds that a task may take; None: told by what its stage took before."""
+    stop_at: datetime.datetime | None = None
+    """From then on (local time) only what is there already is put together and published."""
 
     def check(self) -> None:
         """Raises UsageError for what cannot be meant."""

@@ -11,18 +11,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..graph.pipeline import (
-    FromPast,
-    FromReference,
-    Held,
-    Rework,
-    Role,
-    Stage,
-    Which,
-    ancestors,
-    stage_named,
-    stage_with,
-)
+from ..graph.pipeline import ancestors, stage_named, stage_with
+from ..graph.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.record import Health
 from ..store.reference import Reference

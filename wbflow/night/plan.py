@@ -14,7 +14,8 @@ from typing import Any
 
 from ..config.site import Site
 from ..graph.binding import Binding, bind
-from ..graph.pipeline import STAGES, Rework, Role, Stage, ancestors, stage_named
+from ..graph.pipeline import STAGES, ancestors, stage_named
+from ..graph.rows import Rework, Role, Stage
 from ..store.cache import Cache, Receipt
 from ..store.pictures import is_drawn
 from ..store.record import Health
@@ -57,6 +58,8 @@ class Plan:
     """What tonight is compared with."""
     misfit: str = ""
     """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
+    stale: dict[str, Health] = field(default_factory=dict)
+    """Cameras whose captures are not of tonight."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
@@ -74,7 +77,7 @@ class Plan:
         past = Past(self.cache.work, self.night, self.reference.run) if self.reference else Past()
         cameras = [camera.id for camera in self.site.cameras]
         forced = frozenset(name.split(" ")[0] for name in self.force)
-        self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced)
+        self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
         known = self.site, self.captures, self.masks, self.expectations, self.cache
         self._from = Inputs(*known, self._subjects, self._stages, self.states, self._pinned)
 

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..graph.functions import FunctionReader
-from ..graph.pipeline import STAGES, FromStage, Role, Stage, Which, stage_with
+from ..graph.pipeline import STAGES, stage_with
+from ..graph.rows import FromStage, Role, Stage, Which
 from ..store import artifact
 from ..store.cache import Cache, DamagedArtifact, Preimage, Receipt
 from ..store.events import TaskEvent

@@ -11,12 +11,14 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..store.cache import Cache, DamagedArtifact
 from ..store.disk import DiskFloor
 from ..store.room import REMEDY
 from ..task import Task
 from .changes import Changes
+from .deadline import Deadline
 from .journal import Costs, Journal
 from .night import Night
 from .options import Options
@@ -58,7 +60,7 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
     """
     try:
         with _Hands(options, night.plan.cache, journal) as hands:
-            return Worked(_until_settled(night, hands, journal, costs))
+            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at)))
     except KeyboardInterrupt:
         return Worked(interrupted=True)
     finally:
@@ -91,17 +93,44 @@ class _Hands:
             self._executor = executor(self._options, self._cache, lambda what, task: self._journal.warn(what, task=task))
         self._executor.submit(lanes)
 
+    def drop(self) -> None:
+        """Leave whatever is at work; what is finished is kept."""
+        if self._executor:
+            self._executor.close()
+        self._executor = None
+
     def reports(self) -> Iterator[Report]:
         return self._executor.reports() if self._executor else iter(())
 
 
-def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs) -> dict[Task, bytes]:
+def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline) -> dict[Task, bytes]:
+    """Do all tasks; returns what is published.
+
+    Parameters
+    ----------
+    night : Night
+        Its plan.
+    hands : _Hands
+        Who do it.
+    journal, costs : Journal, Costs
+        Are told.
+    deadline : Deadline
+        From then on only what is there is put together.
+    """
     plan, floor = night.plan, DiskFloor(night.plan.cache.work)
     repairs, changes = _Repairs(plan, journal), Changes(night, journal)
     while True:
         plan.refresh()
+        if deadline.over:
+            if not deadline.struck:
+                deadline.struck = True
+                hands.drop()
+                plan.busy.clear()
+            if deadline.settle(plan):
+                continue
         journal.tell(plan)
-        lanes = [free for lane in plan.lanes() if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
+        mine = map(deadline.shortened, plan.lanes())
+        lanes = [free for lane in mine if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
         if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):
             full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
             for first, *_ in lanes:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..graph.pipeline import Part, PointTable
+from ..graph.rows import Part, PointTable
 from ..store import artifact
 from ..store.cache import Cache, Preimage, Receipt
 from ..task import Subject, Task

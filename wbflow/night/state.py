@@ -38,6 +38,8 @@ class Cause(StrEnum):
     """There was no room for what it made, or would have made."""
     TOO_SLOW = "too-slow"
     """It took far longer than such tasks do, and was ended."""
+    STOPPED = "stopped"
+    """The time that the run was given was over."""
     DAMAGED = "damaged"
     """What it had made was found damaged again and again."""
 

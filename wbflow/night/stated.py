@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from ..config.site import Site, SiteCamera, plain
-from ..graph.pipeline import SITE_TYPES, FromReference, FromStage, SiteValue, Stage, Which
+from ..graph.pipeline import SITE_TYPES
+from ..graph.rows import FromReference, FromStage, SiteValue, Stage, Which
 from ..task import Subject, Task
 from .spec import Joined, Value
 
 
 def stated(camera: SiteCamera, what: SiteValue) -> Value:
-    """What the site file says of a camera: `LENS` or `PLACEMENT`."""
+    """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
+    if what is SiteValue.PRIVACY:
+        return Value(SITE_TYPES[what], plain(camera.privacy))
     return Value(SITE_TYPES[what], plain(camera.lens if what is SiteValue.LENS else camera.placement))
 
 

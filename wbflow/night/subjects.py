@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..config.site import Site, SiteCamera
-from ..graph.pipeline import FromStage, Role, Stage, Which, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import FromStage, Role, Stage, Which
 from ..task import Task, component_name
 from .state import State
 

@@ -7,12 +7,14 @@ done again, alone.  One that took too long is not: it has had its time.
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 
 from ..errors import WbflowError
 from ..store.cache import Cache, Receipt
+from ..store.sizes import in_words
 from ..task import Task
 from . import machine
 from .hand import Hand
@@ -70,6 +72,7 @@ class Supervisor:
         self._idle: list[Hand] = []
         self._busy: dict[Hand, _Lane] = {}
         self._kills = machine.kills_for_memory()
+        self._until = limits.until
 
     def submit(self, lanes: list[list[TaskSpec]]) -> None:
         """Lanes to be done, longest expected first."""
@@ -77,9 +80,13 @@ class Supervisor:
         self._queue.sort(key=self._expected, reverse=True)
 
     def reports(self) -> Iterator[Report]:
-        """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it."""
+        """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it, and once when the
+        time of the run is over."""
         ended = False
         while self._queue or (not ended and (self._busy or self._alone)):
+            if self._until and datetime.datetime.now() >= self._until:
+                self._until = None
+                return
             self._assign()
             for report in self._listen():
                 ended = ended or report.done is None
@@ -148,7 +155,8 @@ class Supervisor:
     def _took_all(self, hand: Hand) -> tuple[str, Cause]:
         hand.end()
         limit = self._limits.memory
-        why = f"ran out of memory: it held {_gb(hand.most)}, and all workers together more than the {_gb(limit)} that they may"
+        together = f"all workers together more than the {in_words(limit)} that they may"
+        why = f"ran out of memory: it held {in_words(hand.most)}, and {together}"
         return why, Cause.OUT_OF_MEMORY
 
     def _why(self, hand: Hand) -> tuple[str, Cause]:
@@ -157,9 +165,9 @@ class Supervisor:
         kills, before = machine.kills_for_memory(), self._kills
         self._kills = kills
         if "SIGKILL" in how and kills > before:
-            return f"{how} because the machine ran out of memory (it held {_gb(hand.most)})", Cause.OUT_OF_MEMORY
+            return f"{how} because the machine ran out of memory (it held {in_words(hand.most)})", Cause.OUT_OF_MEMORY
         if "SIGKILL" in how and self._limits.memory and hand.most > self._limits.memory / 2:
-            return f"{how} (out of memory? it held {_gb(hand.most)})", Cause.WORKER_LOST
+            return f"{how} (out of memory? it held {in_words(hand.most)})", Cause.WORKER_LOST
         return how, Cause.WORKER_LOST
 
     def _lost(self, hand: Hand, why: str, cause: Cause) -> Iterator[Report]:
@@ -192,10 +200,6 @@ _INSTALLED = "the words above say why; is wbflow installed for this Python?"
 def _failed(lane: _Lane, why: str, cause: Cause) -> Iterator[Report]:
     yield Report(lane.specs, Done(lane.at_work.task, "failed", reason=why, code=cause))
     yield Report(lane.specs, None)
-
-
-def _gb(size: int) -> str:
-    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.0f} MB"
 
 
 def _time(seconds: float) -> str:

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import LONGEST_TRACE, printable
-from ..graph.pipeline import REJECTED
+from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
+from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.ply import columns_of, ply_bytes
 from ..store.room import FULL, REMEDY
@@ -235,7 +236,8 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
     result = lane.results.get(value.file_digest)
     if result is None:
         assert value.path is not None
-        result = artifact.decode(lane.cache.read(value.task, value.path, value.file_digest))
+        data, table = lane.cache.read(value.task, value.path, value.file_digest), stage_named(value.task.stage).table
+        result = load(table.restore)(columns_of(data)) if table else artifact.decode(data)
         if keep:
             lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
@@ -251,7 +253,7 @@ def _from_plain(value: Value) -> Any:
 def _capture(kind: str, file: Any) -> Any:
     import numpy as np
 
-    data = np.fromfile(file.path, dtype=np.uint8)
-    if artifact.digest(data.data) != file.digest:  # else what is made of it would be kept as made of something else
+    data = read_outside(file.path)
+    if artifact.digest(data) != file.digest:  # else what is made of it would be kept as made of something else
         raise ChangedFile(file.path)
-    return load(kind)(name=file.name, data=data)
+    return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))

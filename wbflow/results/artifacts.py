@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import WbflowError
-from ..graph.pipeline import Role, stage_named, stage_with
+from ..graph.pipeline import stage_named, stage_with
+from ..graph.rows import Role
 from ..store.cache import Cache, Receipt
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder

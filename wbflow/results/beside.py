@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..graph.pipeline import STAGES, Stage
+from ..graph.pipeline import STAGES
+from ..graph.rows import Stage
 from ..night.journal import Journal
 from ..night.plan import Plan
 from ..store import artifact
@@ -89,10 +90,10 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, value in figures.items():
         words, _, unit = name.rpartition("_")
         title = (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and value and not any(isinstance(entry, Mapping) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
             yield title, ", ".join(f"{key} {_number(number)}" for key, number in ordered)
-        elif value is not None and not isinstance(value, list | tuple | str):
+        elif value is not None and not isinstance(value, Mapping | list | tuple | str):
             yield title, _number(value)
 
 

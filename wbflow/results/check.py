@@ -13,10 +13,12 @@ from typing import Literal
 from ..config.site import Site
 from ..errors import ExitCode
 from ..graph.exports import DECODE
-from ..graph.pipeline import SITE_TYPES, SiteValue
+from ..graph.pipeline import SITE_TYPES
+from ..graph.rows import SiteValue
 from ..night.captures import CaptureFile, expected
 from ..night.night import Night, open_night
 from ..store.layout import WorkFolder
+from ..store.outside import read_outside
 from ..store.run_folder import NoSuchRun, RunFolder
 from .artifacts import function
 
@@ -88,11 +90,11 @@ def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
     import numpy as np
 
     if not file.digest:
-        return (0, 0), f"{file.name} cannot be read"
+        return (0, 0), f"{file.name} {file.fault}"
     try:
-        capture = function(SITE_TYPES[SiteValue.CAPTURES])(file.name, np.fromfile(file.path, dtype=np.uint8))
+        capture = function(SITE_TYPES[SiteValue.CAPTURES])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
         image = function(DECODE)(capture)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         return (0, 0), str(error)
     return (image.shape[1], image.shape[0]), None
 

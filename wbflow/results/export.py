@@ -10,7 +10,8 @@ from typing import Any
 
 from ..errors import ExitCode, WbflowError
 from ..graph.exports import EXPORTS, Export
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..store.atomic import write_atomic
 from .artifacts import FinishedRun, function
 

@@ -9,7 +9,8 @@ from ..config.load import load_site
 from ..config.site import Site
 from ..errors import UsageError
 from ..graph.exports import PAIR_FILES, PAIR_RESULTS
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..store.atomic import write_atomic
 from .artifacts import FinishedRun, function
 

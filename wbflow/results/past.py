@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 from ..config.site import Measure, Site
 from ..graph.binding import bind
-from ..graph.pipeline import STAGES, Role, stage_with
+from ..graph.pipeline import STAGES, stage_with
+from ..graph.rows import Role
 from ..store.layout import WorkFolder
 from ..store.record import CameraRecord, RunRecord, Usual
 from ..store.run_folder import NoSuchRun, RunFolder
@@ -99,6 +101,12 @@ def figures_of(record: RunRecord) -> dict[str, float]:
     found: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
     if record.pairs:
         found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
+    for stage in STAGES if record.poses and record.poses.metric else ():  # else each night has units of its own
+        told = record.later.get(stage.name) or {}
+        wanted = stage.reports.expects if stage.reports else ()
+        factors = [float(factor) for name in wanted if isinstance(factor := told.get(name), int | float)]
+        if wanted and len(factors) == len(wanted):
+            found[stage.name] = math.prod(factors)
     return found
 
 

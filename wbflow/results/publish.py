@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
 
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.journal import Costs, Journal
 from ..night.night import Night
 from ..night.plan import Plan
@@ -66,9 +67,9 @@ def publish(
         unfinished.write(name, data)
     seconds = costs.seconds(own_process)
     record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
+    record = replace(record, later=told_beside(night.plan, beside))
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
-    told_too = told_beside(night.plan, beside)
-    record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files, later=told_too)
+    record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(work, record, journal, cameras or {})
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})

@@ -10,8 +10,10 @@ from typing import Any
 
 from .. import __version__
 from ..errors import ExitCode
-from ..graph.pipeline import STAGES, Reports, Role, Stage, WorldReports, stage_with
+from ..graph.pipeline import STAGES, stage_with
+from ..graph.rows import Reports, Role, Stage, WorldReports
 from ..night.plan import Plan
+from ..night.staleness import by_picture
 from ..night.state import Cause, State
 from ..store.layout import cloud_name
 from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
@@ -127,6 +129,8 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
         record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
         if camera in solved.get(world.lost_cameras, {}):
             record = replace(record, outcome="unsolved", reason=solved[world.lost_cameras][camera], code=Cause.UNSOLVED)
+    if (record.health is None or record.health.ok) and (stale := by_picture(record.figures, plan.night)):
+        record = replace(record, health=stale)
     return record
 
 

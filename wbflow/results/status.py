@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.spec import TaskSpec
 from ..store.cache import Preimage, Receipt
 from ..task import Task
+
+_MOST_NAMED = 3
+"""So many of the inputs that have changed are named."""
 
 
 @dataclass(frozen=True)
@@ -21,19 +27,51 @@ class Line:
     """Cached, rejected, failed, skipped, would run, or waits."""
     why: str
     """In words."""
+    seconds: float | None = None
+    """CPU time that it will take, by its last run or by the others of its stage; None where it won't run, or nobody knows."""
 
 
 def explain(plan: Plan) -> list[Line]:
     """A line for every task that is known of, in the order of the pipeline."""
-    lines = {}
+    lines: dict[Task, Line] = {}
+    costs = _Costs(plan)
     for task, state in plan.states.items():
         lines[task] = Line(str(task), state.outcome, state.reason or "")
     for task, spec in plan.ready.items():
-        lines[task] = Line(str(task), "would run", _why(plan, spec))
+        lines[task] = Line(str(task), "would run", _why(plan, spec), costs.of(task))
     for task in plan.waiting:
-        lines[task] = Line(str(task), "would run", _pending(plan, task))
+        lines[task] = Line(str(task), "would run", _pending(plan, task), costs.of(task))
     order = {stage.name: i for i, stage in enumerate(plan.stages())}
     return [lines[task] for task in sorted(lines, key=lambda t: order[t.stage])]
+
+
+def totals(lines: Iterable[Line]) -> dict[str, int]:
+    """How many tasks are in each state."""
+    return dict(Counter(line.state for line in lines))
+
+
+def seconds_to_come(lines: Iterable[Line]) -> float | None:
+    """CPU time of all that would run, as far as is known; None where nothing is."""
+    known = [line.seconds for line in lines if line.seconds is not None]
+    return sum(known) if known else None
+
+
+class _Costs:
+    """What tasks have cost the last time."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._of_stage: dict[str, list[float]] = {}
+        for task, state in plan.states.items():
+            if state.receipt:
+                self._of_stage.setdefault(task.stage, []).append(state.receipt.cpu)
+
+    def of(self, task: Task) -> float | None:
+        """CPU seconds: its own last ones, else what others of its stage take; None where nobody knows."""
+        if last := self._plan.cache.newest(task):
+            return last.cpu
+        others = self._of_stage.get(task.stage)
+        return sum(others) / len(others) if others else None
 
 
 def pairs_to_come(plan: Plan) -> bool:
@@ -77,5 +115,7 @@ def difference(last: Receipt, now: Preimage) -> str:
     if len(changed) == 1:
         found.append(f"input {changed[0]} changed")
     elif changed:
-        found.append(f"{len(changed)} of {len(now.inputs)} inputs changed")
+        named = ", ".join(changed[:_MOST_NAMED])
+        more = ", ..." if len(changed) > _MOST_NAMED else ""
+        found.append(f"{len(changed)} of {len(now.inputs)} inputs changed: {named}{more}")
     return "; ".join(found)

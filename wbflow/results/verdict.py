@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 from ..config.site import Expected, Measure
 from ..errors import ExitCode
-from ..graph.pipeline import Role, stage_with
+from ..graph.pipeline import stage_with
+from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
@@ -27,6 +28,9 @@ FOUND_SHARE = 0.25
 """A camera of whose pairs fewer than this share of the usual share find common points shows something else."""
 SHARP_SHARE = 0.4
 """A picture with less than this share of its usual sharpness is out of focus, or behind drops or dirt."""
+MOST_LETTERS = 200
+"""A reason has at most so many letters in a finding."""
+
 _BACK = "it is used again by itself as soon as its captures are"
 
 
@@ -39,12 +43,15 @@ class Facts:
     product: bool = True
     """Was a cloud asked for?"""
     interrupted: bool = False
+    stopped: tuple[State, ...] = ()
+    """Of tasks that were not begun since the time was over."""
 
     @staticmethod
     def of(plan: Plan, interrupted: bool) -> Facts:
         """Those of a plan that is settled."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
-        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted)
+        stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
+        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted, stopped)
 
 
 def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunRecord:
@@ -106,10 +113,14 @@ def exit_code(verdict: Verdict, interrupted: bool = False) -> ExitCode:
 
 
 def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+    if facts.stopped:
+        text = f"{facts.stopped[0].reason}: {len(facts.stopped)} tasks were not done"
+        remedy = "run it again without --stop-at: it goes on from there; begin earlier, or lower `resolution`"
+        yield Finding("stopped", (), text, {"tasks": len(facts.stopped)}, remedy=remedy)
     if facts.interrupted:
         yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
     elif facts.product and not record.cloud:
-        yield Finding("no-cloud", (), f"no cloud: {record.reason or 'nothing says why'}")
+        yield Finding("no-cloud", (), f"no cloud: {shortened(record.reason or 'nothing says why')}")
 
 
 def _of_cameras(record: RunRecord) -> Iterator[Finding]:
@@ -124,12 +135,14 @@ def _of_cameras(record: RunRecord) -> Iterator[Finding]:
 def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
     """What is wrong with a camera tonight: the first thing that is."""
     subject, pairs = (camera.id,), [pair for pair in record.pairs if camera.id in (pair.left, pair.right)]
+    if (health := camera.health) and not health.ok:
+        text = health.text if camera.ok else f"{shortened(health.text)}; left out tonight"
+        remedy = health.remedy or _remedy_of_lost(camera)
+        return Finding(f"camera-{health.state}", subject, text, health.figures, health.expected, remedy)
     if not camera.ok:
         kind = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
-        text = f"{camera.reason or camera.outcome}; left out tonight"
+        text = f"{shortened(camera.reason or camera.outcome)}; left out tonight"
         return Finding(kind, subject, text, remedy=_remedy_of_lost(camera))
-    if (health := camera.health) and not health.ok:
-        return Finding(f"camera-{health.state}", subject, health.text, health.figures, health.expected, health.remedy)
     if record.poses and camera.id in record.poses.suspects:
         remedy = "look at it; calibrate it anew if it has been moved"
         return Finding("camera-moved", subject, record.poses.suspects[camera.id], remedy=remedy)
@@ -163,7 +176,8 @@ def _of_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         task, state = tasks[0]
         more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
         remedy = "wbflow run -v SITE.yaml  shows where" if code == Cause.FAULT else ""
-        yield Finding("task-failed", task.subject, f"{task} failed: {state.reason}{more}", {"tasks": len(tasks)}, remedy=remedy)
+        text = f"{task} failed: {shortened(state.reason or '')}{more}"
+        yield Finding("task-failed", task.subject, text, {"tasks": len(tasks)}, remedy=remedy)
 
 
 def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator[Finding]:
@@ -172,17 +186,18 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
         return
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
+    units: dict[str, str] = {Measure.COVERAGE: "m² seen by two cameras"}
     for name, value in figures.items():
-        limit = expected.limit(name)
+        limit, unit = expected.limit(name), units.get(name, name)
         base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)
         if limit > 1:
             if value < limit:
-                yield _fewer(name, value, limit, f"{value:,.0f} {name}, at least {limit:,.0f} are expected")
+                yield _fewer(name, value, limit, f"{value:,.0f} {unit}, at least {limit:,.0f} are expected")
         elif name == Measure.CAMERAS:
             continue  # each one that is lost is a finding of its own
         elif base is not None and value < limit * base:
             whose = "the reference's" if usual.reference else "the usual"
-            yield _fewer(name, value, base, f"{value:,.0f} {name}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
+            yield _fewer(name, value, base, f"{value:,.0f} {unit}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
         elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
             why = _most_common([pair for pair in record.pairs if not pair.ok])
             planned = float(len(record.pairs))
@@ -190,7 +205,8 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
 
 
 def _fewer(name: str, value: float, base: float, text: str) -> Finding:
-    remedy = "wbflow compare  shows what differs; if this is usual from now on, say so: expect: {since: DATE} in the site file"
+    compare = "wbflow compare SITE.yaml  shows what differs"
+    remedy = f"{compare}; if this is usual from now on, say so in the site file: expect: {{since: DATE}}"
     return Finding(f"fewer-{name}", (), text, {name: round(value)}, {name: round(base)}, remedy)
 
 
@@ -265,4 +281,9 @@ def _with_down(camera: CameraRecord, record: RunRecord, past: Past) -> CameraRec
 
 
 def _most_common(pairs: Iterable[PairRecord]) -> str:
-    return Counter(str(pair.reason) for pair in pairs).most_common(1)[0][0]
+    return shortened(Counter(str(pair.reason) for pair in pairs).most_common(1)[0][0])
+
+
+def shortened(reason: str) -> str:
+    """A reason of bounded length: stages may say a lot, and name every file; the record of the camera, pair or task has all."""
+    return reason if len(reason) <= MOST_LETTERS else f"{reason[: MOST_LETTERS - 3]}..."

@@ -168,6 +168,11 @@ class WorkFolder:
         return self.cache / "captures.json"
 
     @property
+    def seen_memo(self) -> Path:
+        """Digests of what cameras have delivered in earlier nights."""
+        return self.root / "delivered.json"
+
+    @property
     def functions_memo(self) -> Path:
         """What was read of the stages' functions, remembered from run to run."""
         return self.cache / "functions.json"
@@ -260,13 +265,14 @@ class WorkFolder:
         """
         killed = self._writing.exists()
         if killed:
-            for path in self.cache.rglob(f".*{_UNFINISHED}"):
-                path.unlink(missing_ok=True)
-            for path in self.runs.glob(f".*{_UNFINISHED}"):
+            for folder in (self.cache, self.reference):
+                for path in folder.rglob(f".*{_UNFINISHED}"):
+                    path.unlink(missing_ok=True)
+            for path in [*self.runs.glob(f".*{_UNFINISHED}"), *self.runs.glob(f"*/.*{_UNFINISHED}")]:
                 if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
                     shutil.rmtree(path)
                 else:
-                    path.unlink()
+                    path.unlink(missing_ok=True)  # it may have been found by way of a link, too
         self._writing.parent.mkdir(parents=True, exist_ok=True)
         self._writing.touch()
         return killed

@@ -72,6 +72,16 @@ def open_outside(path: Path, most: int = MOST_CAPTURE_BYTES) -> int:
     return descriptor
 
 
+def is_file(path: Path) -> bool:
+    """Is there a regular file?  Never raises, whatever the path is like."""
+    return os.path.isfile(path)  # noqa: PTH113  (Path.is_file raises for names that are too long)
+
+
+def is_folder(path: Path) -> bool:
+    """Is there a folder?  Never raises."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
 def find_outside(pattern: str) -> Iterator[str]:
     """Names of what a pattern finds, as `glob` does (`*`, `?`, `[...]`, and `**` for folders in folders; nothing hidden), but
     through each folder once only, however many links lead to it.

@@ -7,7 +7,6 @@ reference or the new one.  No night writes here.
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -20,6 +19,9 @@ from .artifact import file_digest
 from .atomic import link_atomic, sync_folder, write_atomic
 from .cache import Cache, Receipt
 from .layout import WorkFolder
+from .signed import Damaged, read_signed, signed
+
+_OF = "reference"
 
 
 class BadReference(WbflowError):
@@ -108,10 +110,11 @@ def read_reference(work: WorkFolder) -> Reference | None:
         Its record is damaged.
     """
     try:
-        return Reference.from_json(json.loads(work.reference_record.read_bytes()))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        told = read_signed(work.reference_record, _OF)
+        return Reference.from_json(told) if told else None
+    except Damaged as damage:
+        raise BadReference(damage.what, remedy="wbflow pin SITE.yaml  makes it anew, from the last good run") from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         what = f"{work.reference_record} cannot be read: {type(error).__name__}: {error}"
         raise BadReference(what, remedy="wbflow pin SITE.yaml  makes it anew, from the last good run") from None
 
@@ -141,7 +144,7 @@ def write_reference(work: WorkFolder, reference: Reference, receipts: Iterable[R
             kept.add(copy)
     for folder in {path.parent for path in kept if path.parent.is_dir()}:
         sync_folder(folder)
-    write_atomic(work.reference_record, json.dumps(reference.to_json(), indent=1).encode())
+    write_atomic(work.reference_record, signed(_OF, reference.to_json(), indent=1))
     for path in work.reference.rglob("*"):
         if path.is_file() and path not in kept:
             path.unlink()

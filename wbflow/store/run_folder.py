@@ -155,7 +155,7 @@ class RunFolder:
 
     def write_report(self, page: str) -> Path:
         """Put a report in the place of the one that is there."""
-        write_atomic(self.paths.report, page.encode())
+        write_atomic(self.paths.report, page.encode(errors="backslashreplace"))
         return self.paths.report
 
 
@@ -202,8 +202,8 @@ class UnfinishedRun:
         """
         write_atomic(self._paths.log, _lines(events))
         write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
-        write_atomic(self._paths.report, report.encode())
-        write_atomic(self._paths.metrics, metrics.encode())
+        write_atomic(self._paths.report, report.encode(errors="backslashreplace"))
+        write_atomic(self._paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self._paths.folder.rename(final.folder)
         sync_folder(self.work.runs)

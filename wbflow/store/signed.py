@@ -67,18 +67,23 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
 
 
 def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: bool = True) -> None:
-    """Put a signed file into its place (see `write_atomic`).  Raises OSError.
+    """Put a signed file into its place.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Where.
     of : str
         What it belongs to.
     content : mapping
-        Entries.
+        Its entries (see `signed`).
     settle : bool
-        Wait until it is on disk.
+        See `write_atomic`.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
     """
     write_atomic(path, signed(of, content), settle=settle)
 

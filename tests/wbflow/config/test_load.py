@@ -47,6 +47,18 @@ def test_a_folder_stands_for_the_site_file_in_it(tmp_path: Path) -> None:
     assert load_site(tmp_path).name == "yard"
 
 
+def test_zones_are_polygons_with_a_name(tmp_path: Path) -> None:
+    zones = "zones: [{name: quay, polygon: [[0, 0], [20, 0], [20, 8]], least_m: 0.5}]\n"
+    site = load_site(site_at(tmp_path, GOOD + zones))
+    assert site.zones == [{"name": "quay", "polygon": [[0, 0], [20, 0], [20, 8]], "least_m": 0.5}]
+    assert load_site(site_at(tmp_path)).zones is None
+    (found,) = problems(tmp_path, GOOD + "zones: [{name: quay, polygon: [[0, 0], [20, 0]]}]\n")
+    assert "zones[0].polygon" in found
+    assert "three corners" in found
+    (found,) = problems(tmp_path, GOOD + zones.replace("least_m", "last_m"))
+    assert "did you mean 'least_m'?" in found
+
+
 def test_unquoted_numbers_are_camera_ids_as_written(tmp_path: Path) -> None:
     text = GOOD.replace("- gate", "- 0000").replace("cameras:", "pairs: {include: [[0000, roof]]}\ncameras:")
     site = load_site(site_at(tmp_path, text))

@@ -10,7 +10,7 @@ import pytest
 from wbflow.config.load import Site, load_site
 from wbflow.config.positions import SiteError
 from wbflow.graph import pipeline
-from wbflow.graph.pipeline import Renamed
+from wbflow.graph.rows import Renamed
 
 SITE = """\
 site: yard

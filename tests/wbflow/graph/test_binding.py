@@ -9,7 +9,7 @@ import pytest
 from wbflow.graph.binding import Binding, bind, method_parameters
 from wbflow.graph.functions import FunctionReader
 from wbflow.graph.modules import FunctionError
-from wbflow.graph.pipeline import FromStage, Method, Stage
+from wbflow.graph.rows import FromStage, Method, Stage
 
 STAGE = '''\
 METHODS = {"plain": "beside:plain", "rich": "beside:rich"}

@@ -11,7 +11,8 @@ from click.testing import CliRunner
 from wbflow.cli import main
 from wbflow.graph.describe import describe
 from wbflow.graph.functions import FunctionReader
-from wbflow.graph.pipeline import STAGES, Role, Stage, stage_with
+from wbflow.graph.pipeline import STAGES, stage_with
+from wbflow.graph.rows import Role, Stage
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)

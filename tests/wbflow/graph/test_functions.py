@@ -79,7 +79,7 @@ def test_every_stage_function_takes_what_the_table_gives_it(stage: object) -> No
     import importlib
     import inspect
 
-    from wbflow.graph.pipeline import Stage
+    from wbflow.graph.rows import Stage
 
     assert isinstance(stage, Stage)
     module, _, name = stage.function.partition(":")

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from wbflow.config.load import Site, load_site
-from wbflow.night.captures import find_captures, night
+from wbflow.errors import UsageError
+from wbflow.night.captures import backlog, find_captures, night
 from wbflow.store.digests import Digests
 
 
@@ -19,7 +20,7 @@ def site(folder: Path, pattern: str, files: list[str], cameras: str = "[gate, ro
         file = folder / "in" / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(name)
-    (folder / "in").mkdir(exist_ok=True)
+    (folder / "in").mkdir(parents=True, exist_ok=True)
     (folder / "site.yaml").write_text(f"site: s\ncaptures: {{root: in, pattern: '{pattern}'}}\ncameras: {cameras}\n")
     return load_site(folder)
 
@@ -77,6 +78,30 @@ def test_digests_are_remembered_for_settled_files_only(tmp_path: Path) -> None:
     assert digests.of(file) != first, "changed within the resolution of its time stamp"
     digests.save()
     assert not (tmp_path / "memo.json").exists(), "too young to be remembered"
+
+
+def test_times_in_names_give_the_order_and_must_be_times(tmp_path: Path) -> None:
+    files = [f"gate/2026-11-19/{i}_{t}.jpg" for i, t in ((1, "235501"), (2, "071500"), (3, "235459"), (4, "999999"))]
+    s = site(tmp_path, "{camera}/{date:%Y-%m-%d}/*_{time:%H%M%S}.jpg", files)
+    assert [Path(name).name for name in names(s)["gate"]] == ["4_999999.jpg", "2_071500.jpg", "3_235459.jpg", "1_235501.jpg"]
+
+
+def test_a_name_of_days_to_come_does_not_make_the_night(tmp_path: Path) -> None:
+    today = datetime.date.today()
+    s = site(tmp_path, "{camera}_{date}.jpg", [f"gate_{today - datetime.timedelta(days=2)}.jpg", "roof_2199-01-01.jpg"])
+    assert night(s, None) == today - datetime.timedelta(days=2)
+    alone = site(tmp_path / "other", "{camera}_{date}.jpg", ["roof_2199-01-01.jpg"])
+    assert night(alone, None) == datetime.date(2199, 1, 1)
+
+
+def test_a_backlog_is_the_nights_that_have_captures_in_order(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}_{date}.jpg", ["gate_2026-11-12.jpg", "gate_2026-11-10.jpg", "roof_2026-11-11.jpg"])
+    since = datetime.date(2026, 11, 11)
+    assert backlog(s, since) == [since, datetime.date(2026, 11, 12)]
+    with pytest.raises(UsageError, match="no captures since"):
+        backlog(s, datetime.date(2026, 11, 13))
+    with pytest.raises(UsageError, match=r"needs \{date\}"):
+        backlog(site(tmp_path / "other", "{camera}.jpg", []), since)
 
 
 def test_what_was_remembered_of_a_replaced_file_is_not_believed(tmp_path: Path) -> None:

@@ -21,10 +21,11 @@ def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
     import dataclasses
 
     from wbflow.graph import pipeline
+    from wbflow.graph.rows import Role
 
     module = toy.folder / "painter.py"
     module.write_text(ORIGINAL)
-    stage = pipeline.stage_with(pipeline.Role.GEOMETRY)
+    stage = pipeline.stage_with(Role.GEOMETRY)
     assert stage.picture
     mine = dataclasses.replace(stage, picture=dataclasses.replace(stage.picture, function="painter:show"))
     rows = tuple(mine if row is stage else row for row in pipeline.STAGES)

@@ -13,9 +13,8 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.errors import UsageError
 from wbflow.night import limits
-from wbflow.night.limits import Limits, bytes_of
+from wbflow.night.limits import Limits
 from wbflow.store.past import Past
 from wbflow.task import Task
 
@@ -145,14 +144,7 @@ def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
     assert Limits(seconds=5.0, past=past).seconds_for(Task("slow")) == 5
 
 
-@pytest.mark.parametrize(
-    ("text", "size"), [("4GB", 4e9), ("1.5g", 1.5e9), ("800 MB", 8e8), ("2GiB", 2 * 1024**3), ("4096", 4096)]
-)
-def test_sizes_as_people_write_them(text: str, size: float) -> None:
-    assert bytes_of(text) == size
-
-
-@pytest.mark.parametrize("text", ["", "0GB", "4 apples", "-1GB"])
-def test_what_is_no_size_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="is no size"):
-        bytes_of(text)
+def test_a_limit_of_memory_that_is_no_size_is_refused(toy: ToySite) -> None:
+    result = toy.wbflow("run", "--memory", "4 apples")
+    assert result.returncode == 2
+    assert "--memory: '4 apples' is no size" in result.stderr

@@ -210,6 +210,21 @@ def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
     assert only(record).remedy == "look at its recorder"
 
 
+def test_a_camera_that_is_left_out_for_its_health_is_called_by_it() -> None:
+    blind = replace(lost("roof"), outcome="skipped", health=Health("blind", "98 % of the picture show nothing"))
+    finding = verdict_of(night(cameras=[*map(camera, NAMES[:3]), blind], pairs=without("roof"))).findings[0]
+    assert (finding.kind, finding.text) == ("camera-blind", "98 % of the picture show nothing; left out tonight")
+
+
+def test_a_reason_that_names_every_file_is_cut() -> None:
+    reason = "; ".join(f"roof_{number}.jpg is empty (0 bytes)" for number in range(99))
+    cameras = [*map(camera, NAMES[:3]), replace(lost("roof"), reason=reason)]
+    record = night(cameras=cameras, pairs=without("roof"))
+    assert verdict_of(record).findings[0].text.endswith("...; left out tonight")
+    assert len(verdict_of(record).findings[0].text) < 250
+    assert record.cameras[3].reason == reason
+
+
 def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
     world = WorldRecord({"suspects": {"mast": "seems to be turned by 3.1 degrees. Has it been moved?"}})
     record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
@@ -238,6 +253,15 @@ def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
     record = night(points=0, facts=Facts(interrupted=True))
     assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
     assert Past((record,)).usual("as ever") is None
+
+
+def test_less_of_the_ground_than_usual() -> None:
+    seen = [
+        replace(night(date), poses=WorldRecord({"metric": True}), later={"coverage": {"area_m2": 400.0, "seen_by_two": share}})
+        for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
+    ]
+    record = judge(replace(seen[1], usual=Past((seen[0],)).usual("as ever")), Facts(), Past(), Expected())
+    assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
 
 
 def test_usual_is_the_median() -> None:

@@ -58,7 +58,9 @@ def test_a_disk_that_fills_up_on_the_way_loses_nothing_that_is_finished(toy: Toy
 
         from wbflow.cli import main
 
-        result = CliRunner().invoke(main, ["run", str(fresh.file), "--jobs", "1", "-q"], env=fresh.env())
+        result = CliRunner().invoke(
+            main, ["run", str(fresh.file), "--backend", "threading", "--jobs", "1", "-q"], env=fresh.env()
+        )
     assert result.exit_code == 1
     assert "the disk is full" in result.output
     record = fresh.run()

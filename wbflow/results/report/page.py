@@ -8,7 +8,8 @@ from html import escape
 from typing import Any
 
 from ...config.site import Measure
-from ...graph.pipeline import STAGES, Role, stage_with
+from ...graph.pipeline import STAGES, stage_with
+from ...graph.rows import Role
 from ...store.events import Event, TaskEvent, WarningEvent
 from ...store.layout import WorkFolder
 from ...store.record import RunRecord

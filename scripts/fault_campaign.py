@@ -1,0 +1,53 @@
+#!/usr/bin/env python
+"""Everything that can happen to a night at 3 a.m., on stages that take no time: a table of tries and losses.
+
+    scripts/fault_campaign.py [--reduced] [--only NAME] [--json FILE] [--seed N]
+
+Kills at file operations, worker deaths, damage to every sort of file, receipts exchanged, full disks, overlapping runs, clocks,
+signals.  After each, a plain `wbflow run` has to give the cloud that an undisturbed run gives, with the right exit code, without
+anybody's help, and without doing again what was finished.  Exit code 1 if anything was lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts"), str(ROOT / "tests" / "helpers")]
+
+from faults import CAMPAIGN, Bench, Row  # noqa: E402
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reduced", action="store_true", help="a few of each: under three minutes")
+    parser.add_argument("--only", action="append", metavar="NAME", help=f"of {', '.join(CAMPAIGN)}")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    rows = []
+    memory = Path("/dev/shm")  # where syncing costs nothing: what is tried is the order of operations, not the disk
+    with tempfile.TemporaryDirectory(prefix="wbflow-faults-", dir=memory if memory.is_dir() else None) as folder:
+        bench = Bench(Path(folder), options.seed)
+        print(f"{Row.HEAD}", flush=True)
+        for name, fault in CAMPAIGN.items():
+            if options.only and name not in options.only:
+                continue
+            began = time.monotonic()
+            row = fault(bench, options.reduced)
+            rows.append(row)
+            print(f"{row}   {time.monotonic() - began:6.0f} s", flush=True)
+    if options.json:
+        options.json.write_text(json.dumps([row.to_json() for row in rows], indent=1))
+    sys.exit(any(row.losses for row in rows))
+
+
+if __name__ == "__main__":
+    main()

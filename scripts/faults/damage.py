@@ -1,0 +1,162 @@
+"""Files that are not as they were written: every sort of file of the work folder, damaged, cut, lost, exchanged."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.helpers.toy_site import ToySite
+
+from .bench import Bench, Row, set_parameters
+
+OTHER = {"disparity": {"tolerance": 2.0}}
+"""With it, the readers of most artifacts have work to do."""
+
+SORTS = {
+    "receipt": "cache/*/*/*.json",
+    "artifact": "cache/*/*/*.wbf",
+    "cloud in the cache": "cache/*/*/*.ply",
+    "picture": "cache/*/*/*.jpg",
+    "drawn": "cache/*/*/*.drawn",
+    "published": "cache/*/*/*.published",
+    "captures memo": "cache/captures.json",
+    "functions memo": "cache/functions.json",
+    "ledger": "ledger.sqlite*",
+    "lock": "lock",
+    "run.json": "runs/*/run.json",
+    "log": "runs/*/log.jsonl",
+    "cameras": "runs/*/cameras.json",
+    "report": "runs/*/report.html",
+    "published cloud": "runs/*/*.ply",
+    "reference": "reference/**/*.*",
+}
+"""Every sort of file, by where it lies."""
+
+
+def damage(bench: Bench, reduced: bool) -> Row:
+    """One file, in one way; then the same night, and one whose tasks read what is there."""
+    row = Row("damaged file")
+    made = _three_nights(bench)
+    tries = 1 if reduced else 20
+    for k in range(tries):
+        for sort, pattern in SORTS.items():
+            files = sorted(path for path in made.work.glob(pattern) if path.is_file() and "latest" not in str(path))
+            if not files:
+                continue
+            ways = list(WAYS) if sort != "lock" else ["garbage", "emptied"]
+            way = ways[(k + len(sort)) % len(ways)]
+            file = bench.random.choice(files)
+            what = f"{sort} {way}: {file.relative_to(made.work)}"
+            twin = bench.copy(made)
+            victim = twin.work / file.relative_to(made.work)
+            victim.chmod(0o644)
+            WAYS[way](bench, victim)
+            _still_right(bench, row, twin, what)
+    return row
+
+
+def exchanges(bench: Bench, reduced: bool) -> Row:
+    """Two files of one sort in each other's place, whole and signed as they are."""
+    row = Row("files exchanged")
+    made = _three_nights(bench)
+    sorts = ("receipt", "artifact", "drawn", "picture", "run.json", "published")
+    for _ in range(1 if reduced else 15):
+        for sort in sorts:
+            files = [path for path in made.work.glob(SORTS[sort]) if "latest" not in str(path)]
+            stages = {path.parts[-3] for path in files if len([f for f in files if f.parts[-3] == path.parts[-3]]) > 1}
+            stage = bench.random.choice(sorted(stages))
+            one, other = bench.random.sample(sorted(path for path in files if path.parts[-3] == stage), 2)
+            twin = bench.copy(made)
+            a, b = (twin.work / path.relative_to(made.work) for path in (one, other))
+            if sort == "artifact" and bench.random.random() < 0.5:  # with their receipts
+                _exchange(a.with_suffix(".json"), b.with_suffix(".json"))
+            _exchange(a, b)
+            _still_right(bench, row, twin, f"{sort}: {one.relative_to(made.work)} and {other.relative_to(made.work)}")
+    for name in ("captures.json", "functions.json"):  # those of another night
+        twin, old = bench.copy(made), bench.site(2)
+        bench.night(old, "another")
+        bench.run(old)
+        shutil.copyfile(old.work / "cache" / name, twin.work / "cache" / name)
+        _still_right(bench, row, twin, f"{name} of another work folder")
+        bench.discard(old)
+    return row
+
+
+def _three_nights(bench: Bench) -> ToySite:
+    toy = bench.site(2)
+    for view in ("two", "three", "one"):
+        bench.night(toy, view)
+        bench.run(toy)
+    bench.run(toy, command="pin")
+    return toy
+
+
+def _still_right(bench: Bench, row: Row, toy: ToySite, what: str) -> None:
+    row.tries += 1
+    bench.recovered(row, toy, bench.cloud(2, "one"), what)
+    set_parameters(toy, **OTHER)
+    bench.recovered(row, toy, bench.cloud(2, "one", **OTHER), f"{what}, and other parameters")
+    bench.night(toy, "three")
+    bench.recovered(row, toy, bench.cloud(2, "three", **OTHER), f"{what}, and an earlier night's captures")
+    for command in ("history", "status") if row.tries % 5 == 0 else ():
+        bench.sane(row, bench.run(toy, command=command), f"{what}: {command}", {0})
+    bench.discard(toy)
+
+
+def _flip(bench: Bench, path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    if data:
+        data[bench.random.randrange(len(data))] ^= 1 << bench.random.randrange(8)
+    path.write_bytes(data)
+
+
+def _digit(bench: Bench, path: Path) -> None:
+    """A digit becomes another one: what is read as JSON stays JSON."""
+    data = bytearray(path.read_bytes())
+    digits = [i for i, byte in enumerate(data) if 48 <= byte < 58]
+    if not digits:
+        return _flip(bench, path)
+    place = bench.random.choice(digits)
+    data[place] = 48 + (data[place] - 48 + 1 + bench.random.randrange(9)) % 10
+    path.write_bytes(data)
+    return None
+
+
+def _cut(bench: Bench, path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: bench.random.randrange(max(path.stat().st_size, 1))])
+
+
+def _zeros(bench: Bench, path: Path) -> None:
+    """A block of zeros, as after a power cut on some file systems."""
+    data = bytearray(path.read_bytes())
+    start = bench.random.randrange(max(len(data), 1))
+    data[start : start + 512] = bytes(len(data[start : start + 512]))
+    path.write_bytes(data)
+
+
+def _longer(bench: Bench, path: Path) -> None:
+    path.write_bytes(path.read_bytes() + bench.random.randbytes(100))
+
+
+WAYS: dict[str, Callable[[Bench, Path], None]] = {
+    "bit flipped": _flip,
+    "digit changed": _digit,
+    "cut short": _cut,
+    "zeros in it": _zeros,
+    "longer": _longer,
+    "garbage": lambda bench, path: _put(path, bench.random.randbytes(300)),
+    "emptied": lambda bench, path: _put(path, b""),
+    "removed": lambda bench, path: path.unlink(),
+}
+
+
+def _put(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    a, b = one.read_bytes(), other.read_bytes()
+    for path, data in ((one, b), (other, a)):
+        path.chmod(0o644)
+        path.write_bytes(data)

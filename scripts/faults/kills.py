@@ -1,0 +1,178 @@
+"""Processes that are killed: the run at each of its operations on files, its workers in each stage, the parent alone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tests.helpers.toy_site import STAGES, ToySite
+
+from .bench import Bench, Row, Strike
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A run that is to be struck."""
+
+    name: str
+    toy: ToySite
+    """As it stands before."""
+    cloud: bytes
+    arguments: tuple[str, ...] = ()
+    command: str = "run"
+
+
+def first_night(bench: Bench) -> Scene:
+    """Everything is to be done."""
+    toy = bench.site()
+    bench.night(toy, "one")
+    return Scene("first night", toy, bench.cloud(2, "one"))
+
+
+def nothing_to_do(bench: Bench) -> Scene:
+    """The same night again."""
+    scene = first_night(bench)
+    bench.run(scene.toy)
+    return replace(scene, name="nothing to do")
+
+
+def next_night(bench: Bench) -> Scene:
+    """Other captures, and the night before is not to be kept."""
+    toy = bench.site(keep={"nights": 1, "clouds": 1, "reports": 1})
+    bench.night(toy, "one")
+    bench.run(toy, "--date", "2026-11-01")
+    bench.night(toy, "two")
+    return Scene("next night, keep: 1", toy, bench.cloud(2, "two"), ("--date", "2026-11-02"))
+
+
+def pinning(bench: Bench) -> Scene:
+    """Another run becomes the reference."""
+    return replace(nothing_to_do(bench), name="pin", command="pin")
+
+
+def cleaning(bench: Bench) -> Scene:
+    """All goes but the newest of three nights."""
+    scene = nothing_to_do(bench)
+    for view in ("two", "one"):
+        bench.night(scene.toy, view)
+        bench.run(scene.toy)
+    return replace(scene, name="clean", command="clean", arguments=("--keep", "1", "--clouds", "1", "--reports", "1"))
+
+
+def kills_in(make: Callable[[Bench], Scene], together: int) -> Callable[[Bench, bool], Row]:
+    """The fault for a scene: the run and all its processes end right before each operation that writes.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the scene.
+    together : int
+        So many runs are killed one after the other before a plain run has to put everything right.
+    """
+
+    def kills(bench: Bench, reduced: bool) -> Row:
+        scene = make(bench)
+        row = Row(f"killed: {scene.name}")
+        twin = bench.copy(scene.toy)
+        count = bench.operations(twin, *scene.arguments, command=scene.command)
+        receipts = bench.receipts(twin)
+        bench.discard(twin)
+        points = list(range(1, count + 1))
+        bench.random.shuffle(points)
+        for start in range(0, 2 if reduced else count, together):
+            twin = bench.copy(scene.toy)
+            group = points[start : start + together]
+            what = f"operations {group} of {count}"
+            for at in group:
+                ended = bench.run(twin, *scene.arguments, strike=Strike(at), command=scene.command)
+                if ended.code == -signal.SIGKILL:
+                    row.tries += 1
+                else:  # the runs before had left it less to do
+                    bench.sane(row, ended, what, {0})
+            missing = len(receipts - bench.receipts(twin)) if scene.command == "run" else 0
+            bench.recovered(row, twin, scene.cloud, what, at_most=missing)
+            bench.discard(twin)
+        return row
+
+    return kills
+
+
+def parents(bench: Bench, reduced: bool) -> Row:
+    """A run of many processes: all of it, or its parent alone, at some moment; no worker lives on."""
+    row = Row("killed at a random moment")
+    cloud = bench.cloud(3, "one")
+    for k in range(2 if reduced else 40):
+        toy = bench.site(3)
+        bench.night(toy, "one")
+        toy.fault("slow", "0.05")
+        process = bench.start(toy, "--jobs", "2")
+        time.sleep(bench.random.uniform(0.3, 3.0))
+        alone = k % 2 == 1
+        (os.kill if alone else os.killpg)(process.pid, signal.SIGKILL)
+        process.wait()
+        row.tries += 1
+        what = f"{'parent alone' if alone else 'all processes'}, try {k}"
+        if alone and (left := _left(process.pid, 10.0)):
+            row.lost("hang", f"{what}: {left} workers live on")
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        (toy.folder / "faults" / "slow").unlink()
+        bench.recovered(row, toy, cloud, what)
+        bench.discard(toy)
+    return row
+
+
+def workers(bench: Bench, reduced: bool) -> Row:
+    """A worker kills itself in each stage, once or every time."""
+    row = Row("worker killed in a stage")
+    cloud = bench.cloud(2, "one")
+    for stage in list(STAGES)[:: 4 if reduced else 1]:
+        for k in range(1 if reduced else 6):
+            toy = bench.site(2)
+            bench.night(toy, "one")
+            fault = "die" if k % 3 == 2 else "once"
+            toy.fault(fault, stage)
+            what = f"{stage}, {'every time' if fault == 'die' else 'once'}"
+            row.tries += 1
+            _expect(row, what, bench.start(toy, "--jobs", "2", "-q"), {1, 3} if fault == "die" else {0})
+            (toy.folder / "faults" / fault).unlink(missing_ok=True)
+            bench.recovered(row, toy, cloud, what)
+            bench.discard(toy)
+    return row
+
+
+def _expect(row: Row, what: str, process: subprocess.Popen[str], codes: set[int]) -> None:
+    try:
+        said = process.communicate(timeout=120)[1]
+    except subprocess.TimeoutExpired:
+        row.lost("hang", what)
+        os.killpg(process.pid, signal.SIGKILL)
+        return
+    if process.returncode not in codes:
+        row.lost("wrong exit", f"{what}: {process.returncode}: {said[-300:]}")
+    if "Traceback" in said or "itself failed" in said:
+        row.lost("traceback", f"{what}: {said[-500:]}")
+
+
+def _left(session: int, seconds: float) -> int:
+    """Processes of a session that are still there after some seconds."""
+    end = time.monotonic() + seconds
+    while left := sum(_session(path) == session for path in Path("/proc").glob("[0-9]*/stat")):
+        if time.monotonic() > end:
+            return left
+        time.sleep(0.1)
+    return 0
+
+
+def _session(stat: Path) -> int:
+    try:
+        fields = stat.read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0
+    return int(fields[3]) if fields[0] != "Z" else 0

@@ -1,0 +1,62 @@
+"""Faults at file operations: counts those that write, in a process and all its children, and strikes at one of them.
+
+Nothing of this is in the product: the campaign arms it in the processes that it starts.
+"""
+
+from __future__ import annotations
+
+import builtins
+import errno
+import io
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+OPERATIONS = ("replace", "rename", "fsync", "unlink", "remove", "mkdir", "rmdir", "symlink", "link", "chmod", "utime")
+"""Functions of `os` that change what is on disk; opening for writing counts as well."""
+
+
+def arm(counter: Path, at: int, kind: str) -> None:
+    """From now on, count; at the operation number `at` (from 1), before it is done, strike.
+
+    Parameters
+    ----------
+    counter : Path
+        A file that grows by a byte with each operation.
+    at : int
+        Where to strike; 0: only count.
+    kind : str
+        kill: the whole process group, as if the power went.  full: from there on the disk has no room.
+    """
+    descriptor = os.open(counter, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    write, seek = os.write, os.lseek
+
+    def count(frees: bool = False) -> None:
+        write(descriptor, b".")
+        number = seek(descriptor, 0, os.SEEK_CUR)
+        if at and kind == "kill" and number == at:
+            os.killpg(0, signal.SIGKILL)
+        if at and kind == "full" and number >= at and not frees:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for name in OPERATIONS:
+        setattr(os, name, _counted(getattr(os, name), count, name in {"unlink", "remove", "rmdir"}))
+    opened = io.open
+
+    def open_counted(file: Any, mode: str = "r", *rest: Any, **named: Any) -> Any:
+        if not isinstance(file, int) and set(mode) & set("wax+"):
+            count()
+        return opened(file, mode, *rest, **named)
+
+    io.open = open_counted
+    builtins.open = open_counted
+
+
+def _counted(operation: Callable[..., Any], count: Callable[[bool], None], frees: bool) -> Callable[..., Any]:
+    def counted(*positional: Any, **named: Any) -> Any:
+        count(frees)
+        return operation(*positional, **named)
+
+    return counted

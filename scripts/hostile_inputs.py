@@ -1,0 +1,197 @@
+#!/usr/bin/env python3
+"""Site files, calibrations and captures that nobody means well with, and what becomes of them: refused by name, or used.
+
+    python scripts/hostile_inputs.py                      # everything: made-up files, 5,000 fuzzed ones, captures
+    python scripts/hostile_inputs.py --fuzz 200 --seed 3  # fewer fuzzed ones
+    python scripts/hostile_inputs.py --no-captures        # only what is loaded in this process: seconds
+
+A fault is a traceback, "wbflow itself failed", an exception that is no WbflowError, anything that takes longer than a minute
+(files: ten seconds), a made-up file that must be refused and is not, or one refused without a line and a column.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hostile_captures import GOOD, Hostile, capture_cases, lay
+from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
+
+from wbflow.config.load import load_site
+from wbflow.errors import ExitCode, WbflowError
+from wbflow.night.night import open_night
+
+FILE_SECONDS = 10.0
+CAPTURE_SECONDS = 60.0
+WORKER_MB = 1500.0
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that must not be."""
+
+    kind: str
+    name: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.kind:12} {self.name:48} {self.what[:300]!r}"
+
+
+class TooSlow(BaseException):
+    """A file has had its time; no `except Exception` is to swallow it."""
+
+
+@contextlib.contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raise TooSlow in the block after so many seconds."""
+
+    def stop(signum: int, frame: object) -> None:
+        raise TooSlow
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def load(file: Path) -> str:
+    """ "" where a site file is accepted, else the words of its refusal.  Whatever else is raised is a fault."""
+    try:
+        with within(FILE_SECONDS):
+            own_work = b'"work"' in file.read_bytes()
+            site = load_site(file, None if own_work else file.parent / "work")  # one memo of functions for all
+            open_night(site).plan.refresh()
+            site.reader.save()
+    except WbflowError as error:
+        if error.exit_code is not ExitCode.USAGE:
+            raise AssertionError(f"exit code {int(error.exit_code)}: {error}") from None
+        return str(error)
+    return ""
+
+
+def try_files(kind: str, cases: Iterator[Case], counts: Counter[str]) -> Iterator[Fault]:
+    """Load each case in this process."""
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder)
+        write_base(base)
+        for case in cases:
+            write_base(base)
+            for name, data in case.files.items():
+                (base / name).write_bytes(data)
+            counts[f"{kind} tried"] += 1
+            try:
+                said = load(base / "site.yaml")
+            except (Exception, TooSlow) as error:
+                yield Fault(kind, case.name, f"{type(error).__name__}: {error}")
+                continue
+            counts[f"{kind} {'refused' if said else 'used'}"] += 1
+            if case.refused and not said:
+                yield Fault(kind, case.name, "is used")
+            elif said and not re.search(r"\.(yaml|json|txt|py)(:\d+){1,2}: |cannot be read|must hold|not JSON that", said):
+                yield Fault(kind, case.name, f"no place: {said}")
+            elif "\x1b" in said or len(said) > 20_000:
+                yield Fault(kind, case.name, "its words are not fit for a screen")
+
+
+def try_captures(cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
+    """One night of a camera for each case beside two good ones, through the command line."""
+    with tempfile.TemporaryDirectory() as folder:
+        site = lay(Path(folder), cases)
+        begun = time.monotonic()
+        command = [sys.executable, "-m", "wbflow", "run", str(site), "--until", "frames", "--json", "--jobs", "2"]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=len(cases) * 20, check=False)
+        except subprocess.TimeoutExpired:
+            yield Fault("captures", "all", "still at work")
+            return
+        print(
+            f"captures: {time.monotonic() - begun:.0f} s, {resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024:.0f} MB"
+        )
+        if "Traceback" in done.stderr or "itself failed" in done.stderr or "\x1b" in done.stderr + done.stdout:
+            yield Fault("captures", "all", done.stderr[-300:])
+        try:
+            record = json.loads(done.stdout)
+        except ValueError:
+            yield Fault("captures", "all", f"exit {done.returncode}: {done.stderr[-300:]}")
+            return
+        if record["peak_rss_mb"] > WORKER_MB:
+            yield Fault("captures", "all", f"a worker held {record['peak_rss_mb']:.0f} MB")
+        yield from _judge(record, cases, counts)
+
+
+def _judge(record: dict[str, object], cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
+    cameras = {camera["id"]: camera for camera in record["cameras"]}  # type: ignore[attr-defined]
+    if record["exit_code"] not in {1, 3}:
+        yield Fault("captures", "all", f"exit code {record['exit_code']}")
+    for name in GOOD:
+        if cameras[name]["outcome"] != "ok":
+            yield Fault("captures", name, str(cameras[name]["reason"]))
+    for case in cases:
+        camera = cameras[case.name]
+        counts["captures tried"] += 1
+        counts[f"captures {'refused' if camera['outcome'] == 'failed' else 'used'}"] += 1
+        if case.refused and camera["outcome"] != "failed":
+            yield Fault("captures", case.name, f"is {camera['outcome']}")
+        elif case.refused and case.said not in str(camera["reason"]):
+            yield Fault("captures", case.name, f"{case.said!r} is not said: {camera['reason']}")
+
+
+def try_loops() -> Iterator[Fault]:
+    """Links that lead back to where they are, and `**`: the night is found all the same."""
+    with tempfile.TemporaryDirectory() as folder:
+        site = lay(Path(folder), [])
+        captures = Path(folder) / "captures"
+        for name in ("again", "and-again"):
+            (captures / name).symlink_to(".")
+        site.write_text(site.read_text().replace("{camera}.*", "**/{camera}.*"))
+        command = [sys.executable, "-m", "wbflow", "status", str(site)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=CAPTURE_SECONDS, check=False)
+        except subprocess.TimeoutExpired:
+            yield Fault("captures", "two links to . and **", "still at work")
+            return
+        if done.returncode:
+            yield Fault("captures", "two links to . and **", done.stderr)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fuzz", type=int, default=5000, metavar="N", help="fuzzed site files and calibrations")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--no-captures", action="store_true")
+    asked = parser.parse_args()
+    counts: Counter[str] = Counter()
+    faults = list(try_files("site", site_cases(), counts))
+    faults += try_files("calibration", calibration_cases(), counts)
+    faults += try_files("fuzzed", fuzzed(asked.fuzz, asked.seed), counts)
+    if not asked.no_captures and shutil.which("mkfifo"):
+        faults += try_captures(capture_cases(), counts)
+        faults += try_loops()
+    for kind in ("site", "calibration", "fuzzed", "captures"):
+        figures = {what: counts[f"{kind} {what}"] for what in ("tried", "refused", "used")}
+        wrong = sum(fault.kind == kind for fault in faults)
+        print(f"{kind:12} {figures['tried']:6} tried {figures['refused']:6} refused {figures['used']:6} used {wrong:4} faults")
+    for fault in faults:
+        print(fault)
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

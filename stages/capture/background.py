@@ -1,0 +1,151 @@
+"""One static picture out of several of a night: what moves is removed, and where nothing can be trusted is said.
+
+The median of each pixel, once exposures are made equal (the oldest and still the most robust background: Lo and Velastin, 2001);
+a pixel is trusted where frames that hold the majority of the weight agree with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..types import Bools, Float64s, Uint8s
+
+_LEAST_TOLERANCE, _SIGMAS = 18.0, 5.0
+"""Grey levels that a frame may differ by and still agree, at least and in standard deviations of its noise."""
+_SPECK_PX, _MARGIN_PX = 5, 2
+"""What is thinner is an edge that swayed, nothing that moved; a margin around what did."""
+_MOST_DOUBTFUL = 0.25
+"""Where more of a picture than this is doubtful, its frames differ by more than things that move."""
+_STRIP = 64
+
+
+@dataclass(frozen=True)
+class Background:
+    """The static picture of a night."""
+
+    image: Uint8s
+    """(h, w, 3) RGB."""
+    doubtful: Bools
+    """(h, w), True where no majority of the frames agrees: something stood or moved there."""
+    overlaid: Bools
+    """(h, w), True where pixels stay while the light of the scene changes: a clock, a logo, a caption."""
+    unchanged: float
+    """Share of pixels that are the same in all frames to the last grey level; 0 for a single frame."""
+
+
+def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Background:
+    """The static scene of several images of one view.
+
+    Parameters
+    ----------
+    images : sequence of ndarray
+        (h, w, 3) uint8 each, in the order of time.  Two have no majority: the later one is used, and where they differ is
+        doubtful.
+    weights : ndarray, optional
+        (n,) float64, what each counts; all the same, if not given.
+    """
+    nothing = np.zeros(images[0].shape[:2], np.bool_)
+    if len(images) == 1:
+        return Background(images[0], nothing, nothing, 0.0)
+    weights = np.ones(len(images)) if weights is None else weights
+    small = np.stack([cv2.resize(image, (96, 64), interpolation=cv2.INTER_AREA) for image in images]).astype(np.float32)
+    reference = np.median(small[weights == weights.max()], axis=0) if len(images) > 2 else small[-1]
+    gains = [_gain(thumbnail, reference) for thumbnail in small]
+    stack = [_with_gain(image, gain) for image, gain in zip(images, gains, strict=True)]
+    merged = _medians(stack, weights) if len(images) > 2 else images[-1]
+    agreeing = _agreeing(stack, merged, weights)
+    doubtful = _solid(agreeing <= 0.5 + 1e-9)
+    if doubtful.mean() > _MOST_DOUBTFUL:
+        doubtful = nothing
+    same = np.ones(nothing.shape, np.bool_)
+    for image in images[1:]:
+        same &= (image == images[0]).all(axis=2)
+    return Background(merged, doubtful, _overlaid(images, np.array(gains), merged), float(same.mean()))
+
+
+def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
+    """(h, w, 3) weighted median of each pixel's levels."""
+    merged = np.empty_like(stack[0])
+    middle = len(stack) // 2
+    equal = bool((weights == weights[0]).all())
+    for top in range(0, len(merged), _STRIP):  # by strips: a night's stack is held once, as bytes
+        strip = np.stack([image[top : top + _STRIP] for image in stack])
+        if equal:
+            merged[top : top + _STRIP] = np.partition(strip, middle, axis=0)[middle]
+            continue
+        order = np.argsort(strip, axis=0, kind="stable")
+        reached = np.cumsum(weights[order], axis=0) > 0.5 * weights.sum() - 1e-9
+        chosen = np.take_along_axis(order, reached.argmax(axis=0)[None], axis=0)
+        merged[top : top + _STRIP] = np.take_along_axis(strip, chosen, axis=0)[0]
+    return merged
+
+
+def _agreeing(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Float64s:
+    """(h, w) share of the weight of frames that agree with the merged picture."""
+    share = np.zeros(merged.shape[:2])
+    for image, weight in zip(stack, weights, strict=True):
+        off = cv2.absdiff(image, merged).max(axis=2)
+        sigma = 1.4826 * float(np.median(off[::4, ::4]))
+        share += weight * (off <= max(_LEAST_TOLERANCE, _SIGMAS * sigma))
+    return np.asarray(share / weights.sum(), np.float64)
+
+
+def _solid(doubtful: Bools) -> Bools:
+    """Without what is too thin to have moved, with a margin around the rest."""
+    opened = cv2.morphologyEx(doubtful.astype(np.uint8), cv2.MORPH_OPEN, _disc(_SPECK_PX))
+    return np.asarray(cv2.dilate(opened, _disc(2 * _MARGIN_PX + 1)), np.bool_)
+
+
+def _disc(size: int) -> npt.NDArray[np.uint8]:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
+
+
+def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bools:
+    """Where the written picture stays while the scene's exposure changes.
+
+    Told apart only where the exposure has changed enough to move a pixel by some grey levels; strokes are gathered to lines of
+    text, whose digits change.
+    """
+    nothing = np.zeros(merged.shape[:2], np.bool_)
+    overall = gains.mean(axis=1)
+    first, last = int(overall.argmin()), int(overall.argmax())
+    ratio = float(overall[last] / overall[first])
+    if ratio < 1.06:
+        return nothing
+    low, high = images[first].max(axis=2).astype(np.float32), images[last].max(axis=2).astype(np.float32)
+    spread = np.abs(low - high)
+    expected = np.minimum(low, high) * (ratio - 1)
+    stays = (expected >= 8) & (spread <= 0.25 * expected) & (np.maximum(low, high) <= 251)
+    edges = np.abs(cv2.Laplacian(cv2.cvtColor(merged, cv2.COLOR_RGB2GRAY), cv2.CV_32F))
+    strokes = (stays & (cv2.dilate(edges, _disc(3)) > 60)).astype(np.uint8)
+    strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < 0.12] = 0  # single pixels that noise has left
+    width = merged.shape[1]
+    gathered = cv2.morphologyEx(strokes, cv2.MORPH_CLOSE, np.ones((5, max(width // 20, 5) | 1), np.uint8))
+    out = np.zeros_like(gathered)
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(gathered, connectivity=8)
+    for x, y, w, h, _ in boxes[1:].tolist():
+        inside = int(strokes[y : y + h, x : x + w].sum())
+        if w >= 8 and h >= 4 and inside >= max(12, 0.08 * w * h):
+            out[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2] = 1
+    return np.asarray(out, np.bool_)
+
+
+def _gain(thumbnail: np.ndarray, reference: np.ndarray) -> Float64s:
+    """(3,) factors per channel that bring a thumbnail to the reference's exposure: robust to what moved, blind to clipping."""
+    usable = (thumbnail > 8) & (thumbnail < 247) & (reference > 8) & (reference < 247)
+    gains = np.ones(3)
+    for c in range(3):
+        ratios = reference[..., c][usable[..., c]] / thumbnail[..., c][usable[..., c]]
+        if ratios.size >= 50:
+            gains[c] = np.median(ratios)
+    return gains
+
+
+def _with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
+    table = np.clip(np.arange(256)[:, None] * gains[None, :] + 0.5, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)

@@ -1,0 +1,130 @@
+"""Image files as pixels.  Files from the field arrive empty, cut short, black or from another camera: each case has its name."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..io.header import picture_size
+from ..io.jpeg import SCAN, jpeg_segments
+from ..types import Capture, Lens, Uint8s
+
+MOST_PIXELS = 200_000_000
+"""Of an image that is decoded, unless its size is stated: 0.6 GB, and twice that while colours are put in order."""
+
+
+class BadCapture(ValueError):
+    """A capture that can't be used."""
+
+
+class EmptyCapture(BadCapture):
+    """The file has no bytes."""
+
+
+class NotAnImage(BadCapture):
+    """The bytes are no image that can be decoded."""
+
+
+class TruncatedImage(BadCapture):
+    """The file ends before the image does."""
+
+
+class FeaturelessImage(BadCapture):
+    """Black, white or uniform: nothing to see."""
+
+
+class OversizedImage(BadCapture):
+    """More pixels than are decoded: a few bytes can promise gigabytes."""
+
+
+class WrongSize(BadCapture):
+    """Not the size that the intrinsics, the mask or the night's other captures have."""
+
+
+def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
+    """Decode an image file into (h, w, 3) uint8 RGB, turned upright as its EXIF data say.
+
+    lens: where it states the size of captures, one whose header promises another is not decoded at all.
+
+    Raises
+    ------
+    BadCapture
+        Empty, no image, truncated, too large, of another size, or without any content (black, white, uniform).
+    """
+    data = np.ascontiguousarray(capture.data)
+    if data.size == 0:
+        raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
+    written = data.tobytes()
+    refuse_truncated(capture.name, written)
+    _refuse_size(capture.name, picture_size(written), lens)
+    image = decoded(data, cv2.IMREAD_COLOR)
+    if image is None:
+        raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
+    refuse_featureless(capture.name, image)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
+    """What is wrong with a picture of another size than its intrinsics are for.
+
+    Parameters
+    ----------
+    name : str
+        The capture's.
+    width, height : int
+        Of the picture, pixels.
+    lens : Lens
+        Which states another size.
+    """
+    turned = (height, width) == (lens.width, lens.height)
+    remedy = "state the intrinsics for the size captured, or set the camera back"
+    if turned:
+        remedy = "is the camera turned, or the EXIF orientation wrong?"
+    return WrongSize(f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}")
+
+
+def _refuse_size(name: str, size: tuple[int, int] | None, lens: Lens | None) -> None:
+    """By the header alone, before memory is asked for what it promises.  The image may lie on its side: EXIF data turn it."""
+    if size is None:
+        return
+    width, height = size
+    if lens and lens.width and lens.height and sorted(size) != sorted((lens.width, lens.height)):
+        raise wrong_size(name, width, height, lens)
+    if width * height > MOST_PIXELS:
+        most = f"{MOST_PIXELS // 10**6} million are the most that are decoded"
+        raise OversizedImage(f"{name} has {width} x {height} pixels, {most}")
+
+
+def refuse_truncated(name: str, data: bytes) -> None:
+    """JPEG must have an end marker after its first scan, PNG a last chunk; decoders pad the rest with grey and only mutter."""
+    if data[:3] == b"\xff\xd8\xff":
+        scan = next((start for marker, start, _ in jpeg_segments(data) if marker == SCAN), None)
+        whole = scan is not None and data.find(b"\xff\xd9", scan) >= 0
+    elif data[:8] == b"\x89PNG\r\n\x1a\n":
+        whole = data.rfind(b"IEND") >= 0
+    else:
+        return
+    if not whole:
+        raise TruncatedImage(f"{name} ends after {len(data):,} bytes: the image is truncated")
+
+
+def decoded(data: Uint8s, flags: int) -> Uint8s | None:
+    """Pixels as OpenCV reads them (BGR); None for what is no image."""
+    try:
+        image = cv2.imdecode(data, flags)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def refuse_featureless(name: str, image: Uint8s) -> None:
+    """Raises FeaturelessImage for what shows nothing.
+
+    Averaging over cells removes sensor noise; what then spans less than six grey levels is that.
+    """
+    cells = cv2.resize(image, (48, 32), interpolation=cv2.INTER_AREA).astype(np.float32).mean(axis=2)
+    low, high = np.percentile(cells, [1, 99])
+    if high - low >= 6:
+        return
+    look = "black" if high < 24 else "white" if low > 231 else "uniform"
+    raise FeaturelessImage(f"{name} is {look}: nothing can be seen in it; look at the camera, its lens and its light")

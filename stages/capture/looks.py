@@ -1,0 +1,89 @@
+"""How pictures look, in figures: by these nights are compared, and the frames of a night weighed against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Bools, Float64s, Uint8s
+
+POOR = 0.25
+"""What a frame counts that is clearly worse than the others of its night."""
+_BLURRED, _DARK, _BRIGHT, _BLINDED = 0.6, 0.5, 1.8, 0.12
+"""Shares of the night's median sharpness and brightness, and the share of saturated pixels beyond the median's."""
+_LONG_SIDE = 640
+
+
+@dataclass(frozen=True)
+class Looks:
+    """One picture in figures."""
+
+    brightness: float
+    """Mean grey of the usable pixels, 0 to 255."""
+    contrast: float
+    """Standard deviation of their grey levels."""
+    saturated: float
+    """Share of them that is black or white, beyond what the sensor can tell."""
+    sharpness: float
+    """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
+
+
+def looks(image: Uint8s, usable: Bools) -> Looks:
+    """Figures of a picture (h, w, 3) uint8 where it may be used (h, w)."""
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # the sensor's noise is no sharpness
+    edges = cv2.Laplacian(smooth, cv2.CV_32F)[usable]
+    levels = grey[usable]
+    contrast = float(levels.std())
+    return Looks(
+        brightness=float(levels.mean()),
+        contrast=contrast,
+        saturated=float(np.mean((levels <= 2) | (levels >= 253))),
+        sharpness=float(edges.std() / max(contrast, 1.0)),
+    )
+
+
+def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tuple[Float64s, list[str]]:
+    """What each frame of a night counts, and what is wrong with those that count less.
+
+    Parameters
+    ----------
+    images : sequence of ndarray
+        (h, w, 3) uint8 each.
+    names : sequence of str
+        For the words.
+    usable : ndarray
+        (h, w) bool, where they may be used.
+
+    Returns
+    -------
+    weights : ndarray
+        (n,) float64, 1 for a frame like the others, `POOR` for one that is blurred, dark or blinded compared with them.
+    words : list of str
+    """
+    scale = min(_LONG_SIDE / max(usable.shape), 1.0)
+    size = max(round(usable.shape[1] * scale), 1), max(round(usable.shape[0] * scale), 1)
+    small = cv2.resize(usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    weights = np.ones(len(images))
+    if len(images) < 3 or not small.any():
+        return weights, []
+    found = [looks(np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8), small) for i in images]
+    usual = Looks(*(float(np.median([getattr(f, n) for f in found])) for n in Looks.__dataclass_fields__))
+    words = []
+    for k, (name, one) in enumerate(zip(names, found, strict=True)):
+        if one.saturated > usual.saturated + _BLINDED:
+            what = f"blinded ({100 * one.saturated:.0f} % saturated, usually {100 * usual.saturated:.0f} %)"
+        elif one.sharpness < _BLURRED * usual.sharpness:
+            what = f"blurred (sharpness {one.sharpness:.3f}, usually {usual.sharpness:.3f})"
+        elif one.brightness < _DARK * usual.brightness:
+            what = f"too dark (brightness {one.brightness:.0f}, usually {usual.brightness:.0f})"
+        elif one.brightness > _BRIGHT * usual.brightness:
+            what = f"too bright (brightness {one.brightness:.0f}, usually {usual.brightness:.0f})"
+        else:
+            continue
+        weights[k] = POOR
+        words.append(f"{name} is {what}: counts a quarter")
+    return weights, words

@@ -1,0 +1,80 @@
+"""Pictures out of a video file: every n-th, so many at most."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import PurePath
+from tempfile import NamedTemporaryFile
+from typing import IO
+
+import cv2
+import numpy as np
+
+from ..types import Capture, Uint8s
+from .files import BadCapture, EmptyCapture, NotAnImage, decode
+
+SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts"})
+IN_MEMORY = hasattr(os, "memfd_create")
+MOST_FRAMES = 100_000
+"""So many are stepped over at most: a file that claims to be endless ends here."""
+
+
+def is_video(capture: Capture) -> bool:
+    """Is this, by its name, a video?"""
+    return PurePath(capture.name).suffix.lower() in SUFFIXES
+
+
+def pictures(capture: Capture, step: int, most: int) -> Iterator[tuple[str, Uint8s]]:
+    """Every `step`-th picture (h, w, 3) uint8 RGB of a video, with a name; `most` at most, spread over its length where that is
+    known.
+
+    Raises
+    ------
+    BadCapture
+        It is empty, or nothing in it can be decoded.
+    """
+    if capture.data.size == 0:
+        raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
+    taken = 0
+    with _opened(capture) as video:
+        length = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        step = max(step, -(-length // most)) if 0 < length < MOST_FRAMES else step
+        for number in range(MOST_FRAMES):
+            if taken >= most or not video.grab():
+                break
+            if number % step:
+                continue
+            whole, image = video.retrieve()
+            if whole and image is not None and image.ndim == 3:
+                taken += 1
+                name = f"{capture.name} frame {number}"
+                yield name, np.asarray(cv2.cvtColor(np.asarray(image), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    if not taken:
+        raise NotAnImage(f"{capture.name} holds no picture that can be decoded ({capture.data.size:,} bytes)")
+
+
+def one_picture(capture: Capture) -> Uint8s:
+    """A capture's picture (h, w, 3) uint8 RGB, of a video the first.  Raises BadCapture."""
+    return next(pictures(capture, 1, 1))[1] if is_video(capture) else decode(capture)
+
+
+@contextmanager
+def _opened(capture: Capture) -> Iterator[cv2.VideoCapture]:
+    """FFmpeg reads files only: one in memory where the system can, else one that is gone when it is closed."""
+    with _file(PurePath(capture.name).suffix) as file:
+        file.write(capture.data.tobytes())
+        file.flush()
+        path = f"/proc/self/fd/{file.fileno()}" if IN_MEMORY else str(file.name)
+        video = cv2.VideoCapture(path, cv2.CAP_FFMPEG)
+        try:
+            if not video.isOpened():
+                raise BadCapture(f"{capture.name} is no video that can be read ({capture.data.size:,} bytes)")
+            yield video
+        finally:
+            video.release()
+
+
+def _file(suffix: str) -> IO[bytes]:
+    return os.fdopen(os.memfd_create("video"), "wb") if IN_MEMORY else NamedTemporaryFile(suffix=suffix)

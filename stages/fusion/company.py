@@ -1,0 +1,50 @@
+"""Whether a depth stands alone: what share of its surroundings lies on the same surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import Bools, DepthMap, Float32s
+
+_REACH, _STRIDE = 6, 2
+"""How far away, in pixels of an image 768 wide, and how densely neighbours are asked; as far in larger ones."""
+
+
+def company(depth: DepthMap, usable: Bools) -> Float32s:
+    """(h, w) share of the neighbours of each usable pixel that are usable, too, and lie on its plane; 0 elsewhere.
+
+    On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
+    """
+    spacing = max(1, round(max(usable.shape) / 768))
+    inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
+    relative = (depth.sigma / depth.depth).astype(np.float32)
+    share = np.zeros(usable.shape, np.float32)
+    _count(inverse, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
+    return share
+
+
+@kernel
+def _count(
+    inverse: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int, share: Float32s
+) -> None:
+    h, w = inverse.shape
+    asked = np.float32((2 * (reach // stride) + 1) ** 2 - 1)
+    for y in range(h):
+        for dy in range(-reach, reach + 1, stride):
+            if not 0 <= y + dy < h:
+                continue
+            for dx in range(-reach, reach + 1, stride):
+                if dx == 0 and dy == 0:
+                    continue
+                first, last = max(0, -dx), min(w, w - dx)
+                there = inverse[y + dy, first + dx :]
+                here, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
+                sigma, count = relative[y, first:], share[y, first:]
+                fx, fy = np.float32(dx), np.float32(dy)
+                for x in range(last - first):
+                    tolerance = min(np.float32(3.0) * sigma[x] + np.float32(0.002), np.float32(0.016)) * here[x]
+                    near = abs(there[x] - here[x] - a[x] * fx - b[x] * fy) <= tolerance  # never where one is unknown
+                    count[x] += np.float32(1.0) if near else np.float32(0.0)
+        for x in range(w):
+            share[y, x] /= asked

@@ -1,0 +1,37 @@
+"""A depth stands alone where its surroundings are unknown, or lie elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbflow_stages.fusion.company import company
+from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
+from wbflow_stages.types import Bools, DepthMap, Float32s
+
+
+def slope() -> Float32s:
+    """Depth (80, 120) of ground that falls away, 10 to 20 m."""
+    return np.repeat(1 / np.linspace(0.1, 0.05, 80)[:, None], 120, axis=1).astype(np.float32)
+
+
+def company_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
+    shape = depth.shape
+    slopes = inverse_depth_slopes(slope(), 100.0)
+    found = DepthMap(depth, 0.0005 * depth, *slopes, np.ones(shape, np.uint32), ("other",), np.ones(shape, np.bool_))
+    return company(found, np.isfinite(depth) if usable is None else usable)
+
+
+def test_a_slope_is_in_company_and_a_pixel_off_it_is_not() -> None:
+    depth = slope()
+    depth[40, 60] *= 1.05
+    share = company_of(depth)
+    assert share[40, 60] == 0 and share[40, 70] > 0.95
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.5])
+def test_sparse_specks_have_as_much_company_as_there_are_of_them(kept: float) -> None:
+    known = np.random.default_rng(0).uniform(size=slope().shape) < kept
+    share = company_of(slope(), known)
+    assert share[known].mean() == pytest.approx(kept, rel=0.25)
+    assert (share[~known] == 0).all()

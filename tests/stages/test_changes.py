@@ -1,0 +1,144 @@
+"""What appears, vanishes and moves is found where it is, with its volume; what nobody saw is unknown; there is nothing else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.helpers.changed_yard import CRATE, Box, BoxNight, box_night
+from wbflow_stages.changes import find_changes
+from wbflow_stages.exports.changed import changes_files, changes_preview
+from wbflow_stages.types import NEW, UNKNOWN, VANISHED, Change, Changes
+
+NEW_BOX: Box = ((2.2, -2.4, 0.0), (3.6, -1.2, 0.9))
+
+
+@cache
+def night(*boxes: Box, seed: int = 0, brightness: float = 1.0, blind: tuple[str, ...] = ()) -> BoxNight:
+    return box_night(boxes, seed=seed, brightness=brightness, blind=blind)
+
+
+def compared(tonight: BoxNight, then: BoxNight, **parameters: Any) -> Changes:
+    return find_changes(**tonight.arguments(), **then.arguments("then_"), **parameters)
+
+
+def the_only(found: Changes) -> Change:
+    assert list(found.changes) == ["1"]
+    return found.changes["1"]
+
+
+def assert_is(change: Change, box: Box) -> None:
+    low, high = np.array(box)
+    assert np.linalg.norm((low + high) / 2 - (change.x, change.y, change.z)) < 0.15
+    assert change.volume == pytest.approx(float(np.prod(high - low)), rel=0.2)
+    assert abs(change.volume - float(np.prod(high - low))) < 4 * change.volume_sigma
+    assert (change.length, change.width) == pytest.approx(sorted((high - low)[:2])[::-1], abs=0.2)
+    assert change.height == pytest.approx(high[2], abs=0.05)
+
+
+def test_a_box_that_appeared_is_new() -> None:
+    found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
+    change = the_only(found)
+    assert change.kind == "new"
+    assert_is(change, NEW_BOX)
+    assert len(change.cameras.split(",")) >= 3
+    inside = found.blob == 1
+    assert set(found.label[inside]) == {NEW}
+    assert np.median(found.distance[inside & np.isfinite(found.distance)]) > 0.2
+
+
+def test_a_box_that_was_taken_away_has_vanished() -> None:
+    found = compared(night(NEW_BOX, seed=1), night(CRATE, NEW_BOX))
+    change = the_only(found)
+    assert change.kind == "vanished"
+    assert_is(change, CRATE)
+    assert set(found.label[found.blob == 1]) == {VANISHED}
+
+
+def test_a_box_that_stands_elsewhere_has_moved() -> None:
+    there: Box = ((-4.0, -2.9, 0.0), (-2.6, -1.7, 0.9))
+    change = the_only(compared(night(CRATE, there, seed=1), night(CRATE, NEW_BOX)))
+    assert change.kind == "moved"
+    assert_is(change, there)
+    assert (change.from_x, change.from_y) == pytest.approx((2.9, -1.8), abs=0.15)
+
+
+@pytest.mark.parametrize("brightness", [1.0, 0.5, 1.5])
+def test_nothing_is_reported_where_only_the_light_has_changed(brightness: float) -> None:
+    found = compared(night(CRATE, seed=1, brightness=brightness), night(CRATE))
+    assert found.compared
+    assert (found.count, found.changed_share) == (0, 0)
+    assert found.noise == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_no_camera_sees_tonight_is_unknown_and_has_not_vanished() -> None:
+    then = night(CRATE, NEW_BOX)
+    blind = ("c0", "c1", "c2")
+    found = compared(night(CRATE, NEW_BOX, seed=1, blind=blind), then)  # one camera is left: it does not see all
+    assert found.count == 0
+    assert 0.01 < found.unknown_share < 0.5
+    assert np.sum(found.label == UNKNOWN) > 100
+    assert np.sum(found.label == VANISHED) == 0
+
+
+def test_a_low_step_is_told_by_distance_and_a_lower_one_is_lost_in_the_noise() -> None:
+    slab: Box = ((2.0, -3.0, 0.0), (4.0, -1.0, 0.06))
+    change = the_only(compared(night(CRATE, slab, seed=1), night(CRATE)))
+    assert change.height == pytest.approx(0.06, abs=0.02)
+    assert change.volume == pytest.approx(0.24, rel=0.25)
+    thin: Box = ((2.0, -3.0, 0.0), (4.0, -1.0, 0.004))
+    assert compared(night(CRATE, thin, seed=1), night(CRATE)).count == 0
+
+
+def test_depths_that_are_wrong_on_one_night_are_overruled_by_the_pictures() -> None:
+    honest, wrong = night(CRATE, seed=1), night(CRATE, NEW_BOX, seed=1)
+    # the pictures of a night without the box, and its depths and cloud with it
+    lying = BoxNight(honest.cameras, honest.frames, wrong.depths, wrong.cloud)
+    assert compared(wrong, night(CRATE)).count == 1
+    assert compared(lying, night(CRATE)).count == 0
+
+
+def test_only_changes_in_a_zone_count() -> None:
+    tonight, then = night(CRATE, NEW_BOX, seed=1), night(CRATE)
+    around = {"name": "quay", "polygon": [[1, -4], [5, -4], [5, 0], [1, 0]]}
+    assert the_only(compared(tonight, then, zones=[around])).zone == "quay"
+    assert compared(tonight, then, zones=[around | {"least_m": 3.0}]).count == 0
+    assert compared(tonight, then, zones=[around | {"polygon": [[-5, -4], [-1, -4], [-1, 0]]}]).count == 0
+
+
+def test_with_no_reference_nothing_is_compared() -> None:
+    found = find_changes(**night(CRATE).arguments())
+    assert (found.compared, found.count, found.changes) == (False, 0, {})
+    assert list(changes_files(found)) == []
+    assert cv2.imdecode(changes_preview(found), 1) is not None
+
+
+def test_a_world_that_was_solved_anew_is_not_compared() -> None:
+    tonight = night(CRATE, NEW_BOX, seed=1).arguments()
+    poses = tonight["poses"]
+    shifted = {name: replace(camera, C=camera.C + np.array([30.0, 0, 0])) for name, camera in poses.cameras.items()}
+    found = find_changes(**{**tonight, "poses": replace(poses, cameras=shifted)}, **night(CRATE).arguments("then_"))
+    assert not found.compared
+
+
+def test_changes_are_written_for_people_and_programs() -> None:
+    found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
+    files: dict[str, Any] = dict(changes_files(found))
+    assert list(files) == ["changes.ply", "changes.json", "change-1.jpg"]
+    told = json.loads(files["changes.json"])
+    (row,) = told["changes"]
+    assert (row["number"], row["kind"], row["picture"]) == (1, "new", "change-1.jpg")
+    assert np.linalg.norm(np.subtract(row["position"], (2.9, -1.8, 0.45))) < 0.15
+    columns = files["changes.ply"]
+    assert {len(column) for column in columns.values()} == {len(found.points)}
+    crop = cv2.imdecode(np.frombuffer(files["change-1.jpg"], np.uint8), 1)
+    assert crop is not None
+    half = crop.shape[1] // 2 - 8
+    assert np.abs(crop[:, :half].astype(float) - crop[:, -half:]).mean() > 5  # then and tonight differ
+    assert cv2.imdecode(changes_preview(found), 1) is not None

@@ -1,0 +1,25 @@
+"""A few tries of the fault campaign: whatever happens at 3 a.m., the next run gives the right cloud without anybody's help."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "fault_campaign.py"
+
+
+GROUPS = {
+    "kills": ("kills-first", "kills-idle", "kills-clean"),
+    "damage": ("damage", "exchanges"),
+    "disks": ("disks", "clocks"),
+}
+
+
+@pytest.mark.parametrize("faults", GROUPS.values(), ids=GROUPS)
+def test_nothing_is_lost(faults: tuple[str, ...]) -> None:
+    only = [word for name in faults for word in ("--only", name)]
+    ended = subprocess.run([sys.executable, str(SCRIPT), "--reduced", *only], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr

@@ -1,0 +1,86 @@
+"""Pixels of a `privacy:` polygon occur in no file below the work folder."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import wbflow
+from tests.helpers.images import decoded
+from tests.helpers.synthetic_site import small_yard
+from wbflow.store import artifact
+from wbflow.store.ply import read_ply
+
+CORNERS = ((20, 60), (150, 50), (140, 175), (10, 170))
+"""Of the polygon, in captures of 320 x 180 pixels: a piece of the ground that both cameras see."""
+PLANTED = ((24, 64), (146, 54), (136, 171), (14, 166))
+"""Of what is planted in it."""
+
+
+def site_with_a_secret(folder: Path, private: bool) -> Path:
+    """Two cameras of the yard, with magenta and green squares that nothing else in the yard has."""
+    (folder / "in").mkdir(parents=True)
+    rows = []
+    for camera in small_yard().cameras[1:3]:
+        for k, picture in enumerate(camera.captures):
+            image = picture.copy()
+            inside = cv2.fillPoly(np.zeros(image.shape[:2], np.uint8), [np.array(PLANTED)], 1)
+            y, x = np.nonzero(inside)
+            image[y, x] = np.where(((x // 9 + y // 9) % 2)[:, None] == 1, (255, 0, 255), (0, 255, 0))
+            cv2.imwrite(str(folder / "in" / f"{camera.name}_{k}.png"), image[..., ::-1])
+        K, R, C = (np.asarray(v).tolist() for v in (camera.lens.K, camera.camera.R, camera.camera.C))
+        lens = f"intrinsics: {{fx: {K[0][0]}, fy: {K[1][1]}, cx: {K[0][2]}, cy: {K[1][2]}, width: 320, height: 180}}"
+        polygon = f", privacy: [{[list(corner) for corner in CORNERS]}]" if private else ""
+        pose = f"pose: {{position: {C}, rotation: {R}}}"
+        rows.append(f"  - {{id: {camera.name}, {lens}, distortion: {camera.lens.distortion.tolist()}, {pose}{polygon}}}")
+    text = "site: secret\ncaptures: {root: in, pattern: '{camera}_*.png'}\nresolution: null\ncameras:\n" + "\n".join(rows)
+    (folder / "site.yaml").write_text(text + "\nstages: {refine: false}\n")
+    return folder / "site.yaml"
+
+
+def secret_share(pixels: npt.NDArray[np.uint8]) -> float:
+    """How much of some colours (..., 3) is that of the planted squares."""
+    colours = pixels.reshape(-1, 3).astype(int)
+    outer, green = np.minimum(colours[:, 0], colours[:, 2]), colours[:, 1]
+    purple, pure = outer - green > 110, green - np.maximum(colours[:, 0], colours[:, 2]) > 110
+    return float((purple | pure).mean()) if len(colours) else 0.0
+
+
+def pictures_below(folder: Path) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
+    """Everything with colours: pictures, those within reports, arrays of artifacts, clouds."""
+    for file in sorted(p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()):
+        if file.suffix in {".jpg", ".png"}:
+            yield str(file), decoded(file.read_bytes())
+        elif file.suffix == ".html":
+            for data in re.findall(r"data:image/\w+;base64,([\w+/=]+)", file.read_text()):
+                yield str(file), decoded(base64.b64decode(data))
+        elif file.suffix == ".ply":
+            table = read_ply(file)
+            yield str(file), np.stack([table[name] for name in ("red", "green", "blue")], axis=1)
+        elif file.suffix == ".wbf":
+            result = artifact.decode(file.read_bytes())
+            for field in dataclasses.fields(result):
+                value = getattr(result, field.name)
+                if isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[-1:] == (3,):
+                    yield f"{file} {field.name}", value
+
+
+@pytest.mark.parametrize("private", [True, False], ids=["private", "open"])
+def test_what_is_private_is_in_no_picture_cloud_or_report(tmp_path: Path, private: bool) -> None:
+    site = site_with_a_secret(tmp_path, private)
+    run = wbflow.run(site, jobs=1, backend="threading", until=None if private else "features")
+    found = dict(pictures_below(tmp_path / ".wbflow"))
+    if private:
+        assert run.record.cloud is not None, run.record.reason
+        assert {Path(name.split(" ")[0]).suffix for name in found} >= {".jpg", ".wbf", ".ply"}
+        assert {name: share for name, pixels in found.items() if (share := secret_share(pixels)) > 0} == {}
+    else:
+        assert any(secret_share(pixels) > 0.1 for pixels in found.values()), "it can be found where it is"
