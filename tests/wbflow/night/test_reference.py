@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +18,7 @@ import pytest
 from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.store import atomic, reference
 from wbflow.store.layout import WorkFolder
+from wbflow.task import Task
 
 GEOMETRY = {"features", "matches", "geometry", "poses", "rectify", "overlap", "pairs"}
 FIRST, SECOND, THIRD = "2026-11-01", "2026-11-02", "2026-11-03"
@@ -103,6 +110,36 @@ def test_nights_out_of_order_and_twice_do_not_change_the_reference_or_each_other
         toy.run("--date", date)
         assert clouds.setdefault(date, toy.cloud) == toy.cloud
     assert record_of(toy).read_bytes() == before
+
+
+def test_nights_that_are_killed_and_run_again_are_those_that_were_not(toy: ToySite) -> None:
+    dates = (FIRST, SECOND, THIRD)
+    whole = []
+    for date in dates:
+        toy.night(date, b="nudged" if date == SECOND else "ok") if date != FIRST else None
+        toy.run("--date", date, code=None)
+        whole.append(toy.cloud)
+    kept = {task: pinned.digest for task, pinned in _artifacts(toy).items()}
+    shutil.rmtree(toy.work)
+    for date, stage, expected in zip(dates, ("fuse", "rectify", "health"), whole, strict=True):
+        toy.fault("slow", "0.02")
+        command = toy.command("run", str(toy.file), "--jobs", "1", "--date", date)
+        process = subprocess.Popen(command, env=toy.env(), start_new_session=True, stdout=subprocess.DEVNULL)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and not list((toy.work / "cache" / stage).glob("*/*.json")) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        (toy.folder / "faults" / "slow").unlink()
+        toy.run("--date", date, code=None)
+        assert toy.cloud == expected
+    assert {task: pinned.digest for task, pinned in _artifacts(toy).items()} == kept
+
+
+def _artifacts(toy: ToySite) -> Mapping[Task, reference.PinnedArtifact]:
+    pinned = reference.read_reference(WorkFolder(toy.work))
+    return pinned.artifacts if pinned else {}
 
 
 def test_earlier_nights_tell_what_is_usual(toy: ToySite) -> None:
