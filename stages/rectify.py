@@ -186,9 +186,9 @@ def _from_cameras(
     if pair.angle_deg < min_angle_deg:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
     second = fitted(pair)
-    found = second if isinstance(second, Rejected) else finished(*second, pair, None, float("inf"), _MARGIN_OF_POINTS)
-    if isinstance(found, Rejected):  # where many points are wrong: as the scene's likely surface lies
-        found = finished(*first, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    if isinstance(second, Rejected):
+        return second
+    found = finished(*second, pair, None, float("inf"), _MARGIN_OF_POINTS)
     if isinstance(found, Rejected):
         return found
     return replace(
