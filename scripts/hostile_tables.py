@@ -142,8 +142,6 @@ def changed() -> dict[str, dict[str, Any]]:
         "a camera called ..": named("..", "b"),
         "a camera called a/b": named("a/b", "b"),
         "pairs of one name": named("a", "b--c", "a--b", "c"),
-        "pairs of one name by dashes at ends": named("a-", "b", "a", "-b"),
-        "a camera twice": named("a", "a"),
         "a camera with escape codes": named("\x1b[2J", "b"),
         "work in nobody's home": {"work": "~nosuchuser/work"},
         "captures in nobody's home": {"captures": {"root": "~nosuchuser", "pattern": "{camera}"}},

@@ -58,7 +58,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     cameras = read_cameras(model, frame, document, problems)
     ids = [camera.id for camera in model.cameras]
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
-    work = work or _work_folder(model, path, document, problems)
+    work = work or _work_folder(model, document, problems)
     reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
@@ -95,10 +95,10 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     )
 
 
-def _work_folder(model: SiteSection, path: Path, document: Document, problems: list[SiteProblem]) -> Path:
+def _work_folder(model: SiteSection, document: Document, problems: list[SiteProblem]) -> Path:
     if model.work:
         return beside(model.work, ("work",), document, problems)
-    return WorkFolder.beside(path, model.site if is_name(model.site) else "site").root
+    return WorkFolder.beside(document.path, model.site if is_name(model.site) else "site").root
 
 
 def _notify(model: SiteSection, path: Path) -> Notify | None:
