@@ -1,4 +1,4 @@
-"""Pixels of a `privacy:` polygon occur in no file below the work folder: what later stages colour, they colour from these frames."""
+"""Pixels of a `privacy:` polygon occur in no file below the work folder: later stages take their colours from these frames."""
 
 from __future__ import annotations
 
