@@ -92,6 +92,7 @@ def try_files(kind: str, cases: Iterator[Case], counts: Counter[str]) -> Iterato
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
         write_base(base)
+        load(base / "site.yaml")  # what is learnt of functions is remembered for all
         for case in cases:
             write_base(base)
             for name, data in case.files.items():
