@@ -30,7 +30,6 @@ from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
 from .results.artifacts import FinishedRun, function
-from .results.notify import NotTold, notify
 from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
@@ -309,6 +308,8 @@ def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
     """Call the command that the site file names.  A fault there costs nothing, but is told of."""
     if site.notify is None:
         return
+    from .results.notify import NotTold, notify  # here: few sites have a command, and it takes modules that nothing else needs
+
     try:
         notify(site.notify, run.work, run.folder.paths, run.record)
     except (NotTold, OSError) as error:

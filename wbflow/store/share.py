@@ -47,9 +47,8 @@ def _holds(path: Path, data: bytes) -> bool:
     try:
         if path.stat().st_size != len(data):
             return False
-        view = memoryview(data)
         with path.open("rb") as file:
-            return all(file.read(_PIECE) == view[at : at + _PIECE] for at in range(0, len(data), _PIECE))
+            return all(file.read(_PIECE) == data[at : at + _PIECE] for at in range(0, len(data), _PIECE))
     except OSError:
         return False
 
