@@ -25,7 +25,7 @@ from .worker import Done
 
 LOOK_SECONDS = 0.25
 """How often clocks and memory are looked at."""
-START_SECONDS = 600.0
+START_SECONDS = 120.0
 """A worker process that has not started in this time never will."""
 
 
