@@ -25,16 +25,25 @@ PLANTED = ((24, 64), (146, 54), (136, 171), (14, 166))
 """Of what is planted in it."""
 
 
-def site_with_a_secret(folder: Path, private: bool) -> Path:
-    """Two cameras of the yard, with magenta and green squares that nothing else in the yard has."""
-    (folder / "in").mkdir(parents=True)
+SECRET = ((255, 0, 255), (0, 255, 0))
+ANOTHER = ((10, 30, 40), (250, 250, 0))
+"""Colours of the squares that are planted."""
+
+Colour = tuple[int, int, int]
+PICTURE = re.compile(r"data:image/\w+;base64,([\w+/=]+)")
+"""In a report."""
+
+
+def site_with_a_secret(folder: Path, private: bool, colours: tuple[Colour, Colour] = SECRET) -> Path:
+    """Two cameras of the yard, with squares whose colours nothing else in the yard has."""
+    (folder / "in").mkdir(parents=True, exist_ok=True)
     rows = []
     for camera in small_yard().cameras[1:3]:
         for k, picture in enumerate(camera.captures):
             image = picture.copy()
             inside = cv2.fillPoly(np.zeros(image.shape[:2], np.uint8), [np.array(PLANTED)], 1)
             y, x = np.nonzero(inside)
-            image[y, x] = np.where(((x // 9 + y // 9) % 2)[:, None] == 1, (255, 0, 255), (0, 255, 0))
+            image[y, x] = np.where(((x // 9 + y // 9) % 2)[:, None] == 1, *colours)
             cv2.imwrite(str(folder / "in" / f"{camera.name}_{k}.png"), image[..., ::-1])
         K, R, C = (np.asarray(v).tolist() for v in (camera.lens.K, camera.camera.R, camera.camera.C))
         lens = f"intrinsics: {{fx: {K[0][0]}, fy: {K[1][1]}, cx: {K[0][2]}, cy: {K[1][2]}, width: 320, height: 180}}"
@@ -42,7 +51,7 @@ def site_with_a_secret(folder: Path, private: bool) -> Path:
         pose = f"pose: {{position: {C}, rotation: {R}}}"
         rows.append(f"  - {{id: {camera.name}, {lens}, distortion: {camera.lens.distortion.tolist()}, {pose}{polygon}}}")
     text = "site: secret\ncaptures: {root: in, pattern: '{camera}_*.png'}\nresolution: null\ncameras:\n" + "\n".join(rows)
-    (folder / "site.yaml").write_text(text + "\nstages: {refine: false}\n")
+    (folder / "site.yaml").write_text(text + "\npin: none\nstages: {refine: false}\n")
     return folder / "site.yaml"
 
 
@@ -60,7 +69,7 @@ def pictures_below(folder: Path) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
         if file.suffix in {".jpg", ".png"}:
             yield str(file), decoded(file.read_bytes())
         elif file.suffix == ".html":
-            for data in re.findall(r"data:image/\w+;base64,([\w+/=]+)", file.read_text()):
+            for data in PICTURE.findall(file.read_text()):
                 yield str(file), decoded(base64.b64decode(data))
         elif file.suffix == ".ply":
             table = read_ply(file)
@@ -84,3 +93,18 @@ def test_what_is_private_is_in_no_picture_artifact_or_report(tmp_path: Path, pri
         assert {name: share for name, pixels in found.items() if (share := secret_share(pixels)) > 0} == {}
     else:
         assert any(secret_share(pixels) > 0.1 for pixels in found.values()), "it can be found where it is"
+
+
+def test_nothing_that_a_night_leaves_depends_on_what_is_private(tmp_path: Path) -> None:
+    """Stronger than a search for colours, which lines and colour maps have too: with another secret in the polygon every frame,
+    and so the whole night, has the same bytes."""
+    first = wbflow.run(site_with_a_secret(tmp_path, True, SECRET), jobs=1, backend="threading")
+    assert first.record.cloud is not None, first.record.reason
+    pictures = PICTURE.findall(
+        first.finished.folder.paths.report.read_text()
+    )  # a later report that has them, too, takes them over
+    second = wbflow.run(site_with_a_secret(tmp_path, True, ANOTHER), jobs=1, backend="threading")
+    assert {task.stage for task, event in second.finished.tasks.items() if event.outcome == "ran"} == {"frames"}
+    one, two = first.finished.folder.paths, second.finished.folder.paths
+    assert one.cloud.read_bytes() == two.cloud.read_bytes()
+    assert pictures and PICTURE.findall(two.report.read_text()) == pictures
