@@ -173,12 +173,12 @@ class UnfinishedRun:
         for component, data in clouds.items():
             self.write(cloud_name(component), data)
         if cameras is not None:
-            self.write(self._paths.cameras.name, json.dumps(cameras, indent=1).encode())
+            self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
     def write(self, name: str, data: bytes) -> None:
         """A product that is not changed after the run; what the run before has just the same takes no room.  Raises OSError."""
         earlier = (self.work.run(run).folder / name for run in reversed(self.work.run_ids()[-_LOOK_BACK:]))
-        write_product(self._paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
+        write_product(self.paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
@@ -200,18 +200,19 @@ class UnfinishedRun:
         OSError
             The disk is full, or there is no right to write.
         """
-        write_atomic(self._paths.log, _lines(events))
-        write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
-        write_atomic(self._paths.report, report.encode(errors="backslashreplace"))
-        write_atomic(self._paths.metrics, metrics.encode(errors="backslashreplace"))
+        write_atomic(self.paths.log, _lines(events))
+        write_atomic(self.paths.record, signed(_OF, record.to_json(), indent=1))
+        write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
+        write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
-        self._paths.folder.rename(final.folder)
+        self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
         turn_links(self.work)
         return RunFolder(final)
 
     @property
-    def _paths(self) -> RunPaths:
+    def paths(self) -> RunPaths:
+        """Where it is put together."""
         return self.work.unfinished_run(self.name)
 
 
