@@ -22,7 +22,7 @@ from .place import laid_out
 from .plan import plan_of
 from .points import Points, points_of
 from .sources import NIGHTS, Sources
-from .tables import camera_cards, pair_columns, pair_pictures, pair_rows, parts, settings
+from .tables import camera_cards, cell, pair_columns, pair_pictures, pair_rows, parts, settings
 from .times import stage_times, timetable
 
 _ASSETS = files(__package__) / "assets"
@@ -86,7 +86,7 @@ def _content(sources: Sources) -> dict[str, Any]:
         "modes": list(_modes(points)),
         "told": [(str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in _warnings(sources)],
         "cameras": camera_cards(sources, album),
-        "columns": pair_columns(),
+        "columns": [cell(name, None) for name in pair_columns(sources)],
         "pairs": pair_rows(sources),
         "pairs_words": _pairs_words(record),
         "parts": parts(sources, album),

@@ -107,7 +107,7 @@ def plan_of(sources: Sources, layout: Layout) -> Plan:
         for pair in sorted(sources.record.pairs, key=lambda pair: pair.ok)
         if pair.left in standing and pair.right in standing
     ]
-    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.6 * m.size * scale)) for m in layout.marks]
+    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale)) for m in layout.marks]
     bar = _round_length(0.2 * WIDTH / scale)
     east, north = layout.northward
     absent = tuple(camera.id for camera in sources.record.cameras if camera.id not in standing)

@@ -45,7 +45,10 @@ class CameraCard:
     notes: tuple[str, ...]
     picture: Shown | None
     spark: tuple[Bar, ...]
+    main: tuple[Cell, ...]
+    """What it gave."""
     figures: tuple[Cell, ...]
+    """What was measured of it."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,8 @@ class Thing:
     """One of the things that a stage tells of, each with figures of its own."""
 
     title: str
-    words: str
+    size: str
+    words: tuple[str, ...]
     picture: Shown | None
     figures: tuple[tuple[str, str], ...]
 
@@ -119,8 +123,8 @@ def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
         picture = album.of_frame(camera.id, camera.id)
         bars = tuple(spark(sources, camera.id))
-        cells = (used, *_given(sources, camera.id), *figures)
-        found.append(CameraCard(camera.id, state, badge, _words(camera), camera.notes, picture, bars, cells))
+        main = (used, *_given(sources, camera.id))
+        found.append(CameraCard(camera.id, state, badge, _words(camera), camera.notes, picture, bars, main, figures))
     return found
 
 
@@ -141,14 +145,14 @@ def _given(sources: Sources, camera: str) -> Iterator[Cell]:
                 )
 
 
-def pair_columns() -> list[Cell]:
-    """Head of the table of pairs."""
-    return [cell(name, None) for name in reported("pair")]
+def pair_columns(sources: Sources) -> list[str]:
+    """The figures that any pair has."""
+    return [n for n in reported("pair") if any(pair.figures.get(n) not in {None, ""} for pair in sources.record.pairs)]
 
 
 def pair_rows(sources: Sources) -> list[PairRow]:
     """Each pair, in the order of the pair graph."""
-    names = reported("pair")
+    names = pair_columns(sources)
     return [
         PairRow(pair.name, pair.ok, pair.outcome, pair.reason or "", tuple(cell(n, pair.figures.get(n)) for n in names))
         for pair in sources.record.pairs
@@ -184,10 +188,23 @@ def _things(entries: Any, files: tuple[str, ...], album: Album) -> Iterator[Thin
         if not isinstance(entry, Mapping):
             continue
         file = next((f for f in files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
-        numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in entry.items() if isinstance(value, int | float))
-        words = "; ".join(f"{key}: {value}" for key, value in entry.items() if isinstance(value, str) and value and key != "kind")
         title = f"{name}: {entry.get('kind') or ''}".rstrip(": ")
-        yield Thing(title, words, album.of_product(file, f"{title}: then and this night") if file else None, numbers)
+        said = [f"{key}: {value.replace(',', ', ')}" for key, value in entry.items() if isinstance(value, str) and value]
+        words = tuple(line for line in said if not line.startswith("kind: "))
+        numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in entry.items() if isinstance(value, int | float))
+        picture = album.of_product(file, f"{title}: then and this night") if file else None
+        yield Thing(title, _dimensions(entry), words, picture, numbers)
+
+
+def _dimensions(entry: Mapping[str, Any]) -> str:
+    """How large a thing is, and where, as far as it says so."""
+    sides = [entry.get(name) for name in ("length", "width", "height")]
+    size = " × ".join(f"{side:.1f}" for side in sides if isinstance(side, int | float))
+    volume, sigma = entry.get("volume"), entry.get("volume_sigma")
+    room = f"volume {volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") if volume else ""
+    at = [entry.get(name) for name in ("x", "y", "z")]
+    where = "at " + ", ".join(f"{v:.1f}" for v in at if isinstance(v, int | float)) if None not in at else ""
+    return "; ".join(filter(None, (size, room, where)))
 
 
 def _is_picture(file: str) -> bool:

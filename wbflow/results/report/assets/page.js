@@ -10,7 +10,7 @@
 
   for (const head of $$("table.sortable thead th")) head.firstElementChild.addEventListener("click", () => {
     const table = head.closest("table"), column = [...head.parentNode.children].indexOf(head);
-    const down = head.getAttribute("aria-sort") === "descending" ? 1 : -1;
+    const down = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
     const key = row => row.children[column].dataset.value, rows = [...table.tBodies[0].rows];
     const numbers = rows.every(r => key(r) === "" || !isNaN(key(r)));
     rows.sort((a, b) => {

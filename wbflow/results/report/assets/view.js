@@ -22,7 +22,8 @@ class CloudView {
     const {middle, radius, heading, cameras} = this.scene, [width, height] = this.size;
     const look = Object.assign(this, {target: middle, yaw: heading, pitch: 0.62, distance: 1.5 * radius, fov: FOV});
     const inside = p => p && p[0] > 30 && p[0] < width - 30 && p[1] > 24 && p[1] < height - 14;
-    while (look.distance < 2.6 * radius && !cameras.every(cam => inside(this.project(cam.C, this.eye())))) look.distance *= 1.05; // cameras far away may be outside
+    const most = 2.6 * radius * Math.max(1, height / width);
+    while (look.distance < most && !cameras.every(cam => inside(this.project(cam.C, this.eye())))) look.distance *= 1.05; // cameras far away may be outside
     return this.pose();
   }
   add(points, name) { this.sets.push({points, name, pixels: {}}); this.draw(); }
