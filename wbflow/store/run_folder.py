@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,8 +24,6 @@ from .signed import Unsigned, signed, unsigned
 _OF = "run"
 _LOOK_BACK = 7
 """In so many runs before, the newest cloud is looked for (there are nights that make none)."""
-_SET_BACK_S = 2.0
-"""A newest run that lies further in the future than this was made before the clock was set back."""
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -281,18 +278,15 @@ def turn_links(work: WorkFolder) -> None:
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     """An id for a run that starts now, and that moment.
 
-    No id is used twice: a second run in the same second waits.  Ids sort as the runs did, even where the clock has been set back:
-    then one takes the second after the newest run's.
+    No id is used twice, and ids sort as the runs did: one that starts within the second of the newest run, or after the clock has
+    been set back, takes the next free second.
     """
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
-    while True:
-        moment = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-        ahead = (newest - moment).total_seconds() if newest else -1.0
-        if newest and ahead > _SET_BACK_S:
-            return run_id(newest + datetime.timedelta(seconds=1)), moment
-        if ahead < 0 and not work.run(run_id(moment)).folder.exists():
-            return run_id(moment), moment
-        time.sleep(0.05)
+    free = now if newest is None else max(now, newest + datetime.timedelta(seconds=1))
+    while work.run(run_id(free)).folder.exists():
+        free += datetime.timedelta(seconds=1)
+    return run_id(free), now
 
 
 def _told(data: bytes) -> dict[str, Any]:
