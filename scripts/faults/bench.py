@@ -219,10 +219,9 @@ def _become(toy: ToySite, output: Path, arguments: list[str], strike: Strike | N
         os.dup2(descriptor, 2)
         os.environ.update(toy.env())
         from wbflow.cli import main
-        from wbflow.store import digests, run_folder
+        from wbflow.store import digests
 
         digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
-        run_folder._SET_BACK_S = -1.0  # ids of runs in one second don't wait for the next
         if strike:
             arm(counter, strike.at, strike.kind)
         main.main(args=arguments, prog_name="wbflow", standalone_mode=True)
