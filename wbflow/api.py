@@ -34,6 +34,7 @@ from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener
+from .store.intact import Intact
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.record import CameraRecord, PairRecord, RunRecord
@@ -256,8 +257,9 @@ def _run(site: Site, options: Options, listen: Listener) -> Run:
             journal.repaired(damage)
         _mend_ledger(place, journal)
         prepare(night, journal)
-        worked = work(night, options, journal, costs)
-        finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
+        intact = Intact(place)
+        worked = work(night, options, journal, costs, intact)
+        finished = publish(name, place, night, worked, journal, costs, intact, own_process=options.backend == "threading")
         _afterwards(finished, site, journal)
         if not options.until and not worked.interrupted:
             _tell_people(site, finished, journal)

@@ -173,6 +173,11 @@ class WorkFolder:
         return self.root / "delivered.json"
 
     @property
+    def intact_memo(self) -> Path:
+        """Files that were read and found intact, remembered from run to run (see `store.intact`)."""
+        return self.cache / "intact.json"
+
+    @property
     def functions_memo(self) -> Path:
         """What was read of the stages' functions, remembered from run to run."""
         return self.cache / "functions.json"
