@@ -211,10 +211,9 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
     """In the child: the command line, struck where it is to be."""
     os.environ.update(toy.env())
     from wbflow.cli import main
-    from wbflow.store import digests, run_folder
+    from wbflow.store import digests
 
     digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
-    run_folder._SET_BACK_S = -1.0  # ids of runs in one second don't wait for the next
     fork_workers()
     if strike:
         arm(counter, strike.at, strike.kind)

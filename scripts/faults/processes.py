@@ -87,7 +87,7 @@ def fork_workers() -> None:
     """From now on, worker processes of runs in this process are forked, not started anew: a third of a second less for each."""
     from wbflow.night import hand
 
-    hand.subprocess = _Forks  # type: ignore[assignment]
+    vars(hand)["subprocess"] = _Forks
 
 
 class _Forks:

@@ -225,7 +225,9 @@ def restore(work: WorkFolder, reference: Reference) -> Restored:
         The disk is full, or there is no right to write.
     """
     cache = Cache(work)
-    to_cache, copied, lost = [], [], []
+    to_cache: list[Task] = []
+    copied: list[Task] = []
+    lost: list[Task] = []
     for task, pinned in reference.artifacts.items():
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:

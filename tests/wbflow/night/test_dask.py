@@ -58,7 +58,7 @@ class _Future:
 class _Client:
     """Two workers of a cluster, of which the first has other code: what it is given, it does at once."""
 
-    def __init__(self, *positional: Any, **named: Any) -> None:
+    def __init__(self) -> None:
         self.asked: list[list[str] | None] = []
 
     def wait_for_workers(self, count: int, timeout: float) -> None: ...
@@ -73,12 +73,13 @@ class _Client:
 
 
 def test_what_a_worker_was_refused_for_another_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clients: list[_Client] = []
-    monkeypatch.setattr(distributed, "Client", lambda *p, **n: clients.append(_Client()) or clients[0])
+    client = _Client()
+    monkeypatch.setattr(distributed, "Client", lambda *positional, **named: client)
     monkeypatch.setattr(distributed, "wait", lambda futures, return_when: SimpleNamespace(done=futures))
     spec = TaskSpec(Task("matches", ("a", "b")), "toy_stages:match", "code", {}, {})
     cluster = elsewhere.Cluster("tcp://somewhere", Cache(WorkFolder(tmp_path)))
     cluster.submit([[spec]])
-    assert [report.done for report in cluster.reports()] == []
-    assert [report.done for report in cluster.reports()] == ["done", None]
-    assert clients[0].asked == [None, ["new"]]
+    assert list(cluster.reports()) == []
+    done: list[object] = [report.done for report in cluster.reports()]
+    assert done == ["done", None]
+    assert client.asked == [None, ["new"]]
