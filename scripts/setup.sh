@@ -37,4 +37,6 @@ install_project() { # install_project EXTRAS
   [ -x "$VENV/bin/python" ] || python3 -m venv "$VENV"
   echo "Installing wbflow into $VENV"
   "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".${1:-}"
+  # an editable install leaves the project uncompiled: every process of every run would compile it anew where caches of it are not written
+  "$VENV/bin/python" -m compileall -q wbflow stages tests
 }

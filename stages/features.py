@@ -13,6 +13,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from .core.luminance import grey_levels
 from .matching.neighbours import nearest_elsewhere
 from .reasons import Reason, Rejected
 from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s, View
@@ -63,7 +64,7 @@ def detect(
     -------
     Features, or Rejected when the frame shows too little.
     """
-    grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+    grey = grey_levels(frame.image)
     equalise = preprocessing == "clahe" or (preprocessing == "auto" and _low_contrast(grey, frame.mask))
     if equalise:
         grey = _equalised(grey)

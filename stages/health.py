@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from .core.luminance import grey_levels
 from .twoview.elsewhere import compare_widely
 from .twoview.registration import Found, Turn, corners, find_again, fit_turn
 from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
@@ -124,7 +125,7 @@ def examine(
     then = _looks(pinned_frame)
     case.figures["covered"] = _covered(then, now)
     K = _intrinsics(frame, pinned_camera)
-    grey1, grey2 = _grey(pinned_frame), _grey(frame)
+    grey1, grey2 = grey_levels(pinned_frame.image), grey_levels(frame.image)
     found = find_again(grey1, grey2, corners(grey1, pinned_frame.mask & frame.mask))
     case.figures["found_again"] = len(found.x1) / max(found.searched, 1)
     case.turn = fit_turn(found, K, grey1.shape[1], grey1.shape[0])
@@ -195,7 +196,7 @@ def _sway(usual: Usual | None) -> float:
 
 
 def _looks(frame: Frame) -> _Looks:
-    grey, seen = _grey(frame), frame.mask
+    grey, seen = grey_levels(frame.image), frame.mask
     if not seen.any():
         return _Looks(0.0, 0.0, 0.0, 0.0, np.full((1, 1), np.nan))
     low, middle, high = np.percentile(grey[seen], [5, 50, 95])
@@ -240,7 +241,3 @@ def _intrinsics(frame: Frame, camera: Camera | None) -> Float64s:
     h, w = frame.image.shape[:2]
     f = _GUESSED_FOCAL * w
     return np.array([[f, 0.0, (w - 1) / 2], [0.0, f, (h - 1) / 2], [0.0, 0.0, 1.0]])
-
-
-def _grey(frame: Frame) -> Uint8s:
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(frame.image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)

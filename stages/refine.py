@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 
 from .core.cameras import ray_angles, transfer
+from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
 from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
@@ -86,8 +86,8 @@ def refine(
     around = around[: min(max_sources, 32)]
     if not around:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    image = grey(frame)
-    sources = _stack([grey(frames[other]) for other in around])
+    image = luminance(frame.image)
+    sources = _stack([luminance(frames[other].image) for other in around])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, cameras[other]) for other in around), strict=True))
     spacing = max(1, round(max(image.shape) / 768))
     taps = spacing * _taps(radius)
@@ -138,11 +138,6 @@ def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tupl
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = z * np.sqrt((noise.noise_px * z) ** 2 / parallax + noise.floor**2)
     return z.astype(np.float32), sigma.astype(np.float32)
-
-
-def grey(frame: Frame) -> Float32s:
-    """(h, w) float32, never rounded: weak texture lives below one grey level."""
-    return np.asarray(cv2.cvtColor(frame.image.astype(np.float32), cv2.COLOR_RGB2GRAY), dtype=np.float32)
 
 
 def _sources(

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 
+from .core.luminance import grey_levels
 from .mvs.ground import find_ground
-from .types import Camera, Float32s, Frame, Scene
+from .types import Camera, Frame, Scene
 
 
 def find_scene(
@@ -32,9 +32,6 @@ def find_scene(
     """
     known = {name: camera for name, camera in cameras.items() if camera.component == 0 and name in frames}
     box = None if bounds is None else np.sort(np.array(bounds, dtype=np.float64), axis=0)
-    plane = find_ground({name: _grey(frames[name]) for name in known}, known) if ground and len(known) > 1 else None
+    grey = {name: grey_levels(frames[name].image).astype(np.float32) for name in known} if ground and len(known) > 1 else {}
+    plane = find_ground(grey, known) if grey else None
     return Scene(box, plane)
-
-
-def _grey(frame: Frame) -> Float32s:
-    return np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), dtype=np.float32)

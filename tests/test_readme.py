@@ -30,6 +30,10 @@ def wbflow_says(*arguments: str | Path) -> str:
     return result.output
 
 
+def work(folder: Path) -> Path:
+    return folder / ".wbflow" / "yard"
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The README's site file, in a folder with four photographs of which nothing else is known, and a run of it."""
@@ -56,8 +60,8 @@ def test_a_site_file_that_init_writes_makes_one_too(folder: Path, tmp_path: Path
         place.parent.mkdir(exist_ok=True)
         place.write_bytes(photograph.read_bytes())
     wbflow_says("init", tmp_path)
-    wbflow_says("run", tmp_path, "--jobs", "1", "--work", folder / "by-init")  # the second layout from the cache of the first
-    run = wbflow.open_run(wbflow.load_site(tmp_path, folder / "by-init"))
+    wbflow_says("run", tmp_path, "--jobs", "1", "--work", work(folder))  # what is the same comes from the cache
+    run = wbflow.open_run(wbflow.load_site(tmp_path, work(folder)))
     assert len(run.cloud.points) > 20_000
 
 

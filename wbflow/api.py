@@ -33,6 +33,7 @@ from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
 from .store.events import Event, Listener, Watcher
+from .store.intact import Intact
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
 from .store.record import CameraRecord, PairRecord, RunRecord
@@ -178,10 +179,8 @@ def run(
         Stages, or tasks such as "matches gate--roof", to be done again.
     wait : bool
         Wait for another run of the same work folder.
-    backend : str
-        Where tasks run: processes, threading or dask.
-    scheduler : str, optional
-        Address of the Dask scheduler.
+    backend, scheduler : str
+        Where tasks run: processes, threading or dask; the address of Dask's scheduler.
     memory : str, optional
         What all workers together may hold: "4GB"; four fifths of what the machine has, if not given.
     time_limit : float, optional
@@ -256,8 +255,9 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
             journal.repaired(damage)
         _mend_ledger(place, journal)
         prepare(night, journal)
-        worked = work(night, options, journal, costs)
-        finished = publish(name, place, night, worked, journal, costs, own_process=options.backend == "threading")
+        intact = Intact(place)
+        worked = work(night, options, journal, costs, intact)
+        finished = publish(name, place, night, worked, journal, costs, intact, own_process=options.backend == "threading")
         _afterwards(finished, site, journal)
         if not options.until and not worked.interrupted:
             _tell_people(site, finished, journal)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ..core.luminance import grey_levels
 from ..types import Bools, Float64s, Uint8s
 
 _LEAST_TOLERANCE, _SIGMAS = 18.0, 5.0
@@ -121,7 +122,7 @@ def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bool
     spread = np.abs(low - high)
     expected = np.minimum(low, high) * (ratio - 1)
     stays = (expected >= 8) & (spread <= 0.25 * expected) & (np.maximum(low, high) <= 251)
-    edges = np.abs(cv2.Laplacian(cv2.cvtColor(merged, cv2.COLOR_RGB2GRAY), cv2.CV_32F))
+    edges = np.abs(cv2.Laplacian(grey_levels(merged), cv2.CV_32F))
     strokes = (stays & (cv2.dilate(edges, _disc(3)) > 60)).astype(np.uint8)
     strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < 0.12] = 0  # single pixels that noise has left
     width = merged.shape[1]

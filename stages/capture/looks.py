@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..core.luminance import grey_levels
 from ..types import Bools, Float64s, Uint8s
 
 POOR = 0.25
@@ -33,7 +34,7 @@ class Looks:
 
 def looks(image: Uint8s, usable: Bools) -> Looks:
     """Figures of a picture (h, w, 3) uint8 where it may be used (h, w)."""
-    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    grey = grey_levels(image)
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # the sensor's noise is no sharpness
     edges = cv2.Laplacian(smooth, cv2.CV_32F)[usable]
     levels = grey[usable]

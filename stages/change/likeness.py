@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ..core.cameras import project
 from ..core.jit import kernel
+from ..core.luminance import grey_levels
 from ..types import Bools, Camera, Float32s, Float64s, Frame
 
 _RADIUS = 3
@@ -55,13 +55,10 @@ def likeness(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) ->
     rows, x1, x2 = rows[ahead], x1[ahead], x2[ahead]
     step = max(1, round(tonight.camera.width / 768))
     out = np.full(len(rows), np.nan, np.float32)
-    _correlate(_grey(tonight.frame), _grey(then.frame), tonight.frame.mask, then.frame.mask, x1, x2, _RADIUS, step, out)
+    image1, image2 = (grey_levels(side.frame.image).astype(np.float32) for side in (tonight, then))
+    _correlate(image1, image2, tonight.frame.mask, then.frame.mask, x1, x2, _RADIUS, step, out)
     found[rows] = out
     return found
-
-
-def _grey(frame: Frame) -> Float32s:
-    return np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), dtype=np.float32)
 
 
 @kernel

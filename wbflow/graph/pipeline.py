@@ -315,6 +315,7 @@ STAGES: tuple[Stage, ...] = (
             figures="wbflow_stages.io.clouds:cloud_figures",
         ),
         picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
+        view="wbflow_stages.exports.view:cloud_view",
     ),
     Stage(
         "coverage",
@@ -348,6 +349,7 @@ STAGES: tuple[Stage, ...] = (
         picture=Picture("wbflow_stages.exports.changed:changes_preview"),
         reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
         files="wbflow_stages.exports.changed:changes_files",
+        view="wbflow_stages.exports.view:changes_view",
         title="What has changed",
         kept=False,
     ),

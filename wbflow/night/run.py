@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..graph.pipeline import stage_with
 from ..graph.rows import Role
-from ..store.cache import Cache, DamagedArtifact
+from ..store.cache import Cache, DamagedArtifact, Receipt
 from ..store.disk import DiskFloor
+from ..store.intact import Intact
 from ..store.room import REMEDY
 from ..task import Task
 from .changes import Changes
@@ -36,15 +37,30 @@ MOST_REPAIRS = 3
 
 
 @dataclass(frozen=True)
+class Product:
+    """An artifact that is published, found intact."""
+
+    task: Task
+    receipt: Receipt
+    cache: Cache
+    data: bytes | None = None
+    """Its bytes; None where they are as they were when an earlier run read them."""
+
+    def read(self) -> bytes:
+        """Its bytes.  Raises DamagedArtifact for what has gone wrong unnoticed since an earlier run."""
+        return self.data or self.cache.read(self.task, self.cache.path(self.receipt), self.receipt.digest)
+
+
+@dataclass(frozen=True)
 class Worked:
     """What a night's work came to (its tasks are in the plan)."""
 
-    products: Mapping[Task, bytes] = field(default_factory=dict)
-    """Bytes of what is published, read back from the cache and found intact."""
+    products: Mapping[Task, Product] = field(default_factory=dict)
+    """What is published."""
     interrupted: bool = False
 
 
-def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Worked:
+def work(night: Night, options: Options, journal: Journal, costs: Costs, intact: Intact) -> Worked:
     """Do all that is to be done.  The caller holds the lock.
 
     Parameters
@@ -57,10 +73,12 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
         Is told of everything that happens.
     costs : Costs
         To which the costs of what runs are added.
+    intact : Intact
+        What need not be read again, and learns of what was.
     """
     try:
         with _Hands(options, night.plan.cache, journal) as hands:
-            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at)))
+            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at), intact))
     except KeyboardInterrupt:
         return Worked(interrupted=True)
     finally:
@@ -104,7 +122,9 @@ class _Hands:
         return self._executor.reports() if self._executor else iter(())
 
 
-def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline) -> dict[Task, bytes]:
+def _until_settled(
+    night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline, intact: Intact
+) -> dict[Task, Product]:
     """Do all tasks; returns what is published.
 
     Parameters
@@ -117,6 +137,8 @@ def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, 
         Are told.
     deadline : Deadline
         From then on only what is there is put together.
+    intact : Intact
+        Tells what need not be read back before it is published.
     """
     plan, floor = night.plan, DiskFloor(night.plan.cache.work)
     repairs, changes = _Repairs(plan, journal), Changes(night, journal)
@@ -142,7 +164,7 @@ def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, 
             hands.submit(lanes)
         elif not plan.busy:
             try:
-                return _products(plan)
+                return _products(plan, intact)
             except DamagedArtifact as damage:
                 repairs.make_again(damage.task, damage.what)
                 continue
@@ -174,13 +196,17 @@ def _settle(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: 
     journal.finished(done.task, state, done)
 
 
-def _products(plan: Plan) -> dict[Task, bytes]:
+def _products(plan: Plan, intact: Intact) -> dict[Task, Product]:
     """What is published of a plan that is settled.  Raises DamagedArtifact."""
     published = {stage_with(Role.WORLD).name, stage_with(Role.PRODUCT).name}
     found = {}
     for task, state in plan.states.items():
         if task.stage in published and state.usable and state.receipt:
-            found[task] = plan.cache.read(task, plan.cache.path(state.receipt), state.receipt.digest)
+            path, digest, data = plan.cache.path(state.receipt), state.receipt.digest, None
+            if not intact.holds(path, digest):
+                data = plan.cache.read(task, path, digest)
+                intact.read(path, digest)
+            found[task] = Product(task, state.receipt, plan.cache, data)
     return found
 
 

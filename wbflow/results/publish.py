@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
@@ -13,10 +14,11 @@ from ..graph.rows import Role
 from ..night.journal import Costs, Journal
 from ..night.night import Night
 from ..night.plan import Plan
-from ..night.run import Worked
+from ..night.run import Product, Worked
 from ..store import artifact
 from ..store.events import TaskEvent
-from ..store.layout import WorkFolder
+from ..store.intact import Intact, made_of
+from ..store.layout import WorkFolder, cloud_name
 from ..store.ply import with_comments
 from ..store.record import RunRecord
 from ..store.run_folder import UnfinishedRun
@@ -31,7 +33,7 @@ from .verdict import judged
 
 
 def publish(
-    run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
+    run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, intact: Intact, own_process: bool
 ) -> FinishedRun:
     """Write what a night left into the folder of its run; `latest` leads there.
 
@@ -47,6 +49,8 @@ def publish(
         What happened; a report that cannot be drawn is told there, too.
     costs : Costs
         What it has cost so far.
+    intact : Intact
+        What is known of the products of earlier runs.
     own_process : bool
         Did the tasks run in this process?
 
@@ -56,12 +60,12 @@ def publish(
         The disk is full, or there is no right to write.
     """
     told = _told_of_world(night.plan, worked.products, journal)
-    clouds = {task.subject: data for task, data in worked.products.items() if task.stage == stage_with(Role.PRODUCT).name}
-    if () in clouds and told is not None:
-        clouds[()] = with_comments(clouds[()], tuple(told.comments))
+    unfinished = UnfinishedRun(work, run, intact=intact)
+    for task, cloud in worked.products.items():
+        if task.stage == stage_with(Role.PRODUCT).name:
+            _publish_cloud(unfinished, cloud, tuple(told.comments) if told and not task.subject else ())
     cameras = told.calibration if told else None
-    unfinished = UnfinishedRun(work, run)
-    unfinished.write_products(clouds, cameras)
+    unfinished.write_products({}, cameras)
     beside = files_beside(night.plan, journal)
     for name, data in (entry for files in beside.values() for entry in files.items()):
         unfinished.write(name, data)
@@ -70,9 +74,18 @@ def publish(
     record = replace(record, later=told_beside(night.plan, beside))
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
-    page = _report(work, record, journal, cameras or {})
+    page = _report(night.plan, record, journal, cameras or {}, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
+    with suppress(OSError):  # it costs reading cloud and functions again
+        intact.save()
+        night.site.reader.save()
     return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
+
+
+def _publish_cloud(unfinished: UnfinishedRun, cloud: Product, comments: tuple[str, ...]) -> None:
+    name, of = cloud_name(cloud.task.subject), made_of(cloud.receipt.digest, comments)
+    if cloud.data is not None or not unfinished.take(name, of):
+        unfinished.write(name, with_comments(cloud.read(), comments), of)
 
 
 @dataclass(frozen=True)
@@ -85,7 +98,7 @@ class _World:
     comments: list[str]
 
 
-def _told_of_world(plan: Plan, products: Mapping[Task, bytes], journal: Journal) -> _World | None:
+def _told_of_world(plan: Plan, products: Mapping[Task, Product], journal: Journal) -> _World | None:
     world = stage_with(Role.WORLD)
     task = Task(world.name)
     state = plan.states.get(task)
@@ -102,7 +115,7 @@ def _told_of_world(plan: Plan, products: Mapping[Task, bytes], journal: Journal)
         journal.repaired(f"{damage.what}: made again", task=task)
     except TypeError:  # by another version
         pass
-    result = artifact.decode(products[task])  # numpy is imported for this
+    result = artifact.decode(products[task].read())  # numpy is imported for this
     calibration, comments = (function(dotted)(result) for dotted in functions)
     made = _World(code, calibration, list(comments))
     write_signed(memo, plan.cache.work.place(memo), asdict(made))
@@ -110,12 +123,12 @@ def _told_of_world(plan: Plan, products: Mapping[Task, bytes], journal: Journal)
     return made
 
 
-def _report(work: WorkFolder, record: RunRecord, journal: Journal, cameras: Mapping[str, Any]) -> str:
+def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:
     """The report.  The night's work is done: a report that cannot be drawn must not lose it, but is told of."""
     try:
         from .report.page import build_report
 
-        return build_report(work, record, journal.events, cameras)
+        return build_report(plan.site, plan.cache.work, record, journal.events, cameras, unfinished.paths.folder)
     except Exception as error:  # whatever is wrong in it
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())

@@ -126,6 +126,10 @@ class WorkFolder:
         """What runs publish of an artifact, besides itself."""
         return self.artifact(task, key, ".published")
 
+    def view(self, task: Task, key: str) -> Path:
+        """The points of an artifact for the report's 3-D view."""
+        return self.artifact(task, key, ".view")
+
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""
         return self.artifact(task, key, ".json")
@@ -171,6 +175,11 @@ class WorkFolder:
     def seen_memo(self) -> Path:
         """Digests of what cameras have delivered in earlier nights."""
         return self.root / "delivered.json"
+
+    @property
+    def intact_memo(self) -> Path:
+        """Files that were read and found intact, remembered from run to run (see `store.intact`)."""
+        return self.cache / "intact.json"
 
     @property
     def functions_memo(self) -> Path:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,15 @@ from ..errors import ExitCode, WbflowError
 from ..task import Subject, Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
+from .intact import Intact
 from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
 from .record import CloudRecord, RunRecord
-from .share import write_product
+from .share import share_product, write_product
 from .signed import Unsigned, signed, unsigned
 
 _OF = "run"
 _LOOK_BACK = 7
 """In so many runs before, the newest cloud is looked for (there are nights that make none)."""
-_SET_BACK_S = 2.0
-"""A newest run that lies further in the future than this was made before the clock was set back."""
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -167,19 +166,60 @@ class UnfinishedRun:
     name: str
     files: dict[str, str] = field(default_factory=dict)
     """SHA-256 of the products that have been written, by name."""
+    intact: Intact | None = None
+    """What is known of earlier runs' products, and learns of them."""
 
     def write_products(self, clouds: Mapping[Subject, bytes], cameras: Mapping[str, Any] | None) -> None:
         """Clouds (PLY) by component, () being the main one, and cameras in the form of a calibration.  Raises OSError."""
         for component, data in clouds.items():
             self.write(cloud_name(component), data)
         if cameras is not None:
-            self.write(self._paths.cameras.name, json.dumps(cameras, indent=1).encode())
+            self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
-    def write(self, name: str, data: bytes) -> None:
-        """A product that is not changed after the run; what the run before has just the same takes no room.  Raises OSError."""
-        earlier = (self.work.run(run).folder / name for run in reversed(self.work.run_ids()[-_LOOK_BACK:]))
-        write_product(self._paths.folder / name, data, next((path for path in earlier if path.is_file()), None))
+    def write(self, name: str, data: bytes, of: str = "") -> None:
+        """A product that is not changed after the run; what the run before has just the same takes no room.
+
+        Parameters
+        ----------
+        name : str
+            Of the file.
+        data : bytes
+            What it holds.
+        of : str
+            What it is made of (see `store.intact`), where that is worth remembering.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
+        """
+        places = (self.work.run(run).folder / name for run in self._earlier)
+        earlier = next((path for path in places if path.is_file()), None)
+        shares = write_product(self.paths.folder / name, data, earlier)
         self.files[name] = hashlib.sha256(data).hexdigest()
+        if earlier and shares and of and self.intact:
+            self.intact.published(earlier, of, self.files[name])
+
+    def take(self, name: str, of: str) -> bool:
+        """Publish what an earlier run has just the same, without reading it; False where none is known to have it.
+
+        Parameters
+        ----------
+        name : str
+            Of the file.
+        of : str
+            What it is made of.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
+        """
+        found = self.intact.product(name, of, self._earlier) if self.intact else None
+        if found is None or not share_product(self.paths.folder / name, found[0]):
+            return False
+        self.files[name] = found[1]
+        return True
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
         """Add what is told of the run and give the folder its name; the links lead there.
@@ -200,19 +240,25 @@ class UnfinishedRun:
         OSError
             The disk is full, or there is no right to write.
         """
-        write_atomic(self._paths.log, _lines(events))
-        write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
-        write_atomic(self._paths.report, report.encode(errors="backslashreplace"))
-        write_atomic(self._paths.metrics, metrics.encode(errors="backslashreplace"))
+        write_atomic(self.paths.log, _lines(events))
+        write_atomic(self.paths.record, signed(_OF, record.to_json(), indent=1))
+        write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
+        write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
-        self._paths.folder.rename(final.folder)
+        self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
         turn_links(self.work)
         return RunFolder(final)
 
     @property
-    def _paths(self) -> RunPaths:
+    def paths(self) -> RunPaths:
+        """Where it is put together."""
         return self.work.unfinished_run(self.name)
+
+    @cached_property
+    def _earlier(self) -> list[str]:
+        """The newest runs, newest first."""
+        return self.work.run_ids()[: -_LOOK_BACK - 1 : -1]
 
 
 def turn_links(work: WorkFolder) -> None:
@@ -233,18 +279,15 @@ def turn_links(work: WorkFolder) -> None:
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     """An id for a run that starts now, and that moment.
 
-    No id is used twice: a second run in the same second waits.  Ids sort as the runs did, even where the clock has been set back:
-    then one takes the second after the newest run's.
+    No id is used twice, and ids sort as the runs did: one that starts within the second of the newest run, or after the clock has
+    been set back, takes the next free second.
     """
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
-    while True:
-        moment = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-        ahead = (newest - moment).total_seconds() if newest else -1.0
-        if newest and ahead > _SET_BACK_S:
-            return run_id(newest + datetime.timedelta(seconds=1)), moment
-        if ahead < 0 and not work.run(run_id(moment)).folder.exists():
-            return run_id(moment), moment
-        time.sleep(0.05)
+    free = now if newest is None else max(now, newest + datetime.timedelta(seconds=1))
+    while work.run(run_id(free)).folder.exists():
+        free += datetime.timedelta(seconds=1)
+    return run_id(free), now
 
 
 def _told(data: bytes) -> dict[str, Any]:

@@ -15,8 +15,8 @@ _FICLONE = 0x40049409
 _PIECE = 1 << 22
 
 
-def write_product(path: Path, data: bytes, earlier: Path | None = None) -> None:
-    """Write a file that is not to be changed any more.
+def write_product(path: Path, data: bytes, earlier: Path | None = None) -> bool:
+    """Write a file that is not to be changed any more; returns whether it shares the bytes of the earlier one.
 
     Where an earlier file holds the same bytes, they are shared: as a clone, where the file system can make one (then nobody can
     tell), else as a second name of the same file.  Products can be read only, so that no program writes through one name what is
@@ -36,8 +36,22 @@ def write_product(path: Path, data: bytes, earlier: Path | None = None) -> None:
     OSError
         The disk is full, or there is no right to write.
     """
-    if earlier is None or not _holds(earlier, data) or not _shared(earlier, path):
+    shares = earlier is not None and _holds(earlier, data) and share_product(path, earlier)
+    if not shares:
         write_atomic(path, data)
+        _closed(path)
+    return shares
+
+
+def share_product(path: Path, earlier: Path) -> bool:
+    """Publish the bytes of an earlier product once more, without reading them; False where the file system cannot."""
+    shares = _shared(earlier, path)
+    if shares:
+        _closed(path)
+    return shares
+
+
+def _closed(path: Path) -> None:
     with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
         path.chmod(0o444)
 
