@@ -108,7 +108,7 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
     marks = tuple(_marks(record.later, rows, origin))
     near = [_turned(rows, _less(p, origin)) for p in sample]
     box = _grown(_box(near, _TRIMMED)) if near else _box([c.at for c in cameras], 0.0)
-    middle = tuple((a + b) / 2 for a, b in zip(*box, strict=True))
+    middle = _between(*box)
     radius = max(math.dist(*box) / 2, 1e-6)
     low, high = _box([*box, *(c.at for c in cameras), *(m.at for m in marks)], 0.0)
     unit = "m" if not record.poses or record.poses.metric else ""
@@ -177,6 +177,10 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 def _less(a: Sequence[float], b: Sequence[float]) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _between(a: Vector, b: Vector) -> Vector:
+    return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2
 
 
 def _unit(a: Sequence[float]) -> Vector:
