@@ -56,13 +56,13 @@ def test_a_task_that_failed_fails_again_where_it_can_be_looked_at(toy: ToySite) 
     [
         (("frames", "rof"), "did you mean 'frames roof'?"),
         (("coffee",), "there is no stage 'coffee'"),
-        (("matches gate--roof",), "'matches gate--roof' waits for features gate"),
+        (("matches gate--roof",), "'matches gate--roof' waits for 'pairs', which has not been made yet"),
+        (("poses",), "--until pairs"),
         ((), "name a task"),
     ],
 )
 def test_what_cannot_be_written_is_told_with_what_to_type(toy: ToySite, words: tuple[str, ...], said: str) -> None:
     toy.run("--until", "frames")
-    (toy.work / "cache" / "pairs").mkdir(exist_ok=True)
     assert said in debug(toy, *words, code=2)
 
 
@@ -78,7 +78,9 @@ def test_runs_say_where_everything_lies(toy: ToySite) -> None:
 def test_one_page_shows_all_sites_of_a_folder_the_worst_first(toy: ToySite) -> None:
     toy.run()
     (toy.folder.parent / "other").mkdir()
-    (toy.folder.parent / "other" / "site.yaml").write_text("site: other\ncaptures: {pattern: '<script>'}\ncameras: [a, b]\n")
+    (toy.folder.parent / "other" / "site.yaml").write_text(
+        "site: other\ncaptures: {pattern: x}\ncameras: [a, b]\n'<script>': 1\n"
+    )
     (toy.folder.parent / "notes.yaml").write_text("nothing: of ours\n")
     out = toy.folder.parent / "www" / "sites.html"
     result = CliRunner().invoke(main, ["site-report", str(toy.folder.parent), "--out", str(out)])

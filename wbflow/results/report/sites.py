@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -97,7 +98,7 @@ def _is_one(file: Path) -> bool:
         text = file.read_text(errors="replace")
     except OSError:
         return False
-    return any(line.startswith("site:") for line in text.splitlines())
+    return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None
 
 
 def _row(file: Path, folder: Path) -> Row:
