@@ -8,6 +8,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,7 @@ def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
 def test_colours_switch_and_have_a_scale(browser: Any) -> None:
     looks = set()
     for button in browser.find_elements("css selector", "[data-mode]"):
-        looks.add(settled(browser, lambda button=button: browser.execute_script("arguments[0].click()", button)))
+        looks.add(settled(browser, partial(browser.execute_script, "arguments[0].click()", button)))
         assert (button.get_attribute("data-mode") == "photograph") != browser.find_element(
             "css selector", ".legend"
         ).is_displayed()

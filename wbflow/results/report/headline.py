@@ -130,7 +130,7 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
                 pictures = [(tonight, f"this night, {record.date}"), *([(then, then.alt)] if then else [])]
         elif len(finding.subject) == 2:
             shown = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
-            pictures = [(picture, name) for picture in shown if picture][:2]
+            pictures.extend([(picture, name) for picture in shown if picture][:2])
         number = numbers.get(name, 0)
         found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures)))
     return found
