@@ -81,8 +81,8 @@ def rectify(
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
-    Where both cameras are known, they give the rows.  Matches that agree with them choose scale, crop and disparity range; where
-    these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
+    Known cameras give the rows.  Matches that agree with them choose scale, crop and range, with the ground where that is known;
+    where these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
 
     Parameters
     ----------
@@ -126,9 +126,7 @@ def rectify(
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
     by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
     enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
-    if left is None or right is None or left_frame is None or right_frame is None:
-        return by_matches
-    if enough:
+    if enough or left is None or right is None or left_frame is None or right_frame is None:
         return _reaching_ground(by_matches, geometry, (left, right), scene, fitted)
     by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
     return by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
@@ -209,14 +207,16 @@ def _from_cameras(
 def _reaching_ground(
     found: Rectification | Rejected,
     geometry: Geometry | None,
-    cameras: tuple[Camera, Camera],
+    views: tuple[Camera | None, Camera | None],
     scene: Scene | None,
     fitted: Callable[[MatchedPair], Placed | Rejected],
 ) -> Rectification | Rejected:
     """What the matches tell, laid out anew where that leaves most of the ground out of reach: façades all around a square match
     one another, its repeated paving at their feet does not."""
-    if isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
+    left, right = views
+    if left is None or right is None or isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
         return found
+    cameras = left, right
     x1, x2 = ground_in_both(*cameras, scene.ground)
     if len(x1) < _FEWEST_POINTS or _in_reach(found, x1, x2) >= _LEAST_GROUND_IN_REACH:
         return found
