@@ -25,6 +25,7 @@ from .rectification.warping import to_rectified
 from .stereo.witness import ask_witness
 from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
+from .twoview.pair_score import hardly_converging
 from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfPair, PairCheck, Rectification, Scene
 
 METHODS = {
@@ -146,7 +147,7 @@ def _by_matches(
         return Rejected(Reason.NOTHING_KNOWN), 0
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _obeying(geometry, left, right)
-    refusal = _contradicted(check) or _unbelievable(geometry, pair)
+    refusal = _contradicted(check) or _unbelievable(geometry, pair, min_angle_deg)
     found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
     if isinstance(found, Rejected):
         return found, len(pair.x1)
@@ -289,8 +290,10 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
     return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
 
 
-def _unbelievable(geometry: Geometry, pair: MatchedPair) -> Rejected | None:
+def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
     """Why F is not to be believed where no cameras gave it."""
+    if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
+        return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
     if pair.camera1 is None and geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
         return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
