@@ -22,12 +22,13 @@ if TYPE_CHECKING:
 @work_option
 def report(site: Path, run_id: str | None, work: Path | None) -> None:
     """(Re)build a run's report."""
-    place = place_of(load(site, work))
+    loaded = load(site, work)
+    place = place_of(loaded)
     from ..results.report.page import rebuild_report
     from ..store.run_folder import RunFolder
 
     folder = RunFolder.of(place, run_id)
-    say(folder.write_report(rebuild_report(place, folder)))
+    say(folder.write_report(rebuild_report(loaded, place, folder)))
 
 
 @click.command()

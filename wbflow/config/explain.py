@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from .calibrated import COEFFICIENTS
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .positions import Document, Place, SiteProblem
 from .schema import (
@@ -30,7 +31,8 @@ _REMEDIES = {
     "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
-    "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them",
+    "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
+    "model": f"name one of {', '.join(COEFFICIENTS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
     "site": "give the site a name: site: harbour",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
@@ -64,7 +66,7 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern", "notify", "keep"}:
+            if kind not in {"intrinsics", "lens", "pose", "place", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
