@@ -278,7 +278,7 @@ def colmap() -> dict[str, tuple[str, bytes]]:
         "an image without a name": ("images.txt", images.replace(b" gate.jpg", b"", 1)),
         "images that are no text": ("images.txt", b"\xff\xfe" + images),
         "cameras that are no text": ("cameras.txt", b"\xff\xfe" + cameras),
-        "an unknown model": ("cameras.txt", cameras.replace(b"PINHOLE", b"FISHEYE")),
+        "an unknown model": ("cameras.txt", cameras.replace(b"PINHOLE", b"PINBALL")),
         "too few parameters": ("cameras.txt", cameras.replace(b" 320 240", b"")),
         "a size of 400 digits": ("cameras.txt", cameras.replace(b"640", b"9" * 400)),
         "a size of nothing": ("cameras.txt", cameras.replace(b"640", b"0")),

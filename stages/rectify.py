@@ -81,8 +81,8 @@ def rectify(
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
-    Where both cameras are known, they give the rows.  Matches that agree with them choose scale, crop and disparity range; where
-    these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
+    Known cameras give the rows.  Matches that agree with them choose scale, crop and disparity range; where these are too few,
+    points of the likely scene do, and dense matching is asked whether the rows are right.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ def rectify(
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
         the matches; "literal": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
         orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a dotted function.
-        Homographies that tear the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
+        Homographies that tear the image give way to Hartley's, and where an epipole is near to "polar"; `reason` says why.
     fallback
-        Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
+        False keeps the asked method however it tears the image, for study.
     min_matches
         Fewer matches than this reject the pair where no cameras are known.
     few_matches
@@ -118,9 +118,7 @@ def rectify(
     ValueError, TypeError
         No such method, or it needs the cameras; a parameter that the method does not read.
 
-    References
-    ----------
-    Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
+    References: Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
     fitted = partial(_fitted, (geometry, left, right), method, fallback, options)
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin

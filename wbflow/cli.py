@@ -7,7 +7,7 @@ import sys
 import click
 
 from . import __version__
-from .commands import night, reference, runs, start
+from .commands import look, night, reference, runs, start
 from .errors import ExitCode, WbflowError
 from .screen import stop
 
@@ -58,6 +58,7 @@ for _command in (
     start.init,
     start.pair,
     start.stages,
+    look.debug,
 ):
     main.add_command(_command)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ExitCode, UsageError, worst
-from ..screen import findings, listener, say, summary
+from ..screen import findings, next_command, say, summary, watching
 from .common import (
     BACKENDS,
     Clock,
@@ -82,7 +82,8 @@ def run(
             say(f"{len(nights) - len(codes)} nights were not begun: the run was to stop at {at:%H:%M}", err=True)
             codes.append(ExitCode.DEGRADED)
             break
-        finished = work_through(loaded, date=day, listen=listener(loaded, verbose, quiet or as_json), **asked)
+        with watching(loaded.name, verbose, quiet or as_json) as watch:
+            finished = work_through(loaded, date=day, listen=watch.hear, watch=watch.hear, **asked)
         record = finished.record
         codes.append(record.exit_code)
         records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
@@ -94,6 +95,8 @@ def run(
             findings(record)
         if record.exit_code == ExitCode.INTERRUPTED:
             break
+    if not (quiet or as_json):
+        say(f"next    {next_command(finished, site)}")
     if as_json:
         say(json.dumps(records if since else records[0], indent=1))
     sys.exit(worst(codes))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ExitCode, UsageError
-from ..screen import listener, say, stop
+from ..screen import say, stop, watching
 from .common import PATH, jobs_option, verbose_option
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     from ..results.pair import LAST_STAGE, failure, pair_site, write_pair
 
     site = pair_site(left, right, out, resolution)
-    finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=listener(site, verbose, quiet=False)).finished
+    with watching(site.name, verbose) as watch:
+        finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=watch.hear, watch=watch.hear).finished
     for file in write_pair(finished, out):
         say(file)
     if why := failure(finished):
