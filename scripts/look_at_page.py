@@ -1,4 +1,4 @@
-"""Open a report's page in a headless Chromium: pictures of it, and how long a frame of the turning cloud takes without a graphics card.
+"""Open a report in a headless Chromium: pictures of it, and how long a frame of the turning cloud takes without a graphics card.
 
 scripts/look_at_page.py runs/latest/report.html --out shots
 """
