@@ -36,7 +36,7 @@ from wbflow.task import Task
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud
 
-RUN = "20261110T031500Z"
+RUN = "20261210T031500Z"
 _RADIUS = 12.0
 
 
@@ -72,7 +72,7 @@ def bowl(points: int) -> Cloud:
     return Cloud(np.stack([x, y, z], axis=1), up, shades, sure, (2 + 6 * share).astype(np.uint16), 5 + 20 * share)
 
 
-def record(ids: list[str], run: str = RUN, date: str = "2026-11-09", **changes: Any) -> RunRecord:
+def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: Any) -> RunRecord:
     """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
     well = {"brightness": 110.0, "sharpness": 0.2, "keypoints": 6000, "frames_used": 3}
     told = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]

@@ -64,9 +64,15 @@ def run(
     """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
     With --since, the nights of a machine that was off are caught up with, one run for each; the exit code is that of the worst.
+
+    \b
+    wbflow run site.yaml                          the newest night
+    wbflow run site.yaml --date yesterday -q      for cron: says only what went wrong
+    wbflow run site.yaml --force 'matches gate--roof' --until poses
+    wbflow run site.yaml --since -7 --stop-at 06:00
     """
     if date and since:
-        raise UsageError("--date and --since name two things to do: give one of them")
+        raise UsageError("--date and --since name two things to do", remedy=f"give one of them: wbflow run {site} --since DAY")
     loaded = load(site, work, notes=dry_run)
     if dry_run:
         for day in _nights(loaded, date, since):
@@ -115,7 +121,12 @@ def _nights(site: Site, date: datetime.date | None, since: datetime.date | None)
 @until_option
 @json_option
 def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None, as_json: bool) -> None:
-    """What is cached, what would run, and why."""
+    """What is cached, what would run, and why.
+
+    \b
+    wbflow status site.yaml
+    wbflow status site.yaml --date -1 --json
+    """
     _explain(load(site, work), date, until, (), as_json)
 
 
@@ -124,7 +135,12 @@ def status(site: Path, date: datetime.date | None, work: Path | None, until: str
 @date_option
 @work_option
 def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
-    """Site, captures and machine examined without running; every finding, with its remedy."""
+    """Site, captures and machine examined without running; every finding, with its remedy.
+
+    \b
+    wbflow check site.yaml
+    wbflow check site.yaml --date yesterday
+    """
     loaded = load(site, work)
     from ..results.check import check as examine
     from ..results.check import exit_code

@@ -12,8 +12,9 @@ from typing import Any
 from ..config.site import Site
 from ..errors import UsageError
 from ..graph.exports import PLAIN_FILES
-from ..graph.pipeline import stage_named
+from ..graph.pipeline import stage_named, stage_with
 from ..graph.plugins import offer
+from ..graph.rows import Role
 from ..night.night import open_night
 from ..night.obstacles import Impossible, Waiting
 from ..night.plan import Plan
@@ -97,6 +98,8 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
 
 def _spec(plan: Plan, task: Task) -> TaskSpec:
     known = [*plan.states, *plan.ready, *plan.waiting]
+    if stage_named(task.stage).scope == "pair" and not plan.pairs_known():
+        raise _waits(plan, task, Task(stage_with(Role.PAIR_GRAPH).name))
     if task not in known:
         of_stage = [str(t) for t in known if t.stage == task.stage]
         close = difflib.get_close_matches(str(task), of_stage, 1)
@@ -106,12 +109,14 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
     try:
         return plan.spec_of(task)
     except Waiting as waiting:
-        first = waiting.task or "the pair graph"
-        until = f" --until {waiting.task.stage}" if waiting.task else ""
-        remedy = f"first: wbflow run {plan.site.file} --date {plan.night}{until}"
-        raise UsageError(f"'{task}' waits for {first}, which has not been made yet", remedy=remedy) from None
+        raise _waits(plan, task, waiting.task or Task(stage_with(Role.PAIR_GRAPH).name)) from None
     except Impossible as impossible:
         raise UsageError(f"'{task}' has nothing to work on: {impossible}") from None
+
+
+def _waits(plan: Plan, task: Task, first: Task) -> UsageError:
+    remedy = f"first: wbflow run {plan.site.file} --date {plan.night} --until {first.stage}"
+    return UsageError(f"'{task}' waits for '{first}', which has not been made yet", remedy=remedy)
 
 
 def _write(how: Input, value: Any, folder: Path, name: str) -> Any:

@@ -90,7 +90,7 @@ def _facts(record: RunRecord) -> list[Fact]:
     found = [Fact(f"{well} of {len(record.cameras)}", "cameras", grade="" if well == len(record.cameras) else "bad")]
     good = sum(pair.ok for pair in record.pairs)
     most = max(len(record.pairs), round(usual.get(Measure.PAIRS, 0)))
-    found.append(Fact(f"{good} of {most}", "pairs", grade=_grade(good, usual.get(Measure.PAIRS))))
+    found.append(Fact(f"{good} of {most}", "pairs of cameras", grade=_grade(good, usual.get(Measure.PAIRS))))
     if record.cloud:
         base = usual.get(Measure.POINTS)
         words = f"{whose}: {base:,.0f}" if base else ""

@@ -67,6 +67,8 @@ def _asset(name: str) -> str:
 
 def _content(sources: Sources) -> dict[str, Any]:
     from markupsafe import Markup
+    from rcssmin import cssmin
+    from rjsmin import jsmin
 
     record, album = sources.record, Album(sources)
     keys = {task: event.key for task, event in sources.tasks.items() if event.usable and event.key}
@@ -75,8 +77,8 @@ def _content(sources: Sources) -> dict[str, Any]:
     charts = trends(sources)
     return {
         "record": record,
-        "style": Markup(_asset("style.css")),
-        "script": Markup("\n".join(map(_asset, _SCRIPTS))),
+        "style": Markup(cssmin(_asset("style.css"))),
+        "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
         "headline": headline(record),
         "findings": findings(sources, album),
         "layout": layout,
@@ -87,7 +89,7 @@ def _content(sources: Sources) -> dict[str, Any]:
         "told": [(str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in _warnings(sources)],
         "cameras": camera_cards(sources, album),
         "columns": [cell(name, None) for name in pair_columns(sources)],
-        "pairs": pair_rows(sources),
+        "pair_rows": pair_rows(sources),
         "pairs_words": _pairs_words(record),
         "parts": parts(sources, album),
         "pair_pictures": pair_pictures(sources, album),
