@@ -223,7 +223,7 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
 
 
 def _read_once() -> None:
-    """Source files and the report's template are read once in the whole campaign: it takes longer than all else of a toy night."""
+    """Source files and the report's template are read once in the campaign: that takes longer than all else of a toy night."""
     remembered = FunctionReader._remembered
     known: dict[tuple[str, str, Path], Any] = {}
 
