@@ -53,6 +53,9 @@ _SAME_PLACE = 0.01
 _CELL = 2.0
 """Edge of a cell, at least, in spacings."""
 
+_SOME = 8
+"""Every so manieth point tells how far the ground reaches."""
+
 _SEEN = 0.2
 """A camera that sees this share of a change sees it."""
 
@@ -115,8 +118,9 @@ def find_changes(
         return _nothing(axes, poses)
     then = Epoch(then_cloud, old, then_frames or {}, then_depths or {}, then_refined or {})
     spacing = max(_spacing(tonight.points), _spacing(then.points))
-    grid = grid_over(np.vstack([tonight.points, then.points]), axes, cell_m or preferred_above(_CELL * spacing))
-    sides = gather(tonight, then, spacing, registration_m), gather(then, tonight, spacing, registration_m)
+    some = np.vstack([tonight.points[::_SOME], then.points[::_SOME]])
+    grid = grid_over(some, axes, cell_m or preferred_above(_CELL * spacing))
+    sides = gather(tonight, then, spacing, registration_m)
     noise = noise_of(*sides)
     limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.cameras import project
 from ..core.jit import kernel
 from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
-from .cloud_distance import CONFIDENCE, Distances, MeasuredCloud, cloud_distances
+from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances
 from .epoch import Epoch
 from .free_space import Sight, look_at
 from .likeness import likeness
@@ -71,26 +71,35 @@ class Evidence:
         return np.asarray(~self.measured & (self.sight.through == 0) & (self.sight.agreeing == 0), dtype=np.bool_)
 
 
-def gather(own: Epoch, other: Epoch, spacing: float, registration: float) -> Evidence:
-    """Distances and sights of one night's surface; nothing is called changed yet.
+def gather(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
+    """Distances and sights of both nights' surfaces, each compared with the other's; nothing is called changed yet.
 
     Parameters
     ----------
-    own, other
-        The night whose surface is asked about, and the one that it is compared with.
+    tonight, then
+        The nights.
     spacing
         Of the points of the coarser cloud.
     registration
         Standard deviation of the position of one night's world against the other's.
     """
-    points, sigma = own.points, own.sigma
-    rows = one_of_each_cell(points, CORE * spacing)
-    core = points[rows]
-    normals = mean_normals(core, index_points(points, 2 * RADIUS * spacing), own.cloud.normals, RADIUS * spacing)
-    clouds = MeasuredCloud(other.points, other.sigma), MeasuredCloud(points, sigma)
+    edge = 2.0 * RADIUS * spacing
+    clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, then)]
+    now = _gathered(tonight, clouds[0], then, clouds[1], spacing, registration)
+    return now, _gathered(then, clouds[1], tonight, clouds[0], spacing, registration)
+
+
+def _gathered(
+    own: Epoch, cloud: MeasuredCloud, other: Epoch, other_cloud: MeasuredCloud, spacing: float, registration: float
+) -> Evidence:
+    """The same of one night's surface; its clouds are indexed."""
+    assert cloud.index is not None
+    rows = one_of_each_cell(cloud.points, CORE * spacing)
+    core = cloud.points[rows]
     radius, reach = RADIUS * spacing, REACH * spacing
-    found: Distances = cloud_distances(core, normals, *clouds, radius=radius, reach=reach, registration=registration)
-    sight = look_at(core, sigma[rows], other.cameras, other.seeing, other.depth)
+    normals = mean_normals(core, cloud.index, own.cloud.normals, radius)
+    found = cloud_distances(core, normals, other_cloud, cloud, radius=radius, reach=reach, registration=registration)
+    sight = look_at(core, cloud.sigma[rows], other.cameras, other.seeing, other.depth)
     measured = np.isfinite(found.distance)
     nothing = np.zeros(len(core), bool)
     return Evidence(

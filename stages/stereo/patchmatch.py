@@ -65,14 +65,17 @@ class _View:
 
     def lean_on_prior(self, propagation: Propagation) -> None:
         """Take the likely surface where it shows the other image about as well as what was found: repeated tiles fit at many
-        disparities, and bare asphalt at any."""
+        disparities, and bare asphalt at any; and where what was found lies behind the floor."""
         prior = self.pair.prior_left
         if prior is None:
             return
         along_y, along_x = np.gradient(prior)
         planes = np.stack([prior, along_x, along_y]).astype(np.float32)
         cost = propagation.costs(planes)
-        likely = np.isfinite(planes).all(axis=0) & (cost < _DEAREST) & (cost <= self.cost + _LIKELY)
+        known = np.isfinite(planes).all(axis=0)
+        likely = known & (cost < _DEAREST) & (cost <= self.cost + _LIKELY)
+        if (floor := self.pair.floor_left) is not None:
+            likely |= known & ((floor - self.planes[0]) * (prior - floor) > 0)
         self.planes[:, likely] = planes[:, likely]
         self.cost[likely] = cost[likely]
 

@@ -118,7 +118,9 @@ def looks_of(record: RunRecord, name: str) -> dict[str, float]:
     figures = stage_with(Role.FRAME).reports
     names = figures.fields if figures else ()
     found = {figure: float(value) for figure in names if isinstance(value := camera.figures.get(figure), int | float)}
-    matched = [pair.figures.get("matched") for pair in record.pairs if name in (pair.left, pair.right)]
+    well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one
+    own = [pair for pair in record.pairs if name in (pair.left, pair.right) and {pair.left, pair.right} <= well]
+    matched = [pair.figures.get("matched") for pair in own]
     told = [bool(entry) for entry in matched if entry is not None]
     return {**found, "matched_share": sum(told) / len(told)} if told else found
 
