@@ -112,7 +112,7 @@ def _content(sources: Sources) -> dict[str, Any]:
         "time_words": _time_words(record),
         "settings": settings(sources),
         "notes": record.poses.notes + record.poses.joins if record.poses else (),
-        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources))},
+        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources)), "cloud": _last_cloud(sources)},
     }
 
 
@@ -161,6 +161,12 @@ def _other_nights(sources: Sources) -> Iterator[dict[str, str]]:
     later = [run for run in sources.work.run_ids() if run > sources.record.run]
     if later:
         yield {"href": _report_of(sources, later[-1]), "text": "newest run →"}
+
+
+def _last_cloud(sources: Sources) -> dict[str, str] | None:
+    """Where the last cloud before this night is shown."""
+    earlier = next((night for night in sources.before if night.cloud), None)
+    return {"href": _report_of(sources, earlier.run), "text": f"the last one is of {earlier.date}"} if earlier else None
 
 
 def _report_of(sources: Sources, run: str) -> str:
