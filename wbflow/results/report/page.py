@@ -111,8 +111,8 @@ def _content(sources: Sources) -> dict[str, Any]:
         "timetable": timetable(sources),
         "time_words": _time_words(record),
         "settings": settings(sources),
-        "notes": record.poses.notes + record.poses.joins if record.poses else (),
-        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources))},
+        "notes": list(_of_the_world(record)),
+        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources)), "cloud": _last_cloud(sources)},
     }
 
 
@@ -161,6 +161,26 @@ def _other_nights(sources: Sources) -> Iterator[dict[str, str]]:
     later = [run for run in sources.work.run_ids() if run > sources.record.run]
     if later:
         yield {"href": _report_of(sources, later[-1]), "text": "newest run →"}
+
+
+def _of_the_world(record: RunRecord) -> Iterator[str]:
+    """How the cameras were placed, and what there is to say of it: residuals of distances and control points among others."""
+    if record.poses is None:
+        return
+    plain = {name: value for name, value in record.poses.figures.items() if isinstance(value, str | int | float) and value != ""}
+    told = (
+        f"{name.replace('_', ' ')} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in plain.items()
+    )
+    yield f"The cameras' places: {', '.join(told)}."
+    yield from record.poses.notes
+    yield from record.poses.joins
+
+
+def _last_cloud(sources: Sources) -> dict[str, str] | None:
+    """Where the last cloud before this night is shown."""
+    earlier = next((night for night in sources.before if night.cloud), None)
+    return {"href": _report_of(sources, earlier.run), "text": f"the last one is of {earlier.date}"} if earlier else None
 
 
 def _report_of(sources: Sources, run: str) -> str:
