@@ -171,7 +171,7 @@ def _spread(x: Float64s, size: tuple[int, int]) -> list[int]:
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
     """Both rectified images side by side, with common rows drawn in."""
     none = np.zeros((0, 2))
-    one, two = (warp(rectification, side, frame.image) for side, frame in ((1, left), (2, right)))
+    one, two = warp(rectification, 1, left.image), warp(rectification, 2, right.image)
     canvas, _, _ = _side_by_side(one, two, none, none, width)
     for row in np.linspace(0, canvas.shape[0] - 1, 9)[1:-1]:
         cv2.line(canvas, (0, round(row)), (canvas.shape[1] - 1, round(row)), (255, 210, 60), 1)

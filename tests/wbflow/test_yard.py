@@ -17,6 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 import wbflow
+from tests.helpers.images import read_image
 from wbflow.cli import main
 from wbflow.results.demo import write_demo
 from wbflow.store.ply import read_ply
@@ -143,4 +144,4 @@ def test_one_task_of_each_stage_can_be_done_alone_and_gives_the_same_bytes(yard:
     told = [line for line in done.stdout.splitlines() if "bytes" in line or "rejected" in line]
     assert [line.rpartition(": ")[2] for line in told] == ["the same bytes as the cache has"] * len(tasks)
     assert len(tasks) >= 12
-    assert cv2.imread(str(tmp_path / "features" / "inputs" / "frame.image.png")).shape == (180, 320, 3)
+    assert read_image(tmp_path / "features" / "inputs" / "frame.image.png").shape == (180, 320, 3)

@@ -57,8 +57,8 @@ def init(folder: Path) -> None:
     one night). The site file is put into FOLDER (here, if none is named) as site.yaml; one that is there is left alone.
 
     \b
-    photographs/gate.jpg photographs/roof.jpg ...            wbflow init photographs
-    photographs/gate/1.jpg photographs/roof/1.jpg ...        wbflow init photographs
+    wbflow init photographs        (photographs/gate.jpg, photographs/roof.jpg, ...)
+    wbflow init photographs        (photographs/gate/1.jpg, photographs/roof/1.jpg, ...)
     """
     from ..results.init import write_site
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
+from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def _page(names: list[str], told: dict[str, Any]) -> str:
 
     words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = words.from_string((files(__package__) / "report" / "assets" / "pair.html").read_text(encoding="utf-8"))
-    pictures = [(name, name[2:].rpartition(".")[0]) for name in names if name.endswith(".jpg")]
+    pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
     rows = [(name.replace("_", " "), value) for name, value in told.items() if isinstance(value, str | int | float)]
     return template.render(pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
 

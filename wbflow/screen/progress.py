@@ -121,16 +121,20 @@ class Progress:
     def _pace(self, known: bool) -> float:
         """How much longer tasks take tonight than was expected of them."""
         of_kind = [stage for stage in self.stages.values() if stage.known == known]
-        took = sum(sum(stage.walls) for stage in of_kind)
-        expected = sum(len(stage.walls) * stage.seconds for stage in of_kind)
+        took = sum(sum(self._telling(stage)) for stage in of_kind)
+        expected = sum(len(self._telling(stage)) * stage.seconds for stage in of_kind)
         slack = _SLACK * sum(stage.tasks * stage.seconds for stage in of_kind) if known else 0.0
         return (took + slack) / (expected + slack) if expected + slack > 0 else 1.0
 
-    @staticmethod
-    def _each(stage: StageProgress, pace: float) -> float:
+    def _each(self, stage: StageProgress, pace: float) -> float:
         """What one of a stage's tasks to come takes."""
-        trust = _TRUST if stage.known else _TRUST_ROUGH
-        return (sum(stage.walls) + trust * stage.seconds * pace) / (len(stage.walls) + trust)
+        trust, walls = _TRUST if stage.known else _TRUST_ROUGH, self._telling(stage)
+        return (sum(walls) + trust * stage.seconds * pace) / (len(walls) + trust)
+
+    def _telling(self, stage: StageProgress) -> list[float]:
+        """What tasks took that tell of those to come: in a first run not each worker's first, which compiles, too."""
+        first = 0 if stage.known or len(stage.walls) <= self.workers else self.workers
+        return stage.walls[first:]
 
 
 def _seconds(at: str) -> float:

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
+from tests.helpers.images import read_image
 from wbflow_stages.exports.plain import read, write
 from wbflow_stages.types import Camera, Capture, Features, Frame, Lens, View
 
@@ -47,7 +47,7 @@ def test_a_frame_is_a_picture_that_any_program_shows_with_its_colours(tmp_path: 
     red = np.zeros((30, 40, 3), np.uint8)
     red[..., 0] = 255
     frame = there_and_back(Frame(red, np.ones((30, 40), bool), View(40, 30, np.eye(3)), ("a note",)), tmp_path)
-    assert cv2.imread(str(tmp_path / "value.image.png"))[0, 0].tolist() == [0, 0, 255], "OpenCV says blue first"
+    assert read_image(tmp_path / "value.image.png")[0, 0].tolist() == [0, 0, 255], "OpenCV says blue first"
     assert (frame.image == red).all()
     assert frame.notes == ("a note",)
     assert frame.view.width == 40

@@ -105,3 +105,16 @@ def test_what_comes_from_the_cache_is_counted_and_no_stage_is_told_of_for_it() -
 @pytest.mark.parametrize(("seconds", "words"), [(4.4, "4 s"), (89, "89 s"), (200, "3 min"), (7900, "2 h 12 min")])
 def test_spans_are_said_as_people_say_them(seconds: float, words: str) -> None:
     assert in_words(seconds) == words
+
+
+def test_what_is_compiled_once_is_not_expected_of_every_task() -> None:
+    """Of a first run: each worker's first task of a stage takes a minute longer."""
+    progress = Progress(workers=2)
+    progress.add(PlannedEvent((StageOutlook("disparity", 10, 0, 3.0, False),), 2, at(0)))
+    for k, (begin, end) in enumerate([(0, 63), (0, 64), (63, 66), (64, 67)]):
+        task = Task("disparity", (f"camera-{k}", "roof"))
+        progress.add(StartedEvent(task, at(begin)))
+        progress.add(TaskEvent(task, "ran", at(end), fresh=True))
+    left = progress.seconds_left((START + datetime.timedelta(seconds=67)).timestamp())
+    assert left is not None
+    assert 6 < left < 12
