@@ -124,7 +124,9 @@ def try_captures(cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
         site = lay(Path(folder), cases)
         command = [sys.executable, "-m", "wbflow", "run", str(site), "--until", "frames", "--json", "--jobs", "2"]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=len(cases) * patience() / 3, check=False)
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=len(cases) * patience() / 3, check=False
+            )
         except subprocess.TimeoutExpired:
             yield Fault("captures", "all", "still at work", "hang")
             return
