@@ -2,10 +2,10 @@
 
     scripts/bench_engine.py [--cameras 20 100 300 1000] [--snakemake PYTHON] [--json FILE]
 
-For each number of cameras a full run, one with nothing to do, one after a capture has changed, and one after a run was killed half
-way; CPU seconds of the whole process tree and seconds by the clock.  The stages of wbflow are those of its tests.  Snakemake gets a
-workflow of as many jobs with the same dependencies, each of which writes a file (`--snakemake` names a Python that has it, so that
-it can have an environment of its own).
+For each number of cameras a full run, one with nothing to do, one after a capture has changed, and one after a run was killed
+half way; CPU seconds of the whole process tree and seconds by the clock.  The stages of wbflow are those of its tests.  Snakemake
+gets a workflow of as many jobs with the same dependencies, each of which writes a file (`--snakemake` names a Python that has it,
+so that it can have an environment of its own).
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
-
 from bench_files import write_rows
 
-from tests.helpers.toy_site import ToySite
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+from tests.helpers.toy_site import ToySite  # noqa: E402
 
 KEYS = ("system", "cameras", "what", "tasks", "cpu_s", "wall_s")
 ONE_JOB = ("--jobs", "1")
@@ -101,17 +100,30 @@ def _receipts(work: Path) -> int:
 
 
 def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folder: Path) -> Subject:
-    """Snakemake on the same graph: a rule for each stage, each job writes what it has read."""
+    """Snakemake on the same graph: a rule for each stage, each job writes what it has read.
+
+    Parameters
+    ----------
+    cameras : int
+        How many.
+    pairs : sequence of (str, str)
+        Those that wbflow has chosen.
+    python : str
+        A Python that has Snakemake.
+    folder : Path
+        Where it works.
+    """
     names = [f"c{k:04d}" for k in range(cameras)]
     (folder / "captures").mkdir(parents=True)
     for name in names:
         (folder / "captures" / f"{name}.txt").write_text(f"a view from {name}")
     (folder / "Snakefile").write_text(_SNAKEFILE.format(names=names, pairs=[f"{a}--{b}" for a, b in pairs]))
     command = [python, "-m", "snakemake", "--cores", "1", "--quiet", "all", "--rerun-incomplete", "--nolock"]
-    environment = dict(os.environ)
-    made = folder / "made"
-    left = lambda: sum(len(names) for _, _, names in os.walk(made))  # noqa: E731
-    return Subject("snakemake", cameras, command, environment, folder, folder / "captures" / "c0001.txt", left)
+
+    def left() -> int:
+        return sum(len(names) for _, _, names in os.walk(folder / "made"))
+
+    return Subject("snakemake", cameras, command, dict(os.environ), folder, folder / "captures" / "c0001.txt", left)
 
 
 _SNAKEFILE = """
@@ -198,7 +210,9 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
     def add(what: str, of: Subject, tasks: int) -> None:
         cpu, wall = of.run()
         rows.append(Row(of.system, of.cameras, what, tasks or count(), round(cpu, 3), round(wall, 3)))
-        print(f"{of.system:10} {of.cameras:5} cameras  {what:7}{rows[-1].tasks:6} tasks {cpu:8.2f} CPU s {wall:8.2f} s", flush=True)
+        print(
+            f"{of.system:10} {of.cameras:5} cameras  {what:7}{rows[-1].tasks:6} tasks {cpu:8.2f} CPU s {wall:8.2f} s", flush=True
+        )
 
     add("full", subject, 0)
     tasks = rows[-1].tasks
@@ -234,7 +248,8 @@ def main() -> None:
 
 
 def _pairs(work: Path) -> list[tuple[str, str]]:
-    return [(left, right) for left, _, right in (path.name.partition("--") for path in sorted((work / "cache" / "matches").iterdir()))]
+    names = sorted(path.name for path in (work / "cache" / "matches").iterdir())
+    return [(left, right) for left, _, right in (name.partition("--") for name in names)]
 
 
 if __name__ == "__main__":
