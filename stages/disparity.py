@@ -93,10 +93,8 @@ def match_dense(
     if density < min_density:
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common.sum())})
     widths = rectification.size1[0], rectification.size2[0]
-    left_map, right_map = (
-        [np.ascontiguousarray(layer[:, :width]) for layer in layers] for width, layers in zip(widths, kept, strict=True)
-    )
-    return Disparity(left_map[0], right_map[0], left_map[1], right_map[1], offset, density)
+    (left_map, sure1), (right_map, sure2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, kept, strict=True))
+    return Disparity(left_map, right_map, sure1, sure2, offset, density)
 
 
 def _starting_from(pair: RectifiedPair, then: Disparity) -> RectifiedPair:
