@@ -95,6 +95,7 @@ def clean_frame(
     if not clean:
         raise BadCapture("none of this night's captures can be used: " + "; ".join(notes))
     clean = _spread(_most_common_size(clean, notes), max_captures)
+    notes.extend(clean[0].camera.lost())
     if len(captures) > max_captures:
         notes.append(f"{max_captures} of {len(captures)} captures used")
     return _one_frame(clean, mask, overlays, chosen, notes)

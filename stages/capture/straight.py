@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ..core.cameras import scaled_intrinsics
-from ..core.lenses import lens_pixels
+from ..core.lenses import lens_pixels, lens_rays, off_axis, reach
 from ..types import Bools, Float32s, Float64s, Lens, Uint8s, View
 from .files import BadCapture, wrong_size
 
@@ -22,9 +22,8 @@ WIDEST_DEG = 110.0
 class Straight:
     """Size and intrinsics of captures as they come, and of the pinhole picture that is made of them.
 
-    Where the lens bends little (`pinhole`, `brown`) that picture has the K and size of the captures, and pixels without a source
-    are black.  Else it is turned as `lens.turn` says and just as large as what the lens sees up to its limits, with the scale of
-    the lens in its middle.
+    Of a `pinhole` or `brown` lens that picture has the K and size of the captures, and pixels without a source
+    are black.  Else it is just as large as what the lens sees, up to `WIDEST_DEG`, with the scale of the lens in its middle.
     """
 
     width: int
@@ -95,6 +94,19 @@ class Straight:
         removed = np.zeros(5) if K is None else self.lens.distortion
         return View(width, height, K, known, self.width, self.height, removed)
 
+    def lost(self) -> tuple[str, ...]:
+        """What the lens sees and no pinhole shows, in words; () where that is nothing."""
+        if self.own or self.K is None:
+            return ()
+        middle = self.lens.K[:2, 2] if self.lens.K is not None else np.zeros(2)
+        edges = np.array([[-0.5, middle[1]], [self.width - 0.5, middle[1]], [middle[0], -0.5], [middle[0], self.height - 0.5]])
+        seen = np.rad2deg(np.nan_to_num(off_axis(lens_rays(self.lens, edges)), nan=reach(self.lens)))
+        across, down = seen[0] + seen[1], seen[2] + seen[3]
+        if max(across, down) < WIDEST_DEG + 2:
+            return ()
+        shown = f"{min(across, WIDEST_DEG):.0f} x {min(down, WIDEST_DEG):.0f}"
+        return (f"the lens sees {across:.0f} x {down:.0f} degrees; only the {shown} in its middle are used",)
+
     @cached_property
     def _maps(self) -> tuple[Float32s, Float32s]:
         """Where each pixel of the straightened picture comes from."""
@@ -104,7 +116,7 @@ class Straight:
             return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
         width, height = self.size
         x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-        back = np.linalg.inv(self.K).T @ self.lens.turn
+        back = np.linalg.inv(self.K).T
         for first in range(0, height, _ROWS):
             rows = np.arange(first, min(first + _ROWS, height))
             pixels = np.stack([*np.meshgrid(np.arange(width), rows), np.ones((len(rows), width))], axis=-1)
@@ -133,8 +145,6 @@ _GRID_DEG = 0.25
 
 def _bends(lens: Lens, whole_field: bool) -> bool:
     """Is the picture straightened to another pinhole than the lens's own?"""
-    if lens.part_of or not np.array_equal(lens.turn, np.eye(3)):
-        return True
     return (whole_field and bool(np.any(lens.distortion))) if lens.model == "brown" else lens.model != "pinhole"
 
 
@@ -150,15 +160,14 @@ def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, b
 
 def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
     """K, that it is known, the lens and the size of the view."""
-    across, down = lens.field_deg if len(lens.field_deg) else (WIDEST_DEG, WIDEST_DEG)
-    steps = [np.deg2rad(np.arange(-0.5 * limit, 0.5 * limit + 1e-9, _GRID_DEG)) for limit in (across, down)]
-    x, y = np.meshgrid(np.tan(steps[0]), np.tan(steps[1]))
+    slopes = np.tan(np.deg2rad(np.arange(-0.5 * WIDEST_DEG, 0.5 * WIDEST_DEG + 1e-9, _GRID_DEG)))
+    x, y = np.meshgrid(slopes, slopes)
     seen = _inside(lens, np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3), width, height).reshape(x.shape)
     if not seen.any():
-        raise BadCapture(f"{name}: the lens sees nothing within {across:.0f} degrees of the axis of its view")
+        raise BadCapture(f"{name}: by its intrinsics the lens sees nothing before it")
     spans = []
-    for slopes, columns in ((x[0], seen.any(axis=0)), (y[:, 0], seen.any(axis=1))):
-        found = np.flatnonzero(columns)
+    for axis in (0, 1):
+        found = np.flatnonzero(seen.any(axis=axis))
         spans.append((slopes[max(found[0] - 1, 0)], slopes[min(found[-1] + 1, len(slopes) - 1)]))
     f = _scale(lens)
     size = tuple(max(1, round(f * (high - low))) for low, high in spans)
@@ -167,18 +176,16 @@ def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, b
 
 
 def _inside(lens: Lens, rays: Float64s, width: int, height: int) -> Bools:
-    """(n,) do rays (n, 3), in the axes of the view, fall on the picture?"""
-    x = lens_pixels(lens, rays @ lens.turn)
+    """(n,) do rays (n, 3) fall on the picture?"""
+    x = lens_pixels(lens, rays)
     return np.asarray((x > -0.5).all(axis=1) & (x < (width - 0.5, height - 0.5)).all(axis=1), np.bool_)
 
 
 def _scale(lens: Lens) -> float:
-    """Pixels of the capture for each radian in the middle of the view; where the lens ends before it, in the lens's own."""
+    """Pixels of the capture for each radian in the middle of the lens."""
     step = 1e-4
-    around = np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]])
-    for rays in (around @ lens.turn, around):
-        x = lens_pixels(lens, rays)
-        scale = np.sqrt(abs(np.linalg.det(np.array([x[0] - x[1], x[2] - x[3]]) / (2 * step))))
-        if np.isfinite(scale):
-            return float(scale)
-    raise BadCapture("the lens sees nothing on its own axis: are its coefficients right?")
+    x = lens_pixels(lens, np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]]))
+    scale = np.sqrt(abs(np.linalg.det(np.array([x[0] - x[1], x[2] - x[3]]) / (2 * step))))
+    if not np.isfinite(scale):
+        raise BadCapture("the lens sees nothing on its own axis: are its coefficients right?")
+    return float(scale)

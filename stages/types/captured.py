@@ -36,12 +36,6 @@ class Lens:
     height: int = 0
     model: str = "brown"
     """How the lens bends light: a name of `core.lenses`."""
-    turn: Float64s = field(default_factory=lambda: np.eye(3))
-    """(3, 3) from the camera's axes to those of the view of it that is meant: a lens of a wide field is looked at in several."""
-    field_deg: Float64s = field(default_factory=lambda: np.zeros(0))
-    """(2,) how far that view reaches, degrees across and down; (0,) where there is but one, as far as a pinhole reaches."""
-    part_of: str = ""
-    """Id of the camera that this is a view of; "" where the camera is looked at as a whole."""
 
 
 @short_repr

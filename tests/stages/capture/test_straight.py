@@ -70,6 +70,7 @@ def test_the_frame_holds_all_that_a_pinhole_can_show_and_masks_what_the_lens_doe
     assert across == pytest.approx(WIDEST_DEG, abs=0.5), "the lens sees 165 degrees across"
     assert down == pytest.approx(WIDEST_DEG, abs=0.5)
     assert frame.mask.mean() > 0.95
+    assert any("the lens sees 171 x 127 degrees; only the 110 x 110 in its middle" in note for note in frame.notes)
     narrow = Lens(NARROW, FISHEYE.distortion, None, WIDTH, HEIGHT, "fisheye")
     frame = clean_frame([capture(RAMPS)], narrow, None, resolution=None)
     middle = frame.mask[frame.view.height // 2]
