@@ -31,7 +31,8 @@ def errors_along_rays(X: Float64s, truth: Path) -> Float64s:
             continue
         depth = np.load(file)["depth"].astype(np.float64)
         h, w = depth.shape
-        camera = Camera(np.array(entry["K"]), np.array(entry["R"]), np.array(entry["C"]), w, h)
+        K, R, C = (np.array(entry[key], dtype=np.float64) for key in ("K", "R", "C"))
+        camera = Camera(K, R, C, w, h)
         x, z = project(camera, X)
         inside = np.flatnonzero((z > 0) & (x > 0).all(axis=1) & (x < (w - 2, h - 2)).all(axis=1))
         column, row = x[inside].astype(int).T

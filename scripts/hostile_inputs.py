@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import re
 import shutil
 import signal
@@ -32,9 +33,8 @@ from wbflow.config.load import load_site
 from wbflow.errors import ExitCode, WbflowError
 from wbflow.night.night import open_night
 
-FILE_SECONDS = 60.0
-"""By the clock, on a machine that has other things to do as well."""
-CAPTURE_SECONDS = 60.0
+SECONDS = 60.0
+"""That anything may take, on a machine that has nothing else to do."""
 WORKER_MB = 1500.0
 
 
@@ -50,6 +50,11 @@ class Fault:
 
     def __str__(self) -> str:
         return f"{self.kind:12} {self.name:48} {self.what[:300]!r}"
+
+
+def patience() -> float:
+    """The same in seconds by the clock, with all that the machine is doing now."""
+    return SECONDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 class TooSlow(BaseException):
@@ -75,7 +80,7 @@ def within(seconds: float) -> Iterator[None]:
 def load(file: Path) -> str:
     """ "" where a site file is accepted, else the words of its refusal.  Whatever else is raised is a fault."""
     try:
-        with within(FILE_SECONDS):
+        with within(patience()):
             own_work = b'"work"' in file.read_bytes()
             site = load_site(file, None if own_work else file.parent / "work")  # one memo of functions for all
             open_night(site).plan.refresh()
@@ -119,7 +124,9 @@ def try_captures(cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
         site = lay(Path(folder), cases)
         command = [sys.executable, "-m", "wbflow", "run", str(site), "--until", "frames", "--json", "--jobs", "2"]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=len(cases) * 20, check=False)
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=len(cases) * patience() / 3, check=False
+            )
         except subprocess.TimeoutExpired:
             yield Fault("captures", "all", "still at work", "hang")
             return
@@ -165,7 +172,7 @@ def try_loops() -> Iterator[Fault]:
         site.write_text(site.read_text().replace("{camera}.*", "**/{camera}.*"))
         command = [sys.executable, "-m", "wbflow", "status", str(site)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=CAPTURE_SECONDS, check=False)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=patience(), check=False)
         except subprocess.TimeoutExpired:
             yield Fault("captures", "two links to . and **", "still at work", "hang")
             return

@@ -47,6 +47,9 @@ _LEAST_AREA = 300.0
 _CERTAIN = 6.0
 """The volume of a change is so many times its standard deviation, at least."""
 
+_CLEARED = 0.75
+"""Of the cameras that saw it, this share must see through its place, in the mean over its points."""
+
 _SAME_PLACE = 0.01
 """Cameras stand where they stood within this share of the site's size."""
 
@@ -150,9 +153,9 @@ def _spacing(points: Float64s, sample: int = 5000) -> float:
 
 
 def _is_certain(blob: Blob, alike: float) -> bool:
-    """Is the volume more than its error, and do the photographs differ?"""
+    """Is the volume more than its error, do the photographs differ, and do most cameras say so that could?"""
     change = blob.change
-    return change.likeness < alike and change.volume >= _CERTAIN * change.volume_sigma
+    return change.likeness < alike and change.volume >= _CERTAIN * change.volume_sigma and blob.cleared >= _CLEARED
 
 
 def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> Blob | None:

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+from jinja2 import Environment
+
 from tests.helpers.toy_site import ToySite
 from wbflow.graph.functions import FunctionReader
 from wbflow.store.layout import WorkFolder
@@ -221,7 +223,7 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
 
 
 def _read_once() -> None:
-    """What a source file says is read once in the whole campaign: it takes longer than all the rest of a toy night."""
+    """Source files and the report's template are read once in the campaign: that takes longer than all else of a toy night."""
     remembered = FunctionReader._remembered
     known: dict[tuple[str, str, Path], Any] = {}
 
@@ -235,6 +237,15 @@ def _read_once() -> None:
         return remembered(self, shelf, name, path, once)
 
     FunctionReader._remembered = read_once  # type: ignore[method-assign]
+    compile_now = Environment.compile
+    compiled: dict[str, Any] = {}
+
+    def compile_once(self: Environment, source: str, *rest: Any, **named: Any) -> Any:
+        if source not in compiled:
+            compiled[source] = compile_now(self, source, *rest, **named)
+        return compiled[source]
+
+    Environment.compile = compile_once  # type: ignore[method-assign, assignment]
 
 
 def _import_all(folder: Path) -> Path:

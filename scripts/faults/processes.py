@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-HANG_SECONDS = 60.0
-"""On a machine that has nothing else to do."""
+from hostile_inputs import patience
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Started:
     def wait(self) -> Ended:
         """How it ends; one that hangs is killed."""
         began, pause = time.monotonic(), 0.002
-        while time.monotonic() - began < HANG_SECONDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)):
+        while time.monotonic() - began < patience():
             done, status = os.waitpid(self.pid, os.WNOHANG)
             if done:
                 self.kill_all()

@@ -48,6 +48,8 @@ class Blob:
     """The points are those of then: it has vanished."""
     colour: Float64s
     """(2,) mean shares of red and green."""
+    cleared: float
+    """Mean share of the cameras that saw it which saw through its place on the other night."""
 
 
 def find_blobs(
@@ -96,7 +98,8 @@ def find_blobs(
         if change is not None:
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
-            found.append(Blob(replace(change, kind=kind), rows, of_then, shares[:2] / max(float(shares.sum()), 1.0)))
+            colour, cleared = shares[:2] / max(float(shares.sum()), 1.0), float(np.nanmean(side.cleared[rows]))
+            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared))
     return found
 
 

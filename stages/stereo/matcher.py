@@ -30,6 +30,9 @@ class RectifiedPair:
     prior_left: Float32s | None = None
     prior_right: Float32s | None = None
     """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None where nobody knows."""
+    then_left: Float32s | None = None
+    then_right: Float32s | None = None
+    """(h, w) disparity of another night from the same places, nan where it had none; None where there is no such night."""
     floor_left: Float32s | None = None
     floor_right: Float32s | None = None
     """(h, w) disparity of a surface behind the likely one: nothing lies farther; None where something may."""
@@ -75,11 +78,16 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
         prior_right=None if pair.prior_left is None else flip(pair.prior_left),
         floor_left=None if pair.floor_right is None else flip(pair.floor_right),
         floor_right=None if pair.floor_left is None else flip(pair.floor_left),
+        then_left=None if pair.then_right is None else flip(pair.then_right),
+        then_right=None if pair.then_left is None else flip(pair.then_left),
     )
 
 
 def halved(pair: RectifiedPair) -> RectifiedPair:
-    """The pair at half its size, filled up at the right and the bottom with its border; valid where all four pixels are."""
+    """The pair at half its size, filled up at the right and the bottom with its border; valid where all four pixels are.
+
+    What another night found is left out: it is where to start from at the full size.
+    """
     return RectifiedPair(
         left=_half(pair.left),
         right=_half(pair.right),

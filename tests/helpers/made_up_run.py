@@ -145,7 +145,9 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         events.append(TaskEvent(Task(product.name), "ran", f"{night.date}T03:20:00+00:00", key="0" * 32))
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
-        UnfinishedRun(work, before.run).publish(before, [], "")
+        earlier = UnfinishedRun(work, before.run)
+        earlier.write_products({}, cameras(ids))
+        earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
     told = build_report(described, work, night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
     return unfinished.publish(night, events, told).paths.report

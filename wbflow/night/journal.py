@@ -36,7 +36,7 @@ class Journal:
     def tell(self, plan: Plan) -> None:
         """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache."""
         self._damaged(plan.cache.damages())
-        for task, state in plan.states.items():
+        for task, state in plan.news():
             self.finished(task, state)
 
     def planned(self, plan: Plan) -> None:

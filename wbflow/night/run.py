@@ -148,7 +148,7 @@ def _until_settled(
             if not deadline.struck:
                 deadline.struck = True
                 hands.drop()
-                plan.busy.clear()
+                plan.take_back()
             if deadline.settle(plan):
                 continue
         journal.tell(plan)
@@ -160,7 +160,7 @@ def _until_settled(
             for first, *_ in lanes:
                 plan.settle(first.task, plan.states[first.task] if first.redraw else full)
         elif lanes:
-            plan.busy |= {spec.task for lane in lanes for spec in lane}
+            plan.hand_out(lanes)
             hands.submit(lanes)
         elif not plan.busy:
             try:
@@ -170,7 +170,7 @@ def _until_settled(
                 continue
         for report in hands.reports():
             if report.done is None:
-                plan.busy -= {spec.task for spec in report.lane}
+                plan.take_back(report.lane)
             elif report.done.changed is not None:
                 changes.look_again(report.done)
             else:

@@ -8,6 +8,9 @@ done again, alone.  One that took too long is not: it has had its time.
 from __future__ import annotations
 
 import datetime
+import heapq
+import itertools
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
@@ -79,17 +82,19 @@ class Supervisor:
         self._cache = cache
         self._limits = limits
         self._warn = warn
-        self._queue: list[_Lane] = []
+        self._queue: list[tuple[float, int, _Lane]] = []
+        self._numbers = itertools.count()
         self._alone: list[_Lane] = []  # that have lost a worker, and wait until nothing else is at work
         self._idle: list[Hand] = []
         self._busy: dict[Hand, _Lane] = {}
         self._kills = machine.kills_for_memory()
         self._until = limits.until
+        self._look = 0.0  # when memory is looked at next
 
     def submit(self, lanes: list[list[TaskSpec]]) -> None:
-        """Lanes to be done, longest expected first."""
-        self._queue += map(_Lane, lanes)
-        self._queue.sort(key=self._expected, reverse=True)
+        """Lanes to be done, longest expected first, else in their order."""
+        for lane in map(_Lane, lanes):
+            heapq.heappush(self._queue, (-self._expected(lane), next(self._numbers), lane))
 
     def reports(self) -> Iterator[Report]:
         """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it, and once when the
@@ -116,12 +121,10 @@ class Supervisor:
 
     def _assign(self) -> None:
         """Give work to who has none, and start workers for what is left."""
-        if self._queue:
-            waiting, room = self._queue, self._jobs if not any(lane.losses for lane in self._busy.values()) else 0
-        else:
-            waiting, room = self._alone, 1
-        while waiting and len(self._busy) < room:
-            lane = waiting.pop(0)
+        first = bool(self._queue)
+        room = 1 if not first else self._jobs if not any(lane.losses for lane in self._busy.values()) else 0
+        while (self._queue if first else self._alone) and len(self._busy) < room:
+            lane = heapq.heappop(self._queue)[2] if first else self._alone.pop(0)
             hand = self._idle.pop() if self._idle else Hand()
             hand.give(lane.specs[lane.finished :], lane.receipts, self._cache)
             self._busy[hand] = lane
@@ -158,6 +161,9 @@ class Supervisor:
 
     def _above_memory(self) -> Hand | None:
         """Who has to go because all workers together hold too much: those without work at once, else the fullest."""
+        if time.monotonic() < self._look:
+            return None
+        self._look = time.monotonic() + LOOK_SECONDS
         held = {hand: hand.holds() for hand in [*self._busy, *self._idle]}
         if not self._limits.memory or sum(held.values()) <= self._limits.memory:
             return None

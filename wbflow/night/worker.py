@@ -52,22 +52,52 @@ class Done:
 
 
 @dataclass
+class Kept:
+    """What a worker keeps from lane to lane: artifacts of the whole site of which lanes need parts, read and checked once."""
+
+    opened: dict[str, artifact.Opened] = field(default_factory=dict)
+    """By digest, the one that was asked for last at the end."""
+
+    def of(self, digest: str, read: Callable[[], bytes]) -> artifact.Opened:
+        """An artifact; `read` gives its bytes."""
+        found = self.opened.pop(digest, None) or artifact.Opened(read())
+        self.opened[digest] = found
+        while len(self.opened) > MOST_KEPT:
+            del self.opened[next(iter(self.opened))]
+        return found
+
+
+MOST_KEPT = 4
+"""So many artifacts of the whole site are kept from lane to lane."""
+
+
+@dataclass
 class _Lane:
     """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
 
     cache: Cache
+    kept: Kept
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
     """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
 
 
-def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt]) -> Iterator[Done]:
+def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt], kept: Kept) -> Iterator[Done]:
     """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
 
-    receipts: of earlier tasks of the lane, where it goes on after a worker was lost.
+    Parameters
+    ----------
+    specs : list of TaskSpec
+        The lane.
+    cache : Cache
+        Where results go.
+    receipts : mapping of Task to Receipt
+        Of earlier tasks of the lane, where it goes on after a worker was lost.
+    kept : Kept
+        What the worker keeps from lane to lane.
     """
     offer(specs[0].folder)
-    lane = _Lane(cache, dict(receipts))
+    lane = _Lane(cache, kept, dict(receipts))
     for spec in specs:
         done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
         yield done
@@ -78,12 +108,12 @@ def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt
 
 def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
     """The same, all at once."""
-    return list(do_lane(specs, cache, {}))
+    return list(do_lane(specs, cache, {}, Kept()))
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
-    lane = _Lane(cache)
+    lane = _Lane(cache, Kept())
     return {name: _load(value, lane) for name, value in spec.inputs.items()}
 
 
@@ -242,13 +272,20 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
     result = lane.results.get(value.file_digest)
+    if result is None and value.part and not value.task.subject:
+        opened = lane.kept.of(value.file_digest, lambda: _bytes_of(value, lane))
+        return opened.part(value.part.field, value.part.entry)
     if result is None:
-        assert value.path is not None
-        data, table = lane.cache.read(value.task, value.path, value.file_digest), stage_named(value.task.stage).table
+        data, table = _bytes_of(value, lane), stage_named(value.task.stage).table
         result = load(table.restore)(columns_of(data)) if table else artifact.decode(data)
         if keep:
             lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
+
+
+def _bytes_of(value: Stored, lane: _Lane) -> bytes:
+    assert value.path is not None
+    return lane.cache.read(value.task, value.path, value.file_digest)
 
 
 def _from_plain(value: Value) -> Any:

@@ -19,6 +19,7 @@ from ..night.night import open_night
 from ..night.obstacles import Impossible, Waiting
 from ..night.plan import Plan
 from ..night.spec import Input, Stored, TaskSpec
+from ..night.state import State
 from ..night.worker import arguments_of
 from ..store.cache import Cache
 from ..task import Task
@@ -85,7 +86,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": nodes,
-        "outcome": receipt.outcome if receipt else state.outcome if state else "not run",
+        "outcome": receipt.outcome if receipt else _otherwise(state),
         "reason": receipt.reason if receipt else state.reason if state else None,
         "digest": receipt.digest if receipt and receipt.file else None,
         "folder": str(spec.folder) if spec.folder else None,
@@ -94,6 +95,13 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=night.date, module=module, name=name))
     (out / TASK_FILE).write_text(json.dumps(told, indent=1))
     return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
+
+
+def _otherwise(state: State | None) -> str:
+    """What became of a task whose inputs have left nothing in the cache."""
+    if state is None:
+        return "not run"
+    return "the night uses the reference's" if state.receipt else state.outcome
 
 
 def _spec(plan: Plan, task: Task) -> TaskSpec:

@@ -17,6 +17,7 @@ import datetime
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from ..task import Task
@@ -101,18 +102,25 @@ class WorkFolder:
         """The work folder that a run's folder stands in."""
         return WorkFolder(run.folder.parent.parent)
 
-    @property
+    @cached_property
     def cache(self) -> Path:
         """The folder of all artifacts."""
         return self.root / "cache"
 
     def task(self, task: Task) -> Path:
         """Where the artifacts of a task lie, whatever their key."""
-        return self.cache / task.stage / ("--".join(task.subject) or "site")
+        return Path(self._of(task))
+
+    def _of(self, task: Task) -> str:
+        return f"{self.cache}/{task.stage}/{'--'.join(task.subject) or 'site'}"  # one path is made, not four: hot
+
+    def artifact_file(self, task: Task, name: str) -> Path:
+        """A file beside a task's receipts, by its name."""
+        return Path(f"{self._of(task)}/{name}")
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
-        return self.task(task) / f"{key}{suffix}"
+        return Path(f"{self._of(task)}/{key}{suffix}")
 
     def picture(self, task: Task, key: str) -> Path:
         """A picture of an artifact, for the report."""

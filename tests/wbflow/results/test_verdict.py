@@ -206,9 +206,9 @@ def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_o
 def test_a_camera_is_not_blamed_for_its_partners_that_are_down() -> None:
     pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
     cameras = [camera("crane"), *(lost(name) for name in NAMES if name != "crane")]
-    assert "matched_share" not in looks_of(night(cameras=cameras, pairs=pairs), "crane")
+    assert "matched_share" not in looks_of(night(cameras=cameras, pairs=pairs))["crane"]
     others = [camera("crane"), lost("roof"), *(camera(name) for name in NAMES if name not in {"crane", "roof"})]
-    assert looks_of(night(cameras=others, pairs=pairs), "crane")["matched_share"] == 0
+    assert looks_of(night(cameras=others, pairs=pairs))["crane"]["matched_share"] == 0
 
 
 def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
