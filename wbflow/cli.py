@@ -8,7 +8,7 @@ import sys
 import click
 
 from . import __version__
-from .commands import look, night, reference, runs, start
+from .commands import lens, look, night, reference, runs, start
 from .errors import ExitCode, WbflowError
 from .screen import stop
 
@@ -70,6 +70,7 @@ for _command in (
     start.demo,
     start.init,
     start.pair,
+    lens.calibrate,
     start.stages,
     look.debug,
     look.runs,

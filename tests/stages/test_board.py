@@ -1,0 +1,57 @@
+"""Pictures of a board tell the lens."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from wbflow.cli import main
+from wbflow.config.calibration import read_calibration
+from wbflow_stages.core.lenses import lens_rays
+from wbflow_stages.types import Float64s, Lens, Uint8s
+
+WIDTH, HEIGHT, SQUARE, PX = 640, 480, 0.03, 40
+LENS = Lens(np.array([[420.0, 0, 322], [0, 418.0, 236], [0, 0, 1]]), np.array([-0.2, 0.06, 0, 0, 0]), None, WIDTH, HEIGHT)
+CHECKERS = np.where(np.add.outer(np.arange(7 * PX) // PX, np.arange(10 * PX) // PX) % 2, 240, 15).astype(np.uint8)
+
+
+def seen(texture: Uint8s, rays: Float64s, turn: tuple[float, float, float], shift: tuple[float, float, float]) -> Uint8s:
+    """The lens's picture of a board, whose middle lies at `shift`."""
+    R = np.asarray(cv2.Rodrigues(np.array(turn))[0], dtype=np.float64)
+    t = np.array(shift)
+    depth = (R[:, 2] @ t) / (rays @ R[:, 2])
+    at = (rays * depth[:, None] - t) @ R[:, :2] / SQUARE * PX + np.array(texture.shape[::-1]) / 2 - 0.5
+    maps = at.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
+    picture = cv2.remap(texture, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=200)
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("charuco", [False, True])
+def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(tmp_path: Path, charuco: bool) -> None:
+    table = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((10, 7), SQUARE, 0.022, table)
+    texture = np.asarray(board.generateImage((10 * PX, 7 * PX)), np.uint8) if charuco else CHECKERS
+    x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    rays = lens_rays(LENS, np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
+    places = [(-0.1, -0.05), (0.1, -0.05), (-0.1, 0.06), (0.1, 0.06), (0.0, 0.0), (0.05, 0.02), (-0.04, -0.02)]
+    (tmp_path / "pictures").mkdir()
+    for k, (a, b) in enumerate(places):
+        turn = (0.5 * np.sin(k), 0.5 * np.cos(2 * k), 0.1 * k)
+        cv2.imwrite(str(tmp_path / "pictures" / f"{k}.png"), seen(texture, rays, turn, (a, b, 0.36 + 0.02 * k)))
+    said = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
+    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *said, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    found = read_calibration(tmp_path / "gate.json")["gate"]
+    lens = Lens(np.array(found.K), np.array(found.distortion), None, found.width, found.height, found.model)
+    assert lens.K is not None and LENS.K is not None
+    assert lens.K[[0, 1], [0, 1]] == pytest.approx(LENS.K[[0, 1], [0, 1]], rel=0.01)
+    assert lens.K[:2, 2] == pytest.approx(LENS.K[:2, 2], abs=4.0)
+    assert lens.distortion[0] == pytest.approx(LENS.distortion[0], abs=0.04)
+    told = json.loads((tmp_path / "gate.json").read_text())["gate"]
+    assert max(told["residuals_px"].values()) < 0.3 and told["covered"] > 0.4
+    assert (tmp_path / "gate-coverage.png").stat().st_size > 1000
