@@ -15,13 +15,11 @@ import argparse
 import contextlib
 import json
 import re
-import resource
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -47,6 +45,8 @@ class Fault:
     kind: str
     name: str
     what: str
+    loss: str = "wrong exit"
+    """The column of the fault campaign's table that it counts in."""
 
     def __str__(self) -> str:
         return f"{self.kind:12} {self.name:48} {self.what[:300]!r}"
@@ -101,7 +101,8 @@ def try_files(kind: str, cases: Iterator[Case], counts: Counter[str]) -> Iterato
             try:
                 said = load(base / "site.yaml")
             except (Exception, TooSlow) as error:
-                yield Fault(kind, case.name, f"{type(error).__name__}: {error}")
+                loss = "hang" if isinstance(error, TooSlow) else "traceback"
+                yield Fault(kind, case.name, f"{type(error).__name__}: {error}", loss)
                 continue
             counts[f"{kind} {'refused' if said else 'used'}"] += 1
             if case.refused and not said:
@@ -116,25 +117,24 @@ def try_captures(cases: list[Hostile], counts: Counter[str]) -> Iterator[Fault]:
     """One night of a camera for each case beside two good ones, through the command line."""
     with tempfile.TemporaryDirectory() as folder:
         site = lay(Path(folder), cases)
-        begun = time.monotonic()
         command = [sys.executable, "-m", "wbflow", "run", str(site), "--until", "frames", "--json", "--jobs", "2"]
         try:
             done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=len(cases) * 20, check=False)
         except subprocess.TimeoutExpired:
-            yield Fault("captures", "all", "still at work")
+            yield Fault("captures", "all", "still at work", "hang")
             return
-        print(
-            f"captures: {time.monotonic() - begun:.0f} s, {resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024:.0f} MB"
-        )
         if "Traceback" in done.stderr or "itself failed" in done.stderr or "\x1b" in done.stderr + done.stdout:
-            yield Fault("captures", "all", done.stderr[-300:])
+            yield Fault("captures", "all", done.stderr[-300:], "traceback")
         try:
             record = json.loads(done.stdout)
         except ValueError:
             yield Fault("captures", "all", f"exit {done.returncode}: {done.stderr[-300:]}")
             return
+        counts["captures MB"] = round(record["peak_rss_mb"])
         if record["peak_rss_mb"] > WORKER_MB:
-            yield Fault("captures", "all", f"a worker held {record['peak_rss_mb']:.0f} MB")
+            yield Fault("captures", "all", f"a worker held {record['peak_rss_mb']:.0f} MB", "memory")
+        slow = [line for line in record["cameras"] if "took longer" in str(line["reason"])]
+        yield from (Fault("captures", camera["id"], str(camera["reason"]), "hang") for camera in slow)
         yield from _judge(record, cases, counts)
 
 
@@ -167,7 +167,7 @@ def try_loops() -> Iterator[Fault]:
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=CAPTURE_SECONDS, check=False)
         except subprocess.TimeoutExpired:
-            yield Fault("captures", "two links to . and **", "still at work")
+            yield Fault("captures", "two links to . and **", "still at work", "hang")
             return
         if done.returncode:
             yield Fault("captures", "two links to . and **", done.stderr)
@@ -190,6 +190,7 @@ def main() -> int:
         figures = {what: counts[f"{kind} {what}"] for what in ("tried", "refused", "used")}
         wrong = sum(fault.kind == kind for fault in faults)
         print(f"{kind:12} {figures['tried']:6} tried {figures['refused']:6} refused {figures['used']:6} used {wrong:4} faults")
+    print(f"the fullest worker of the captures held {counts['captures MB']} MB")
     for fault in faults:
         print(fault)
     return 1 if faults else 0

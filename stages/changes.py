@@ -47,11 +47,17 @@ _LEAST_AREA = 300.0
 _CERTAIN = 6.0
 """The volume of a change is so many times its standard deviation, at least."""
 
+_CLEARED = 0.75
+"""Of the cameras that saw it, this share must see through its place, in the mean over its points."""
+
 _SAME_PLACE = 0.01
 """Cameras stand where they stood within this share of the site's size."""
 
 _CELL = 2.0
 """Edge of a cell, at least, in spacings."""
+
+_SOME = 8
+"""Every so manieth point tells how far the ground reaches."""
 
 _SEEN = 0.2
 """A camera that sees this share of a change sees it."""
@@ -115,8 +121,9 @@ def find_changes(
         return _nothing(axes, poses)
     then = Epoch(then_cloud, old, then_frames or {}, then_depths or {}, then_refined or {})
     spacing = max(_spacing(tonight.points), _spacing(then.points))
-    grid = grid_over(np.vstack([tonight.points, then.points]), axes, cell_m or preferred_above(_CELL * spacing))
-    sides = gather(tonight, then, spacing, registration_m), gather(then, tonight, spacing, registration_m)
+    some = np.vstack([tonight.points[::_SOME], then.points[::_SOME]])
+    grid = grid_over(some, axes, cell_m or preferred_above(_CELL * spacing))
+    sides = gather(tonight, then, spacing, registration_m)
     noise = noise_of(*sides)
     limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
@@ -146,9 +153,9 @@ def _spacing(points: Float64s, sample: int = 5000) -> float:
 
 
 def _is_certain(blob: Blob, alike: float) -> bool:
-    """Is the volume more than its error, and do the photographs differ?"""
+    """Is the volume more than its error, do the photographs differ, and do most cameras say so that could?"""
     change = blob.change
-    return change.likeness < alike and change.volume >= _CERTAIN * change.volume_sigma
+    return change.likeness < alike and change.volume >= _CERTAIN * change.volume_sigma and blob.cleared >= _CLEARED
 
 
 def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> Blob | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .core.methods import bind
@@ -11,7 +13,7 @@ from .stereo.coarse_range import with_coarse_range
 from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_speckles
 from .stereo.matcher import DenseMatches, RectifiedPair
 from .stereo.rectified import rectified_pair
-from .types import INVALID, Disparity, Frame, Int16s, Rectification, Uint8s
+from .types import INVALID, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
 
 MATCHERS = {
     "patchmatch": "wbflow_stages.stereo.patchmatch:match_patchmatch",
@@ -32,6 +34,8 @@ def match_dense(
     left: Frame,
     right: Frame,
     rectification: Rectification,
+    then_rectification: Rectification | None = None,
+    then: Disparity | None = None,
     *,
     matcher: str = "patchmatch",
     tolerance_px: float = 2.0,
@@ -47,6 +51,8 @@ def match_dense(
         The frames of the pair; masked and saturated pixels are never matched.
     rectification
         How the frames are resampled.
+    then_rectification, then
+        The reference's, if there is one: where to start from, for matchers that can, as long as the frames are resampled as then.
     matcher
         "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
         OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone, and "graphcut": expansion moves at no
@@ -75,6 +81,9 @@ def match_dense(
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
+    if then is not None and then_rectification is not None and _alike(rectification, then_rectification):
+        known = [_known(stored, then.offset_px, pair.left.shape[1]) for stored in (then.left, then.right)]
+        pair = replace(pair, then_left=known[0], then_right=known[1])
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
@@ -96,6 +105,20 @@ def match_dense(
         offset_px=offset,
         density=density,
     )
+
+
+def _alike(one: Rectification, two: Rectification) -> bool:
+    """Are the images resampled in the same way, by homographies?"""
+    if one.H1 is None or one.H2 is None or two.H1 is None or two.H2 is None:
+        return False
+    sizes = one.size1 == two.size1 and one.size2 == two.size2
+    return sizes and np.array_equal(one.H1, two.H1) and np.array_equal(one.H2, two.H2)
+
+
+def _known(stored: Int16s, offset: int, width: int) -> Float32s:
+    """(h, width) pixels; nan where unknown, and where the images are filled up."""
+    disparity = np.where(stored == INVALID, np.float32(np.nan), stored / np.float32(16) + offset).astype(np.float32)
+    return np.pad(disparity, ((0, 0), (0, width - stored.shape[1])), constant_values=np.nan)
 
 
 def _kept(

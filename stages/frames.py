@@ -8,21 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import atan, degrees, radians, tan
+from math import atan, degrees
 from typing import TypeVar
 
 import cv2
 import numpy as np
 
 from .capture.background import merge
-from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated, wrong_size
+from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
 from .capture.looks import looks, weigh
 from .capture.privacy import around, blanked, private_area
+from .capture.straight import Straight, working_size
 from .capture.video import is_video, pictures
-from .core.cameras import scaled_intrinsics
 from .io.exif import focal_in_long_sides, taken_at
 from .io.header import picture_size
-from .types import Bools, Capture, Float64s, Frame, Lens, Privacy, Uint8s, View
+from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
+
+__all__ = ["clean_frame", "working_size"]
 
 _T = TypeVar("_T")
 
@@ -37,6 +39,7 @@ def clean_frame(
     max_captures: int = 15,
     video_step: int = 25,
     overlays: bool = True,
+    whole_field: bool = False,
 ) -> Frame:
     """Make the night's frame of one camera.
 
@@ -62,6 +65,9 @@ def clean_frame(
         Of a video, every so many-th picture is taken, or fewer where these would be more than `max_captures`.
     overlays
         Clocks, logos and captions are looked for, as pixels that stay while the exposure changes, and masked.
+    whole_field
+        Of a brown lens all that it sees (up to 110 degrees) becomes the frame; else what has place in a frame with the lens's own
+        K and size, which cuts off the corners of wide lenses.  Of other lenses all that they see always does.
 
     Raises
     ------
@@ -73,13 +79,15 @@ def clean_frame(
     clean: list[_Clean] = []
     notes: list[str] = []
     chosen = _spread(captures, max_captures)
+    camera: Straight | None = None
     for capture in chosen:
         try:
             for name, image in _pictures(capture, lens, video_step, max_captures):
-                camera = _Pinhole.of(image, _as_written(lens, capture, image), name)
+                if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
+                    camera = Straight.of(image, _as_written(lens, capture, image), name, whole_field)
                 area = private_area(privacy, camera.width, camera.height, name)
                 straight = camera.undistort(blanked(image, area))
-                clean.append(_Clean(camera, name, _resize(straight, resolution), area))
+                clean.append(_Clean(camera, name, _resized(straight, *camera.working_size(resolution)), area))
         except BadCapture as error:
             if len(captures) == 1:
                 raise
@@ -145,7 +153,7 @@ def _one_frame(
 class _Clean:
     """A picture ready to be merged."""
 
-    camera: _Pinhole
+    camera: Straight
     name: str
     image: Uint8s
     """At working resolution, undistorted, without what nobody may see."""
@@ -165,61 +173,8 @@ def _seen_privately(clean: _Clean, width: int, height: int) -> Bools:
     """(height, width) bool, True where a pixel of the frame, or one near it, is one that nobody may see."""
     if clean.private is None:
         return np.zeros((height, width), np.bool_)
-    area = clean.camera.undistort(around(clean.private).astype(np.uint8) * np.uint8(255))
-    if (width, height) != (clean.camera.width, clean.camera.height):
-        area = np.asarray(cv2.resize(area, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    area = _resized(clean.camera.undistort(around(clean.private).astype(np.uint8) * np.uint8(255)), width, height)
     return np.asarray(area > 0, np.bool_)
-
-
-def working_size(width: int, height: int, resolution: int | None) -> tuple[int, int]:
-    """(width, height) in pixels of an image brought to a long side of `resolution`; never larger than it is."""
-    if resolution is not None and resolution < 1:
-        raise ValueError(f"resolution is {resolution}, at least 1 pixel is needed")
-    if resolution is None or resolution >= max(width, height):
-        return width, height
-    scale = resolution / max(width, height)
-    return max(1, round(width * scale)), max(1, round(height * scale))
-
-
-@dataclass(frozen=True)
-class _Pinhole:
-    """Size and intrinsics of an image as captured; K is a guess from the field of view unless `focal_known`."""
-
-    width: int
-    height: int
-    K: Float64s | None
-    focal_known: bool
-    distortion: Float64s
-
-    @classmethod
-    def of(cls, image: Uint8s, lens: Lens, name: str) -> _Pinhole:
-        height, width = image.shape[:2]
-        if lens.width and lens.height and (width, height) != (lens.width, lens.height):
-            raise wrong_size(name, width, height, lens)
-        return cls(width, height, *_intrinsics(lens, width, height), lens.distortion)
-
-    def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
-        """Remove distortion, K stays; pixels without a source become 0."""
-        if self.K is None or not np.any(self.distortion):
-            return image
-        maps = cv2.initUndistortRectifyMap(self.K, self.distortion, None, self.K, (self.width, self.height), cv2.CV_32FC1)
-        how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-        return np.asarray(cv2.remap(image, *maps, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
-
-    def view(self, width: int, height: int) -> View:
-        K = None if self.K is None else scaled_intrinsics(self.K, width / self.width, height / self.height)
-        removed = np.zeros(5) if K is None else self.distortion
-        return View(width, height, K, self.focal_known and K is not None, self.width, self.height, removed)
-
-
-def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, bool]:
-    """K of the captured image, and whether its focal length is known rather than guessed from a field of view."""
-    if lens.K is not None:
-        return lens.K, True
-    if lens.hfov_deg is None:
-        return None, False
-    f = 0.5 * width / tan(0.5 * radians(lens.hfov_deg))
-    return np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]]), False
 
 
 def _as_written(lens: Lens, capture: Capture, image: Uint8s) -> Lens:
@@ -247,19 +202,16 @@ def _most_common_size(clean: Sequence[_Clean], notes: list[str]) -> list[_Clean]
     return [each for each, size in zip(clean, sizes, strict=True) if size == (width, height)]
 
 
-def _resize(image: Uint8s, resolution: int | None) -> Uint8s:
-    size = working_size(image.shape[1], image.shape[0], resolution)
-    if size == (image.shape[1], image.shape[0]):
+def _resized(image: Uint8s, width: int, height: int) -> Uint8s:
+    if (width, height) == (image.shape[1], image.shape[0]):
         return image
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _usable(camera: _Pinhole, mask: Capture | None, width: int, height: int) -> Bools:
+def _usable(camera: Straight, mask: Capture | None, width: int, height: int) -> Bools:
     """(height, width) bool: covered by the sensor after undistortion, and allowed by the mask."""
     allowed = np.full((camera.height, camera.width), 255, np.uint8) if mask is None else _decode_mask(mask, camera)
-    allowed = camera.undistort(allowed, nearest=True)
-    if (width, height) != (camera.width, camera.height):
-        allowed = np.asarray(cv2.resize(allowed, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    allowed = _resized(camera.undistort(allowed, nearest=True), width, height)
     usable: Bools = allowed > 250  # a reduced pixel counts where all it covers does
     if not usable.any():
         name = "the distortion" if mask is None else mask.name
@@ -267,7 +219,7 @@ def _usable(camera: _Pinhole, mask: Capture | None, width: int, height: int) -> 
     return usable
 
 
-def _decode_mask(mask: Capture, camera: _Pinhole) -> Uint8s:
+def _decode_mask(mask: Capture, camera: Straight) -> Uint8s:
     """(h, w) uint8 of the captured size, 255 where pixels may be used."""
     if mask.data.size == 0:
         raise EmptyCapture(f"mask {mask.name} is empty (0 bytes)")
@@ -284,7 +236,7 @@ def _decode_mask(mask: Capture, camera: _Pinhole) -> Uint8s:
     return np.where(image > 0, 255, 0).astype(np.uint8)
 
 
-def _wrong_mask(name: str, width: int, height: int, camera: _Pinhole) -> WrongSize:
+def _wrong_mask(name: str, width: int, height: int, camera: Straight) -> WrongSize:
     return WrongSize(
         f"mask {name} has {width} x {height} pixels, the captures {camera.width} x {camera.height}: "
         "draw the mask over a capture as it comes from the camera"

@@ -15,17 +15,18 @@ import numpy as np
 from .core.cameras import rays
 from .core.methods import bind
 from .core.order_statistics import median, percentiles
-from .mvs.ground import ground_homography
+from .mvs.ground import ground_homography, inverse_depth_line
 from .reasons import Reason, Rejected
 from .rectification.fitting import Placed, finished, placed
 from .rectification.method import MatchedPair
-from .rectification.predicted import predict
+from .rectification.predicted import ground_in_both, predict
 from .rectification.quality import parallax_px
 from .rectification.warping import to_rectified
 from .stereo.witness import ask_witness
-from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
+from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
-from .types import Camera, Float32s, Float64s, Frame, Geometry, PairCheck, Rectification, Scene
+from .twoview.pair_score import hardly_converging
+from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfPair, PairCheck, Rectification, Scene
 
 METHODS = {
     "congruent": "wbflow_stages.rectification.congruent:congruent",
@@ -45,6 +46,14 @@ rows."""
 
 _LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO = 0.01, 5.0
 """The same, of what lies where other views know the ground: pavement that repeats matches on shifted rows, but not there."""
+
+_LEAST_GROUND_IN_REACH = 0.5
+"""Where the search for disparities leaves out more than this of the ground that two known cameras see, the matches have not told
+where the scene lies."""
+
+_BENEATH = 0.05
+"""Nothing is farther under the ground than this share of the lower camera's height above it: what matches there is a stone that
+repeats."""
 
 _FEWEST_POINTS = 50
 """So few points of a dense match show no scene."""
@@ -73,8 +82,8 @@ def rectify(
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
-    Where both cameras are known, they give the rows.  Matches that agree with them choose scale, crop and disparity range; where
-    these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
+    Known cameras give the rows.  Matches that agree with them choose scale, crop and range, with the ground where that is known;
+    where these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
 
     Parameters
     ----------
@@ -119,7 +128,7 @@ def rectify(
     by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
     enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
     if enough or left is None or right is None or left_frame is None or right_frame is None:
-        return by_matches
+        return _reaching_ground(by_matches, geometry, (left, right), scene, fitted)
     by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
     return by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
 
@@ -138,7 +147,7 @@ def _by_matches(
         return Rejected(Reason.NOTHING_KNOWN), 0
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _obeying(geometry, left, right)
-    refusal = _contradicted(check) or _unbelievable(geometry, pair)
+    refusal = _contradicted(check) or _unbelievable(geometry, pair, min_angle_deg)
     found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
     if isinstance(found, Rejected):
         return found, len(pair.x1)
@@ -169,7 +178,7 @@ def _from_cameras(
     expected = predict(*cameras, scene)
     if expected is None:
         return Rejected(Reason.NOTHING_IN_COMMON)
-    ground = _ground(*cameras, scene)
+    ground = _ground(cameras, scene)
     first = fitted(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
     if isinstance(first, Rejected):
         return first
@@ -196,6 +205,42 @@ def _from_cameras(
     )
 
 
+def _reaching_ground(
+    found: Rectification | Rejected,
+    geometry: Geometry | None,
+    views: tuple[Camera | None, Camera | None],
+    scene: Scene | None,
+    fitted: Callable[[MatchedPair], Placed | Rejected],
+) -> Rectification | Rejected:
+    """What the matches tell, laid out anew where that leaves most of the ground out of reach: façades all around a square match
+    one another, its repeated paving at their feet does not."""
+    left, right = views
+    if left is None or right is None or isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
+        return found
+    cameras = left, right
+    x1, x2 = ground_in_both(*cameras, scene.ground)
+    if len(x1) < _FEWEST_POINTS or _in_reach(found, x1, x2) >= _LEAST_GROUND_IN_REACH:
+        return found
+    matched = _obeying(geometry, *cameras)
+    above = _not_beneath(_lowered(scene.ground, cameras), cameras, matched.x1, matched.x2)
+    x1, x2 = np.concatenate([matched.x1[above], x1]), np.concatenate([matched.x2[above], x2])
+    pair = _known_pair(cameras, x1, x2, np.ones(len(x1), np.float32))
+    laid_out = fitted(pair)
+    if isinstance(laid_out, Rejected):
+        return found
+    wider = finished(*laid_out, pair, None, float("inf"), _MARGIN_OF_POINTS)
+    return found if isinstance(wider, Rejected) else replace(wider, ground=_ground(cameras, scene))
+
+
+def _in_reach(found: Rectification, x1: Float64s, x2: Float64s) -> float:
+    """Share of points (n, 2), (n, 2) of the frames that both rectified images show within the range of disparities."""
+    y1, y2 = to_rectified(found, 1, x1), to_rectified(found, 2, x2)
+    shown = [((y > -0.5) & (y < np.array(size) - 0.5)).all(axis=1) for y, size in ((y1, found.size1), (y2, found.size2))]
+    disparity = y1[:, 0] - y2[:, 0]
+    near = (disparity >= found.disparity_min_px) & (disparity <= found.disparity_max_px)
+    return float(np.mean(shown[0] & shown[1] & near))
+
+
 def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, probability: Float32s) -> MatchedPair:
     """Points x1, x2 (n, 2) in the place of matches, of cameras that give F."""
     left, right = cameras
@@ -204,11 +249,27 @@ def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, prob
     return MatchedPair(F, x1, x2, probability, *sizes, left, right, _angle_deg(left, right, x1, x2))
 
 
-def _ground(left: Camera | None, right: Camera | None, scene: Scene | None) -> Float64s | None:
-    """(3, 3) homography of the ground between the frames of two cameras, where all three are known."""
-    if left is None or right is None or scene is None or scene.ground is None:
+def _ground(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair | None:
+    """The ground between the frames of two cameras, where it is known."""
+    if scene is None or scene.ground is None:
         return None
-    return ground_homography(left, right, scene.ground)
+    lines = (inverse_depth_line(camera, scene.ground) for camera in cameras)
+    return GroundOfPair(
+        *(ground_homography(*cameras, plane) for plane in (scene.ground, _lowered(scene.ground, cameras))), *lines
+    )
+
+
+def _lowered(ground: Float64s, cameras: tuple[Camera, Camera]) -> Float64s:
+    """(4,) the plane under the ground."""
+    height = min(float(ground[:3] @ camera.C + ground[3]) for camera in cameras)
+    return np.asarray(ground + np.array([0.0, 0.0, 0.0, _BENEATH * height]), dtype=np.float64)
+
+
+def _not_beneath(plane: Float64s, cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s) -> Bools:
+    """(n,) bool: which matches lie above a plane (4,)."""
+    depth, _ = triangulate_depth(*cameras, x1, x2)
+    line = inverse_depth_line(cameras[0], plane)
+    return np.asarray(1 / depth >= x1 @ line[:2] + line[2])
 
 
 def _contradicted(check: PairCheck | None) -> Rejected | None:
@@ -229,8 +290,10 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
     return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
 
 
-def _unbelievable(geometry: Geometry, pair: MatchedPair) -> Rejected | None:
+def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
     """Why F is not to be believed where no cameras gave it."""
+    if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
+        return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
     if pair.camera1 is None and geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
         return Rejected(Reason.UNLIKELY_GEOMETRY, figures)

@@ -32,6 +32,9 @@ _LIKELY = 0.2
 _ON_GROUND = 0.02
 """Inverse depths that differ from the ground's by less than this share belong to it."""
 
+_AGAIN = 1
+"""Sweeps where a reference is known, at most: little is left to be found."""
+
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
 
@@ -49,6 +52,8 @@ def refine(
     frames: Mapping[str, Frame],
     cameras: Mapping[str, Camera],
     scene: Scene | None = None,
+    then_camera: Camera | None = None,
+    then_depth: DepthMap | None = None,
     *,
     radius: int = 3,
     sweeps: int = 3,
@@ -68,6 +73,9 @@ def refine(
         Of the views around it, by id; views without a camera of the same world are passed over.
     scene
         Where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
+    then_camera, then_depth
+        The reference's, if there is one: its surface is where to start from where tonight's pairs have none, for a camera that
+        stands as it stood.
     radius
         The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones: what it
         costs doesn't grow, since its pixels move apart.
@@ -92,11 +100,14 @@ def refine(
     spacing = max(1, round(max(image.shape) / 768))
     taps = spacing * _taps(radius)
     far = max(2, round(5 * max(image.shape) / 768))
-    planes = np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
+    planes = _planes_of(depth)
+    then = _planes_of(then_depth) if then_depth is not None and _stands(camera, then_camera, depth, then_depth) else None
+    if then is not None:
+        planes = np.where(np.isfinite(planes[0]), planes, then)
     known = np.isfinite(planes[0])
     nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, taps)
-    cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest)
+    cost = propagation.improve(planes, sweeps if then is None else min(sweeps, _AGAIN), far, 0.9 * farthest, 1.1 * nearest)
     ground = None if scene is None or scene.ground is None else ground_planes(camera, scene.ground)
     if ground is not None:
         _lean_on_ground(planes, cost, propagation, ground, max_cost)
@@ -108,7 +119,21 @@ def refine(
     sure = kept & (_as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE))
     if ground is not None:
         sure |= kept & _on_ground(planes, ground)
+    if then is not None and then_depth is not None:
+        sure |= kept & (support.second < max_cost) & then_depth.sure & _as_before(z, sigma, then_depth)
     return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), sure)
+
+
+def _planes_of(depth: DepthMap) -> Float32s:
+    """(3, h, w): inverse depth, and how it changes per pixel in x and y; nan where unknown."""
+    return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
+
+
+def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap) -> bool:
+    """Does the camera see each place in the same pixel as in the reference?"""
+    if then is None or depth.depth.shape != then_depth.depth.shape:
+        return False
+    return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
 
 
 def _lean_on_ground(planes: Float32s, cost: Float32s, propagation: Propagation, ground: Float32s, max_cost: float) -> None:

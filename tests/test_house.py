@@ -49,6 +49,7 @@ CONTRACTS = {
     "config/explain.py": {"pairs"},
     "config/site.py": {"pairs", "coverage"},  # in the section `expect`
     "results/pair.py": {"pairs"},
+    "graph/meanings.py": {"matches"},  # a figure of run.json
     "graph/exports.py": {"depth", "matches", "geometry", "disparity", "frames", "poses"},  # options of export, argument names
     "store/record.py": {"pairs", "poses", "health"},  # keys of run.json
     "store/reference.py": {"pairs"},  # keys of reference.json

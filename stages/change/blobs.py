@@ -48,6 +48,8 @@ class Blob:
     """The points are those of then: it has vanished."""
     colour: Float64s
     """(2,) mean shares of red and green."""
+    cleared: float
+    """Mean share of the cameras that saw it which saw through its place on the other night."""
 
 
 def find_blobs(
@@ -85,17 +87,19 @@ def find_blobs(
     closed = ndimage.binary_closing(np.pad(covered.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
     labels, count = ndimage.label(closed | covered.reshape(closed.shape), np.ones((3, 3)))
     label_of = np.where(cells >= 0, labels.ravel()[cells], 0)
+    other = _over(grid, other_points)
     found = []
     for number in range(1, count + 1):
         rows = np.flatnonzero(label_of == number)
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
-        change = _measured(side, rows, labels == number, grid, other_points, spacing)
+        change = _measured(side, rows, labels == number, grid, other, spacing)
         if change is not None:
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
-            found.append(Blob(replace(change, kind=kind), rows, of_then, shares[:2] / max(float(shares.sum()), 1.0)))
+            colour, cleared = shares[:2] / max(float(shares.sum()), 1.0), float(np.nanmean(side.cleared[rows]))
+            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared))
     return found
 
 
@@ -126,22 +130,35 @@ def _moved(new: Blob, gone: Blob) -> Blob:
     return replace(new, change=replace(new.change, kind="moved", from_x=was.x, from_y=was.y, from_z=was.z))
 
 
-def _measured(
-    side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, other_points: Float64s, spacing: float
-) -> Change | None:
+@dataclass(frozen=True)
+class _Over:
+    """Points over the cells of the ground, those over none left out."""
+
+    cells: Int64s
+    """(n,)"""
+    levels: Float64s
+    """(n,) heights, world lengths."""
+
+
+def _over(grid: GroundGrid, points: Float64s) -> _Over:
+    cells = cells_of(grid, points)
+    inside = cells >= 0
+    return _Over(cells[inside], points[inside] @ grid.axes[2])
+
+
+def _measured(side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, other: _Over, spacing: float) -> Change | None:
     """Place, size and volume of what changed points make; None where nothing is known of what was below."""
     footprint = ndimage.binary_fill_holes(footprint)
     points, up = side.core[rows], grid.axes[2]
     levels = points @ up
     count = grid.rows * grid.columns
     top = quantile_by_cell(cells_of(grid, points), levels, count, _TOP).reshape(footprint.shape)
-    there = cells_of(grid, other_points)
     near = ndimage.binary_dilation(footprint, iterations=4)
-    below = np.flatnonzero((there >= 0) & near.ravel()[np.maximum(there, 0)])
-    below = below[other_points[below] @ up <= levels.max() + 2 * spacing]
+    below = np.flatnonzero(near.ravel()[other.cells])
+    below = below[other.levels[below] <= levels.max() + 2 * spacing]
     if not len(below):
         return None
-    base = quantile_by_cell(there[below], other_points[below] @ up, count, _TOP).reshape(footprint.shape)
+    base = quantile_by_cell(other.cells[below], other.levels[below], count, _TOP).reshape(footprint.shape)
     top, base = _filled(top, footprint), _filled(base, near)
     noise = float(np.median(side.sigma[rows]))
     typical = float(np.quantile((top - base)[footprint], 0.9))

@@ -50,6 +50,8 @@ class MeasuredCloud:
     """(n, 3)"""
     sigma: Float64s
     """(n,)"""
+    index: PointIndex | None = None
+    """Of the points, by cells of the size of a cylinder; made where there is none."""
 
 
 def cloud_distances(
@@ -93,7 +95,7 @@ def _in_cylinders(
     """Mean position along the normal of the points in each cylinder, the variance of that mean, and how many there are."""
     mean, variance, count = np.full(len(core), np.nan), np.full(len(core), np.nan), np.zeros(len(core), np.int64)
     if len(cloud.points) and len(core):
-        index: PointIndex = index_points(cloud.points, 2.0 * radius)
+        index = cloud.index or index_points(cloud.points, 2.0 * radius)
         squared = cloud.sigma[index.order] ** 2
         _measure(
             *(core, normals, index.points, squared, index.starts, index.low, index.edge, index.shape),

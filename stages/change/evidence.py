@@ -14,7 +14,7 @@ import numpy as np
 from ..core.cameras import project
 from ..core.jit import kernel
 from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
-from .cloud_distance import CONFIDENCE, Distances, MeasuredCloud, cloud_distances
+from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances
 from .epoch import Epoch
 from .free_space import Sight, look_at
 from .likeness import likeness
@@ -57,6 +57,9 @@ class Evidence:
     likeness: Float32s
     """Median over the cameras that see the point of the correlation of both nights' pictures; nan where it was not asked, or they
     show nothing."""
+    cleared: Float32s
+    """Share of the cameras which saw the point, and could look there on the other night, that saw through it then; nan where it
+    was not asked."""
     changed: Bools
     """All evidence together."""
 
@@ -71,31 +74,38 @@ class Evidence:
         return np.asarray(~self.measured & (self.sight.through == 0) & (self.sight.agreeing == 0), dtype=np.bool_)
 
 
-def gather(own: Epoch, other: Epoch, spacing: float, registration: float) -> Evidence:
-    """Distances and sights of one night's surface; nothing is called changed yet.
+def gather(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> tuple[Evidence, Evidence]:
+    """Distances and sights of both nights' surfaces, each compared with the other's; nothing is called changed yet.
 
     Parameters
     ----------
-    own, other
-        The night whose surface is asked about, and the one that it is compared with.
+    tonight, then
+        The nights.
     spacing
         Of the points of the coarser cloud.
     registration
         Standard deviation of the position of one night's world against the other's.
     """
-    points, sigma = own.points, own.sigma
-    rows = one_of_each_cell(points, CORE * spacing)
-    core = points[rows]
-    normals = mean_normals(core, index_points(points, 2 * RADIUS * spacing), own.cloud.normals, RADIUS * spacing)
-    clouds = MeasuredCloud(other.points, other.sigma), MeasuredCloud(points, sigma)
+    edge = 2.0 * RADIUS * spacing
+    clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, then)]
+    now = _gathered(tonight, clouds[0], then, clouds[1], spacing, registration)
+    return now, _gathered(then, clouds[1], tonight, clouds[0], spacing, registration)
+
+
+def _gathered(
+    own: Epoch, cloud: MeasuredCloud, other: Epoch, other_cloud: MeasuredCloud, spacing: float, registration: float
+) -> Evidence:
+    """The same of one night's surface; its clouds are indexed."""
+    assert cloud.index is not None
+    rows = one_of_each_cell(cloud.points, CORE * spacing)
+    core = cloud.points[rows]
     radius, reach = RADIUS * spacing, REACH * spacing
-    found: Distances = cloud_distances(core, normals, *clouds, radius=radius, reach=reach, registration=registration)
-    sight = look_at(core, sigma[rows], other.cameras, other.seeing, other.depth)
+    normals = mean_normals(core, cloud.index, own.cloud.normals, radius)
+    found = cloud_distances(core, normals, other_cloud, cloud, radius=radius, reach=reach, registration=registration)
+    sight = look_at(core, cloud.sigma[rows], other.cameras, other.seeing, other.depth)
     measured = np.isfinite(found.distance)
-    nothing = np.zeros(len(core), bool)
-    return Evidence(
-        core, normals, rows, found.distance, found.sigma, sight, measured, np.full(len(core), np.nan, np.float32), nothing
-    )
+    nothing, unasked = np.zeros(len(core), bool), np.full(len(core), np.nan, np.float32)
+    return Evidence(core, normals, rows, found.distance, found.sigma, sight, measured, unasked, unasked, nothing)
 
 
 def noise_of(*sides: Evidence) -> float:
@@ -144,7 +154,29 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
     with np.errstate(invalid="ignore"):
         changed &= ~(like > alike)
     changed = _with_neighbours(side.core, changed, spacing)
-    return replace(side, distance=distance, sigma=sigma, measured=side.measured & ~by_sight, likeness=like, changed=changed)
+    cleared, rows = np.full(len(side.core), np.nan, np.float32), np.flatnonzero(changed)
+    cleared[rows] = _cleared(side.core[rows], own.sigma[side.rows[rows]], nearer[rows], own, other)
+    measured = side.measured & ~by_sight
+    return replace(side, distance=distance, sigma=sigma, measured=measured, likeness=like, cleared=cleared, changed=changed)
+
+
+def _cleared(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: Epoch) -> Float32s:
+    """(n,) share of the cameras that saw points X which saw through their places on the other night, of those that could look.
+
+    measured (n,): the clouds say how far the surface lies off, which may be too little for a camera to tell; those that can't
+    don't count, and where none can, the share is 1.
+
+    A camera that knows no depth there has not seen through: of lattices and other thin things a window shows what is behind, too,
+    and each night it is another camera that takes the one for the other.
+    """
+    saw, through = np.zeros(len(X), np.float32), np.zeros(len(X), np.float32)
+    asked = set(other.seeing) & set(other.cameras)
+    for name in (n for n in own.seeing if n in asked):
+        sight = look_at(X, sigma, other.cameras, [name], other.depth)
+        looked = seen_by(X, sigma, own, name) & (sight.hidden == 0) & ~(measured & (sight.agreeing > 0))
+        saw += looked
+        through += looked & (sight.through > 0)
+    return np.where(measured & (saw == 0), np.float32(1), through / np.maximum(saw, 1)).astype(np.float32)
 
 
 def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:

@@ -26,7 +26,7 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
         (3,) centre in the world.
     """
     captured = view.captured_width or view.width, view.captured_height or view.height
-    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion)
+    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion, view.lens)
 
 
 def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:

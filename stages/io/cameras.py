@@ -9,7 +9,11 @@ from ..types import Camera, Poses
 
 def calibration(poses: Poses) -> dict[str, Any]:
     """Cameras of the main component by id, as JSON data, for captures as they are."""
-    return {name: _entry(camera, poses.metric) for name, camera in poses.cameras.items() if camera.component == 0}
+    found: dict[str, Any] = {}
+    for name, camera in poses.cameras.items():
+        if camera.component == 0:
+            found.setdefault((camera.lens and camera.lens.part_of) or name, _entry(camera, poses.metric))
+    return found
 
 
 def place_comments(poses: Poses) -> tuple[str, ...]:
@@ -26,6 +30,11 @@ def place_comments(poses: Poses) -> tuple[str, ...]:
 def _entry(camera: Camera, metric: bool) -> dict[str, Any]:
     """One camera: K and size of its captures, and the distortion that is in them, whether it was known or solved."""
     width, height = camera.captured_width or camera.width, camera.captured_height or camera.height
+    world = {} if metric else {"metric": False}
+    if (lens := camera.lens) is not None and lens.K is not None:
+        R = lens.turn.T @ camera.R
+        entry = {"K": lens.K.tolist(), "R": R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
+        return entry | {"model": lens.model, "distortion": lens.distortion.tolist()} | world
     K = camera.K.tolist()
     for row, scale in ((0, width / camera.width), (1, height / camera.height)):
         # pixel centres are whole numbers, so the principal point moves by half a pixel
@@ -34,4 +43,4 @@ def _entry(camera: Camera, metric: bool) -> dict[str, Any]:
     distortion = camera.distortion.tolist()
     if not any(distortion):
         distortion = [*camera.radial, 0.0, 0.0, 0.0]
-    return entry | ({"distortion": distortion} if any(distortion) else {}) | ({} if metric else {"metric": False})
+    return entry | ({"distortion": distortion} if any(distortion) else {}) | world

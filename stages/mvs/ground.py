@@ -186,10 +186,16 @@ def ground_homography(camera1: Camera, camera2: Camera, plane: Float64s) -> Floa
     return np.asarray(camera2.K @ (R - np.outer(t, normal) / offset) @ np.linalg.inv(camera1.K), dtype=np.float64)
 
 
+def inverse_depth_line(camera: Camera, plane: Float64s) -> Float64s:
+    """(3,): times (x, y, 1) the inverse depth in a camera of the plane n X + d = 0; negative above its horizon."""
+    line = -(plane[:3] @ camera.R.T @ np.linalg.inv(camera.K)) / (plane[:3] @ camera.C + plane[3])
+    return np.asarray(line, dtype=np.float64)
+
+
 def ground_planes(camera: Camera, plane: Float64s) -> Float32s:
     """(3, h, w): inverse depth of the ground in each pixel of a camera, and how it changes per pixel in x and y; nan above the
     horizon."""
-    across, down, at_origin = -(plane[:3] @ camera.R.T @ np.linalg.inv(camera.K)) / (plane[:3] @ camera.C + plane[3])
+    across, down, at_origin = inverse_depth_line(camera, plane)
     y, x = np.mgrid[0 : camera.height, 0 : camera.width]
     inverse = across * x + down * y + at_origin
     planes = np.stack([inverse, np.full_like(inverse, across), np.full_like(inverse, down)])

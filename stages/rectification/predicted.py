@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.cameras import backproject, project, rays
-from ..types import Camera, Float64s, Int64s, Scene
+from ..types import Bools, Camera, Float64s, Int64s, Scene
 
 _GRID = 24
 """Points across the wider side of an image."""
@@ -73,6 +73,26 @@ def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Pre
     return Prediction(x1, x2, ends1, ends2, angle)
 
 
+def ground_in_both(camera1: Camera, camera2: Camera, ground: Float64s) -> tuple[Float64s, Float64s]:
+    """(n, 2), (n, 2) pixels of both cameras that show the same places of the ground plane (4,)."""
+    x1, x2 = _ground_seen_from(camera1, camera2, ground)
+    y2, y1 = _ground_seen_from(camera2, camera1, ground)
+    return np.concatenate([x1, y1]), np.concatenate([x2, y2])
+
+
+def _ground_seen_from(camera: Camera, other: Camera, ground: Float64s) -> tuple[Float64s, Float64s]:
+    pixels = _grid(camera)
+    depth = _ground_depth(camera, pixels, ground)
+    pixels, depth = pixels[np.isfinite(depth)], depth[np.isfinite(depth)]
+    seen, behind = project(other, backproject(camera, pixels, depth))
+    inside = (behind > 0) & _inside(seen, other)
+    return pixels[inside], seen[inside]
+
+
+def _inside(pixels: Float64s, camera: Camera) -> Bools:
+    return np.asarray((pixels > -0.5).all(axis=1) & (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=1))
+
+
 def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Float64s, Float64s, Float64s, Float64s]:
     """Pixels in both cameras of the likely surface, and of the ends of what both see."""
     pixels = _grid(camera)
@@ -83,7 +103,7 @@ def _seen_from(camera: Camera, other: Camera, scene: Scene | None) -> tuple[Floa
     inverse = 1 / far + np.linspace(0, 1, _STEPS)[:, None] * (1 / near - 1 / far)  # from far to near
     depth = 1 / inverse
     seen, behind = project(other, backproject(camera, np.tile(pixels, (_STEPS, 1)), depth.ravel()))
-    inside = (behind > 0) & (seen > -0.5).all(axis=1) & (seen < [other.width - 0.5, other.height - 0.5]).all(axis=1)
+    inside = (behind > 0) & _inside(seen, other)
     inside, seen = inside.reshape(_STEPS, n), seen.reshape(_STEPS, n, 2)
     both = inside.any(axis=0)
     farthest, nearest = inside.argmax(axis=0), _STEPS - 1 - inside[::-1].argmax(axis=0)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from ..core.lenses import lens_rays
 from ..types import Camera, Float64s, Survey, View
 from .alignment import Landmark
 from .tracks import Tracks, without_distortion
@@ -49,6 +50,9 @@ def control_landmarks(
 
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
     """(n, 2) pixels of the capture, moved to where a pinhole would have them in the frame."""
+    if view.lens is not None:
+        rays = lens_rays(view.lens, x) @ view.lens.turn.T @ camera.K.T
+        return np.asarray(rays[:, :2] / rays[:, 2:], dtype=np.float64)
     scale = np.array([view.width / (view.captured_width or view.width), view.height / (view.captured_height or view.height)])
     x = (x + 0.5) * scale - 0.5
     if np.any(view.distortion):

@@ -30,6 +30,12 @@ class RectifiedPair:
     prior_left: Float32s | None = None
     prior_right: Float32s | None = None
     """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None where nobody knows."""
+    then_left: Float32s | None = None
+    then_right: Float32s | None = None
+    """(h, w) disparity of another night from the same places, nan where it had none; None where there is no such night."""
+    floor_left: Float32s | None = None
+    floor_right: Float32s | None = None
+    """(h, w) disparity of a surface behind the likely one: nothing lies farther; None where something may."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +76,18 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
         disparity_max=pair.disparity_max,
         prior_left=None if pair.prior_right is None else flip(pair.prior_right),
         prior_right=None if pair.prior_left is None else flip(pair.prior_left),
+        floor_left=None if pair.floor_right is None else flip(pair.floor_right),
+        floor_right=None if pair.floor_left is None else flip(pair.floor_left),
+        then_left=None if pair.then_right is None else flip(pair.then_right),
+        then_right=None if pair.then_left is None else flip(pair.then_left),
     )
 
 
 def halved(pair: RectifiedPair) -> RectifiedPair:
-    """The pair at half its size, filled up at the right and the bottom with its border; valid where all four pixels are."""
+    """The pair at half its size, filled up at the right and the bottom with its border; valid where all four pixels are.
+
+    What another night found is left out: it is where to start from at the full size.
+    """
     return RectifiedPair(
         left=_half(pair.left),
         right=_half(pair.right),
@@ -82,9 +95,15 @@ def halved(pair: RectifiedPair) -> RectifiedPair:
         valid_right=_half(pair.valid_right.astype(np.float32)) > 0.99,
         disparity_min=pair.disparity_min // 2 - 1,
         disparity_max=-(-pair.disparity_max // 2) + 1,
-        prior_left=None if pair.prior_left is None else _half(pair.prior_left) / np.float32(2),
-        prior_right=None if pair.prior_right is None else _half(pair.prior_right) / np.float32(2),
+        prior_left=_half_disparity(pair.prior_left),
+        prior_right=_half_disparity(pair.prior_right),
+        floor_left=_half_disparity(pair.floor_left),
+        floor_right=_half_disparity(pair.floor_right),
     )
+
+
+def _half_disparity(disparity: Float32s | None) -> Float32s | None:
+    return None if disparity is None else _half(disparity) / np.float32(2)
 
 
 def _half(image: Float32s) -> Float32s:

@@ -19,6 +19,7 @@ from .consistency import disagreement, fill_along_rows, without_speckles
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 from .plane_filter import doubt, smoothed
 from .propagation import Propagation
+from .sgbm import match_sgbm
 
 _ROUNDS = 2
 _DEAREST = 0.6
@@ -65,14 +66,17 @@ class _View:
 
     def lean_on_prior(self, propagation: Propagation) -> None:
         """Take the likely surface where it shows the other image about as well as what was found: repeated tiles fit at many
-        disparities, and bare asphalt at any."""
+        disparities, and bare asphalt at any; and where what was found lies behind the floor."""
         prior = self.pair.prior_left
         if prior is None:
             return
         along_y, along_x = np.gradient(prior)
         planes = np.stack([prior, along_x, along_y]).astype(np.float32)
         cost = propagation.costs(planes)
-        likely = np.isfinite(planes).all(axis=0) & (cost < _DEAREST) & (cost <= self.cost + _LIKELY)
+        known = np.isfinite(planes).all(axis=0)
+        likely = known & (cost < _DEAREST) & (cost <= self.cost + _LIKELY)
+        if (floor := self.pair.floor_left) is not None:
+            likely |= known & ((floor - self.planes[0]) * (prior - floor) > 0)
         self.planes[:, likely] = planes[:, likely]
         self.cost[likely] = cost[likely]
 
@@ -96,8 +100,33 @@ class _View:
 
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
+    if pair.then_left is not None and pair.then_right is not None:
+        return _matched_again(pair)
     large = pair.left.size > _DIRECT_PX
     return _propagated(pair, _coarse_planes(pair, large), 1 if large else _ROUNDS)
+
+
+def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
+    """The same where another night shows where to start: a quick search of the whole range at half the size finds what is new,
+    and one round settles which of both it is."""
+    views = _View(pair, _planes_then(pair)), _View(mirrored(pair), _planes_then(mirrored(pair)))
+    small = halved(pair)
+    for view, coarse in zip(views, _as_planes(small, match_sgbm(small)), strict=True):
+        propagation, searched = view.propagation(), _doubled(coarse, pair.left.shape)
+        view.planes = np.where(np.isnan(view.planes), searched, view.planes)
+        view.cost = propagation.costs(view.planes)
+        propagation.round(0, view.planes, view.cost, searched)
+        view.lean_on_prior(propagation)
+    return views
+
+
+def _planes_then(pair: RectifiedPair) -> Float32s:
+    """(3, h, w) planes of the left view as another night knows them, nan where it doesn't."""
+    then = pair.then_left
+    assert then is not None
+    filled = fill_along_rows(then, 1)
+    slopes = _slopes(np.where(np.isnan(filled), np.float32(0), filled).astype(np.float32))
+    return np.where(np.isnan(then), np.float32(np.nan), np.stack([then, *slopes])).astype(np.float32)
 
 
 def _coarse_planes(pair: RectifiedPair, large: bool) -> list[Float32s]:
@@ -120,7 +149,11 @@ def _propagated(pair: RectifiedPair, start: Sequence[Float32s], rounds: int) -> 
 
 def _start(pair: RectifiedPair) -> tuple[Float32s, Float32s]:
     """Planes (3, h, w) of both views, those of the right one in a mirror, from semi-global matching; holes filled."""
-    found = match_census_sgm(pair)
+    return _as_planes(pair, match_census_sgm(pair))
+
+
+def _as_planes(pair: RectifiedPair, found: DenseMatches) -> tuple[Float32s, Float32s]:
+    """The same from what a matcher found."""
     planes1 = _planes_of(found.left, found.right, pair.valid_left, -1)
     planes2 = _planes_of(found.right, found.left, pair.valid_right, 1)
     return planes1, planes2[:, :, ::-1] * np.array([[[1]], [[-1]], [[1]]], dtype=np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..rectification.warping import Side, from_rectified, to_rectified, warp_with_mask
-from ..types import Bools, Float32s, Float64s, Frame, Rectification, Uint8s
+from ..types import Bools, Float32s, Float64s, Frame, GroundOfPair, Rectification, Uint8s
 from .denoise import quietened
 from .matcher import RectifiedPair
 
@@ -27,23 +27,42 @@ def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> R
         images.append(np.pad(grey, padding, mode="edge"))
         masks.append(np.pad(mask, padding))
     low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
-    priors: list[Float32s | None] = [None, None]
-    if rectification.ground is not None:
-        priors = [_ground_disparity(rectification, rectification.ground, side, images[0].shape) for side in _SIDES]
-    return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high, priors[0], priors[1])
+    surfaces: list[Float32s | None] = []
+    if (ground := rectification.ground) is not None:
+        for plane in (ground.homography, ground.beneath):
+            for side in _SIDES:
+                surfaces.append(_plane_disparity(rectification, ground, plane, side, images[0].shape))
+    return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high, *surfaces)
 
 
-def _ground_disparity(rectification: Rectification, ground: Float64s, side: Side, shape: tuple[int, ...]) -> Float32s:
-    """(h, w) disparity of the ground in one rectified image, nan where that looks above the horizon."""
+def _plane_disparity(
+    rectification: Rectification, ground: GroundOfPair, plane: Float64s, side: Side, shape: tuple[int, ...]
+) -> Float32s:
+    """(h, w) disparity of the ground, or of a plane beneath it, in one rectified image; nan where that looks above the horizon.
+
+    Parameters
+    ----------
+    rectification
+        Of the pair.
+    ground
+        Where the ground is.
+    plane
+        (3, 3) homography of the plane, frame 1 to frame 2.
+    side
+        1 or 2: which image.
+    shape
+        Of the rectified images.
+    """
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
     at = np.column_stack([x, y]).astype(np.float64)
-    H = ground if side == 1 else np.linalg.inv(ground)
+    H = plane if side == 1 else np.linalg.inv(plane)
     pixels = from_rectified(rectification, side, at)
     X, Y, z = H[:, :2] @ pixels.T + H[:, 2:]
+    line = ground.inverse_depth1 if side == 1 else ground.inverse_depth2
     with np.errstate(divide="ignore", invalid="ignore"):
         there = to_rectified(rectification, 2 if side == 1 else 1, np.column_stack([X / z, Y / z]))
         disparity = at[:, 0] - there[:, 0] if side == 1 else there[:, 0] - at[:, 0]
-    known = (z > 0) & (np.abs(there[:, 1] - at[:, 1]) < 1.0)
+    known = (pixels @ line[:2] + line[2] > 0) & (z > 0) & (np.abs(there[:, 1] - at[:, 1]) < 1.0)
     return np.where(known, disparity, np.nan).astype(np.float32).reshape(shape)
 
 

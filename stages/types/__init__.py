@@ -3,7 +3,7 @@
 from ..reasons import Reason, Rejected
 from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s
 from .captured import Capture, Lens, Placement, Privacy, Survey
-from .dense import INVALID, Cloud, DepthMap, Disparity, PolarRows, Rectification
+from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
 from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
@@ -34,6 +34,7 @@ __all__ = [
     "Frame",
     "Geometry",
     "GroundGrid",
+    "GroundOfPair",
     "Int16s",
     "Int32s",
     "Int64s",

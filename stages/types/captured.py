@@ -28,11 +28,20 @@ class Lens:
     K: Float64s | None = None
     """(3, 3) pixels, or None when unknown."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
-    """(5,) k1 k2 p1 p2 k3 (OpenCV's order and meaning), zeros for none."""
+    """(n,) coefficients of `model`; of "brown" k1 k2 p1 p2 k3 (OpenCV's order and meaning, and further ones as OpenCV has them),
+    zeros for none."""
     hfov_deg: float | None = None
     """The horizontal field of view, used where K is None."""
     width: int = 0
     height: int = 0
+    model: str = "brown"
+    """How the lens bends light: a name of `core.lenses`."""
+    turn: Float64s = field(default_factory=lambda: np.eye(3))
+    """(3, 3) from the camera's axes to those of the view of it that is meant: a lens of a wide field is looked at in several."""
+    field_deg: Float64s = field(default_factory=lambda: np.zeros(0))
+    """(2,) how far that view reaches, degrees across and down; (0,) where there is but one, as far as a pinhole reaches."""
+    part_of: str = ""
+    """Id of the camera that this is a view of; "" where the camera is looked at as a whole."""
 
 
 @short_repr

@@ -25,6 +25,22 @@ class PolarRows:
 
 @short_repr
 @dataclass(frozen=True)
+class GroundOfPair:
+    """The ground as both frames of a pair see it.  Homographies lead from frame 1 to frame 2; their third coordinate, and that of
+    their inverse, is positive before both cameras."""
+
+    homography: Float64s
+    """(3, 3) of points on the ground."""
+    beneath: Float64s
+    """(3, 3) of points on a plane under it: nothing is searched deeper."""
+    inverse_depth1: Float64s
+    """(3,) times (x, y, 1): inverse depth of the ground in frame 1, negative above the horizon."""
+    inverse_depth2: Float64s
+    """(3,) the same in frame 2."""
+
+
+@short_repr
+@dataclass(frozen=True)
 class Rectification:
     """How the two images of a pair are resampled so that a point lies on the same row in both.
 
@@ -75,9 +91,8 @@ class Rectification:
     """...and on rows shifted by eight."""
     row_error_px: float = float("nan")
     """By how many rows the images seem to be off."""
-    ground: Float64s | None = None
-    """(3, 3) homography of frame 1 to frame 2 of what stands on the ground, where that is known; its third coordinate is positive
-    before both cameras."""
+    ground: GroundOfPair | None = None
+    """Where the ground lies in both frames, if that is known."""
 
 
 @short_repr

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.short_repr import short_repr
 from .arrays import Bools, Float32s, Float64s, Uint8s
+from .captured import Lens
 
 
 @short_repr
@@ -26,7 +27,9 @@ class View:
     captured_height: int = 0
     """Size of the capture; 0: as the frame."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
-    """(5,) what was removed from the capture (see `Lens`)."""
+    """(n,) what was removed from the capture (see `Lens`)."""
+    lens: Lens | None = None
+    """The capture's lens, where the frame has another pinhole than its own (then `distortion` says nothing)."""
 
 
 @short_repr
@@ -52,6 +55,8 @@ class Camera:
     captured_height: int = 0
     """Of the capture, see `View`."""
     distortion: Float64s = field(default_factory=lambda: np.zeros(5))
+    """Of the capture, see `View`."""
+    lens: Lens | None = None
     """Of the capture, see `View`."""
 
 

@@ -104,6 +104,18 @@ def test_depths_that_are_wrong_on_one_night_are_overruled_by_the_pictures() -> N
     assert compared(lying, night(CRATE)).count == 0
 
 
+def test_what_half_of_the_cameras_see_through_and_the_others_do_not_know_has_not_vanished() -> None:
+    then, tonight = night(CRATE, NEW_BOX), night(CRATE, seed=1)
+    assert the_only(compared(tonight, then)).kind == "vanished"
+    # a lattice: tonight two cameras take what is behind for it, and two cannot tell
+    depths = dict(tonight.depths)
+    for name in ("c0", "c2"):
+        seen = depths[name]
+        gone = seen.depth > then.depths[name].depth + 0.1
+        depths[name] = replace(seen, depth=np.where(gone, np.nan, seen.depth).astype(np.float32))
+    assert compared(replace(tonight, depths=depths), then).count == 0
+
+
 def test_only_changes_in_a_zone_count() -> None:
     tonight, then = night(CRATE, NEW_BOX, seed=1), night(CRATE)
     around = {"name": "quay", "polygon": [[1, -4], [5, -4], [5, 0], [1, 0]]}

@@ -98,6 +98,32 @@ def test_a_thing_beyond_the_range_of_the_matches_is_found(matcher: str) -> None:
     assert np.mean(np.abs(found - truth)[disc] < 1) > 0.8
 
 
+def test_a_night_that_starts_from_another_is_as_good_and_finds_what_is_new() -> None:
+    left, right, rectification, truth = case()
+    fresh = matched(left, right, rectification, "patchmatch")
+    y, x = np.mgrid[0:180, 0:240]
+    disc = np.hypot(x - 144, y - 90) < 20
+    level = np.rint(16 * (truth[:, :60].mean() - fresh.offset_px)).astype(np.int16)
+    then = replace(fresh, left=np.where(disc, level, fresh.left), right=np.where(disc, level, fresh.right))  # it was not there
+    again = match_dense(left, right, rectification, rectification, then)
+    assert isinstance(again, Disparity)
+    assert not np.array_equal(again.left, fresh.left)
+    found, inside = disparity_px(again, 1), visible(truth)
+    assert np.mean(np.abs(found - truth)[disc] < 1) > 0.8
+    assert np.mean(np.abs(found - truth)[inside] < 1) > 0.85
+    assert np.nanmedian(np.abs(found - truth)[inside]) < 0.15
+
+
+def test_another_night_of_other_rows_is_no_place_to_start_from() -> None:
+    left, right, rectification, _ = case()
+    fresh = matched(left, right, rectification, "patchmatch")
+    assert rectification.H1 is not None
+    turned = replace(rectification, H1=rectification.H1 @ np.array([[1.0, 0, 2], [0, 1, 0], [0, 0, 1]]))
+    again = match_dense(left, right, rectification, turned, fresh)
+    assert isinstance(again, Disparity)
+    assert np.array_equal(again.left, fresh.left)
+
+
 @pytest.mark.parametrize("matcher", NAMES)
 def test_images_of_different_widths_keep_their_own_sizes(matcher: str) -> None:
     left, right, rectification, truth = case()

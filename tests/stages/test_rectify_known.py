@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from tests.helpers.flat_ground import cameras, frame_of, texture
+from tests.helpers.two_views import geometry_of
 from wbflow_stages.core.cameras import project
-from wbflow_stages.rectification.warping import to_rectified
+from wbflow_stages.rectification.warping import from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
-from wbflow_stages.types import Rectification, Rejected
+from wbflow_stages.stereo.rectified import rectified_pair
+from wbflow_stages.twoview.epipolar import fundamental_from_cameras
+from wbflow_stages.types import Geometry, Rectification, Rejected, Scene
 
 ONE, TWO = list(cameras().values())[:2]
 FRAMES = frame_of(ONE, texture()), frame_of(TWO, texture())
@@ -41,3 +44,64 @@ def test_without_matches_cameras_or_frames_nothing_is_known() -> None:
     found = rectify(None, ONE, None, None, *FRAMES)
     assert isinstance(found, Rejected)
     assert found.code == "nothing-known"
+
+
+GROUND = Scene(ground=np.array([0.0, 0.0, 1.0, 0.0]))
+
+
+def matches_at(*heights: float, spread: float = 0.6) -> Geometry:
+    """Sixty matches of points at each of some heights above the ground, so far from its middle."""
+    rng = np.random.default_rng(2)
+    X = np.concatenate([np.column_stack([rng.uniform(-spread, spread, (60, 2)), rng.normal(z, 0.05, 60)]) for z in heights])
+    found = geometry_of(project(ONE, X)[0], project(TWO, X)[0], fundamental_from_cameras(ONE, TWO))
+    return replace(found, view1=FRAMES[0].view, view2=FRAMES[1].view)
+
+
+def reach(found: Rectification, height: float) -> tuple[float, float, float]:
+    """The disparity of a point in the middle at a height, between the ends of the range."""
+    X = np.array([[0.0, 0.0, height]])
+    disparity = to_rectified(found, 1, project(ONE, X)[0])[0, 0] - to_rectified(found, 2, project(TWO, X)[0])[0, 0]
+    return found.disparity_min_px, float(disparity), found.disparity_max_px
+
+
+def rectified(geometry: Geometry, scene: Scene | None) -> Rectification:
+    found = rectify(geometry, ONE, TWO, None, *FRAMES, scene)
+    assert isinstance(found, Rectification)
+    return found
+
+
+def test_known_ground_is_searched_though_only_roofs_match() -> None:
+    roofs = matches_at(3.5)
+    low, ground, high = reach(rectified(roofs, None), 0.0)
+    assert not low < ground < high
+    found = rectified(roofs, GROUND)
+    for height in (0.0, 3.5):
+        low, disparity, high = reach(found, height)
+        assert low < disparity < high
+    assert found.verified == "sparse" and found.ground is not None
+
+
+def test_ground_that_the_matches_reach_changes_nothing() -> None:
+    found, without = (rectified(matches_at(-0.1, 1.0, spread=4.0), scene) for scene in (GROUND, None))
+    assert found.ground is None
+    np.testing.assert_array_equal(found.H1, without.H1)
+    assert found.disparity_min_px == without.disparity_min_px and found.disparity_max_px == without.disparity_max_px
+
+
+def test_look_alikes_beneath_the_ground_do_not_widen_the_search() -> None:
+    found = rectified(matches_at(3.5, -6.0), GROUND)
+    low, disparity, high = reach(found, 3.5)
+    assert low < disparity < high
+    low, disparity, high = reach(found, -6.0)
+    assert not low < disparity < high
+
+
+def test_there_is_no_ground_above_the_horizon() -> None:
+    found = rectified(matches_at(3.5), GROUND)
+    assert found.ground is not None
+    far = np.array([0.0, 1.0, -0.5 * ONE.height])  # as if the camera looked along the ground
+    prior = rectified_pair(*FRAMES, replace(found, ground=replace(found.ground, inverse_depth1=far))).prior_left
+    assert prior is not None
+    y, x = np.nonzero(np.isfinite(prior))
+    pixels = from_rectified(found, 1, np.column_stack([x, y]).astype(np.float64))
+    assert len(pixels) and pixels[:, 1].min() >= 0.5 * ONE.height

@@ -143,3 +143,38 @@ def test_frames_of_different_sizes_work_together() -> None:
     assert after.partners == (left, right)
     assert (after.support & 1).astype(bool).mean() > 0.4  # the large picture confirms much
     assert np.nanmedian(errors(small, middle, after.depth)) < 0.004
+
+
+def test_the_surface_of_the_reference_is_taken_up_where_tonights_pairs_know_nothing(noisy: Yard) -> None:
+    name = list(noisy.cameras)[1]
+    frame, camera, depth, frames, cameras = inputs(noisy, name)
+    then = refined(noisy, name)
+    hole = np.zeros(depth.depth.shape, bool)
+    hole[40:100, 60:140] = True
+    torn = replace(depth, depth=np.where(hole, np.nan, depth.depth).astype(np.float32))
+    found = refine(frame, camera, torn, frames, cameras, None, camera, then)
+    assert isinstance(found, DepthMap)
+    known = hole & then.sure & np.isfinite(then.depth)
+    assert (found.sure & np.isfinite(found.depth))[known].mean() > 0.9
+    assert np.nanmedian(errors(noisy, name, found.depth)[known]) < 0.002
+
+
+def test_a_reference_that_the_photographs_contradict_is_not_believed(noisy: Yard) -> None:
+    name = list(noisy.cameras)[1]
+    frame, camera, depth, frames, cameras = inputs(noisy, name)
+    then = refined(noisy, name)
+    elsewhere = replace(then, depth=(0.9 * then.depth).astype(np.float32))
+    found = refine(frame, camera, depth, frames, cameras, None, camera, elsewhere)
+    assert isinstance(found, DepthMap)
+    known = found.sure & np.isfinite(found.depth)
+    assert known.mean() > 0.9 * (then.sure & np.isfinite(then.depth)).mean()
+    assert np.mean(errors(noisy, name, found.depth)[known] > 0.05) < 0.02
+
+
+def test_the_reference_of_a_camera_that_has_turned_is_not_looked_at(noisy: Yard) -> None:
+    name = list(noisy.cameras)[1]
+    frame, camera, depth, frames, cameras = inputs(noisy, name)
+    turned = replace(camera, C=camera.C + 0.01)
+    found = refine(frame, camera, depth, frames, cameras, None, turned, refined(noisy, name))
+    assert isinstance(found, DepthMap)
+    assert np.array_equal(found.depth, refined(noisy, name).depth, equal_nan=True)

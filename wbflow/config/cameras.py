@@ -66,16 +66,7 @@ def read_cameras(
     problems : list of SiteProblem
         What is wrong is added here.
     """
-    calibrated: dict[str, Calibrated] = {}
-    if model.calibration:
-        try:
-            file = beside(model.calibration, ("calibration",), document, problems)
-            calibrated = read_calibration(file)
-            if not calibrated:
-                raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
-        except CalibrationError as error:
-            remedy = error.remedy or "give the path of cameras.json or of a COLMAP text model"
-            problems.append(document.problem(("calibration",), f"{error.where}: {error.what}", remedy))
+    calibrated = _calibrated(model.calibration, ("calibration",), document, problems)
     seen: dict[str, int] = {}
     found = []
     for i, camera in enumerate(model.cameras):
@@ -88,7 +79,7 @@ def read_cameras(
             what, remedy = f"camera {camera.id!r} is named twice, first on line {first}", "give each camera its own id"
             problems.append(document.problem(place, what, remedy))
         seen.setdefault(camera.id, i)
-        entry = find_camera(calibrated, camera.id)
+        entry = _own_entry(camera, place, document, problems) or find_camera(calibrated, camera.id)
         if calibrated and entry is None and camera.intrinsics is None:
             what = f"{model.calibration} has no camera {camera.id!r}; it has {_shown(calibrated)}"
             problems.append(
@@ -104,6 +95,56 @@ def read_cameras(
         found.append(SiteCamera(camera.id, lens, placement, mask, privacy, images, place))
     _refuse_ambiguous([camera.id for camera in model.cameras], document, problems)
     return found
+
+
+def _calibrated(stated: str | None, place: Place, document: Document, problems: list[SiteProblem]) -> dict[str, Calibrated]:
+    """The cameras of a calibration that the site file names; none where that has problems.
+
+    Parameters
+    ----------
+    stated : str or None
+        Its path as it is written.
+    place : Place
+        Where that stands in the site file.
+    document, problems
+        As of `read_cameras`.
+    """
+    if not stated:
+        return {}
+    try:
+        file = beside(stated, place, document, problems)
+        found = read_calibration(file)
+        if not found:
+            raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
+    except CalibrationError as error:
+        remedy = error.remedy or "give the path of cameras.json, of a COLMAP text model, or of what OpenCV, ROS or Kalibr wrote"
+        problems.append(document.problem(place, f"{error.where}: {error.what}", remedy))
+        return {}
+    return found
+
+
+def _own_entry(camera: CameraSection, place: Place, document: Document, problems: list[SiteProblem]) -> Calibrated | None:
+    """What a camera's own calibration file says of it: the only camera in there, or the one of its name.
+
+    Parameters
+    ----------
+    camera : CameraSection
+        Whose.
+    place : Place
+        Where it stands in the site file.
+    document, problems
+        As of `read_cameras`.
+    """
+    found = _calibrated(camera.calibration, (*place, "calibration"), document, problems)
+    if not found:
+        return None
+    entry = next(iter(found.values())) if len(found) == 1 else find_camera(found, camera.id)
+    if entry is None:
+        what = f"{camera.calibration} has no camera {camera.id!r}; it has {_shown(found)}"
+        problems.append(
+            document.problem((*place, "calibration"), what, "call the camera as that file does, or name another file")
+        )
+    return entry
 
 
 def _refuse_ambiguous(ids: list[str], document: Document, problems: list[SiteProblem]) -> None:
@@ -126,17 +167,19 @@ def _shown(names: dict[str, Any], most: int = 5) -> str:
 
 
 def _lens(camera: CameraSection, entry: Calibrated | None) -> StatedLens:
-    K, width, height, distortion, hfov = None, 0, 0, [0.0] * 5, None
+    K, width, height, distortion, hfov, model = None, 0, 0, [0.0] * 5, None, "brown"
     if entry:
         K, width, height, distortion = entry.K, entry.width, entry.height, entry.distortion or distortion
+        model = entry.model
     if (own := camera.intrinsics) and not (entry and own.hfov is not None):  # a calibration knows better than a field of view
         hfov, width, height = own.hfov, own.width or 0, own.height or 0
         K = None
         if own.fx is not None and own.fy is not None and own.cx is not None and own.cy is not None:
             K = [[own.fx, 0.0, own.cx], [0.0, own.fy, own.cy], [0.0, 0.0, 1.0]]
-    if camera.distortion is not None:
-        distortion = (camera.distortion + [0.0] * 5)[:5]
-    return StatedLens(K, distortion, hfov, width, height)
+    if camera.distortion is not None or camera.model is not None:
+        given = camera.distortion or []
+        distortion, model = given + [0.0] * (5 - len(given)), camera.model or "brown"
+    return StatedLens(K, distortion, hfov, width, height, model)
 
 
 def _placement(camera: CameraSection, entry: Calibrated | None, frame: LocalFrame | None) -> StatedPlacement:

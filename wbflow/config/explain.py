@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from ..errors import printable
+from .calibrated import COEFFICIENTS
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .positions import Document, Place, SiteProblem
 from .schema import (
@@ -30,7 +33,8 @@ _REMEDIES = {
     "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
-    "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them",
+    "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
+    "model": f"name one of {', '.join(COEFFICIENTS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
     "site": "give the site a name: site: harbour",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
@@ -62,13 +66,26 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place, f"unknown key {last!r}", remedy, key=True))
         elif kind == "missing":
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
+        elif last == "pattern" and isinstance(item["input"], dict):
+            what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
+            found.append(document.problem(place, what, "put it in quotes: pattern: '{camera}.jpg'"))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "pose", "place", "pattern", "notify", "keep"}:
+            if kind not in {"intrinsics", "lens", "pose", "place", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
     return sorted(found, key=lambda p: (p.line, p.column))
+
+
+def similar(path: Path) -> str:
+    """A remedy that names what lies beside a path that is not there, and is called nearly the same; "" where nothing is."""
+    try:
+        names = [entry.name for entry in path.parent.iterdir()]
+    except OSError:
+        return ""
+    close = difflib.get_close_matches(path.name, names, 1)
+    return f"did you mean {printable(close[0])!r}?" if close else ""
 
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:

@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from ..store.keep import Keep
 from ..store.sizes import bytes_of
+from .calibrated import lens_fault
 from .geodesy import ControlPoint, Distance, Position
 from .rotations import cross, look_at, yaw_pitch_roll
 
@@ -123,11 +124,25 @@ class CameraSection(Section):
 
     id: str
     intrinsics: IntrinsicsSection | None = None
-    distortion: Annotated[list[float], Field(min_length=1, max_length=5)] | None = None
+    model: str | None = None
+    distortion: Annotated[list[float], Field(min_length=1, max_length=14)] | None = None
+    calibration: str | None = None
     pose: PoseSection | None = None
     mask: str | None = None
     privacy: list[list[Annotated[list[float], Field(min_length=2, max_length=2)]]] = Field(default_factory=list)
     images: list[str] | None = None
+
+    @model_validator(mode="after")
+    def _lens(self) -> CameraSection:
+        if self.distortion is None and self.model is None:
+            return self
+        what, remedy = lens_fault(self.model or "brown", self.distortion)
+        if what:
+            raise PydanticCustomError("lens", f"{what}; {remedy}")
+        bends = self.model not in {None, "pinhole", "brown"}
+        if bends and self.calibration is None and (self.intrinsics is None or self.intrinsics.fx is None):
+            raise PydanticCustomError("lens", f"a {self.model} lens needs 'intrinsics' with fx, fy, cx, cy, width, height")
+        return self
 
     @field_validator("privacy")
     @classmethod

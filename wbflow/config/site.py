@@ -23,12 +23,14 @@ class StatedLens:
     K: Matrix | None = None
     """3x3, pixels; None where unknown."""
     distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
-    """k1 k2 p1 p2 k3."""
+    """Coefficients of `model`; of "brown" k1 k2 p1 p2 k3."""
     hfov_deg: float | None = None
     """Horizontal field of view, used where K is None."""
     width: int = 0
     """Of the image that this is for, pixels; 0: unstated."""
     height: int = 0
+    model: str = "brown"
+    """How the lens bends light: a key of `calibrated.COEFFICIENTS`."""
 
 
 @dataclass(frozen=True)

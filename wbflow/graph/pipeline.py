@@ -256,14 +256,18 @@ STAGES: tuple[Stage, ...] = (
         "disparity",
         scope="pair",
         function="wbflow_stages.disparity:match_dense",
-        needs={**_FRAMES, "rectification": FromStage("rectify")},
+        needs={
+            **_FRAMES,
+            "rectification": FromStage("rectify"),
+            "then_rectification": FromReference("rectify"),
+            "then": FromReference("disparity"),
+        },
         offers={"geometry": FromStage("geometry"), **_FEATURES_TOO},
         role=Role.DISPARITY,
         method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
         renamed={"speck_share": Renamed("speckle_share")},
         picture=Picture("wbflow_stages.exports.previews:disparity_preview"),
         reports=Reports({"density": "density"}),
-        kept=False,
     ),
     Stage(
         "depth",
@@ -290,6 +294,8 @@ STAGES: tuple[Stage, ...] = (
             "frames": FromStage("frames", Which.AROUND),
             "cameras": FromStage("poses", Which.AROUND, Part("cameras")),
             "scene": FromStage("scene", optional=True),
+            "then_camera": FromReference("poses", part=Part("cameras")),
+            "then_depth": FromReference("refine"),
         },
         role=Role.REFINED_DEPTH,
         pooled="wbflow_stages.pooled:pool_depths",
@@ -315,6 +321,7 @@ STAGES: tuple[Stage, ...] = (
             figures="wbflow_stages.io.clouds:cloud_figures",
         ),
         picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
+        view="wbflow_stages.exports.view:cloud_view",
     ),
     Stage(
         "coverage",
@@ -348,10 +355,17 @@ STAGES: tuple[Stage, ...] = (
         picture=Picture("wbflow_stages.exports.changed:changes_preview"),
         reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
         files="wbflow_stages.exports.changed:changes_files",
+        view="wbflow_stages.exports.view:changes_view",
         title="What has changed",
         kept=False,
     ),
 )
+
+ROUGH_SECONDS = {
+    "frames": 0.5, "health": 0.1, "features": 1.5, "overlap": 0.1, "pairs": 0.2, "matches": 0.6, "geometry": 0.5, "poses": 0.5,
+    "scene": 5.0, "rectify": 0.1, "disparity": 3.0, "depth": 0.4, "refine": 5.0, "fuse": 9.0, "coverage": 1.3, "changes": 1.0,
+}  # fmt: skip
+"""What a task takes at 1600 pixels on one core, roughly: until a site's own ledger tells."""
 
 _BY_NAME = {stage.name: stage for stage in STAGES}
 _BY_ROLE = {stage.role: stage for stage in STAGES if stage.role}

@@ -301,6 +301,8 @@ class Stage:
     """Dotted function: the result -> lines for the header of the product."""
     files: str = ""
     """Dotted function: the result -> names and bytes of files that a run publishes beside its cloud."""
+    view: str = ""
+    """Dotted function: the result -> its points for the report's 3-D view, as a stream of bytes."""
     title: str = ""
     """Of its part of the report, where a site-wide stage `reports`."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)

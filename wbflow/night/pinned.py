@@ -15,7 +15,7 @@ from ..graph.pipeline import ancestors, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.record import Health
-from ..store.reference import Reference
+from ..store.reference import Reference, put_back
 from ..task import Subject, Task
 from .obstacles import Impossible, Waiting, because
 from .past import Past
@@ -144,9 +144,11 @@ class Pinned:
         self.frame_keys[subject], self._all_own = key, None
 
     def lose(self, task: Task) -> None:
-        """An artifact was found damaged: where it was the reference's, that has it no longer."""
+        """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
         self._force = self._all_own = None
         if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
+            if put_back(self.cache.work, pinned):
+                return
             left = {t: p for t, p in self.reference.artifacts.items() if t != task}
             self.reference = dataclasses.replace(self.reference, artifacts=left)
 

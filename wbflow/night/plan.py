@@ -14,7 +14,7 @@ from typing import Any
 
 from ..config.site import Site
 from ..graph.binding import Binding, bind
-from ..graph.pipeline import STAGES, ancestors, stage_named
+from ..graph.pipeline import STAGES, ancestors, stage_named, stage_with
 from ..graph.rows import Rework, Role, Stage
 from ..store.cache import Cache, Receipt
 from ..store.pictures import is_drawn
@@ -152,6 +152,32 @@ class Plan:
     def pairs_known(self) -> bool:
         """Is the pair graph there (so that every pair's tasks are listed)?"""
         return self._subjects.pairs() is not None
+
+    def tasks(self, stage: Stage) -> list[Task]:
+        """The tasks of a stage, as far as they are listed yet."""
+        return self._subjects.tasks(stage)
+
+    def spec_of(self, task: Task) -> TaskSpec:
+        """How a task would be done, whether it has been or not.
+
+        Raises
+        ------
+        Waiting, Impossible
+            Its inputs are not there yet, or will not come.
+        """
+        stage = stage_named(task.stage)
+        instead = self._pinned.instead(stage, task)
+        return self._spec(stage, task, rework=None if isinstance(instead, Receipt) else instead)
+
+    def likely_pairs(self) -> int | None:
+        """About how many pairs the pair graph will have; None where it is there."""
+        if self.pairs_known():
+            return None
+        stage = stage_with(Role.PAIR_GRAPH)
+        count = len(self.site.cameras)
+        wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")
+        most = count * (count - 1) // 2
+        return min(most, count * wanted // 2) if isinstance(wanted, int) else most
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""

@@ -108,7 +108,8 @@ class _Hands:
         if self._executor is None:
             from .executor import executor  # here: a night with nothing to do has no use for it
 
-            self._executor = executor(self._options, self._cache, lambda what, task: self._journal.warn(what, task=task))
+            journal = self._journal
+            self._executor = executor(self._options, self._cache, lambda what, task: journal.warn(what, task=task), journal.begun)
         self._executor.submit(lanes)
 
     def drop(self) -> None:
@@ -151,6 +152,7 @@ def _until_settled(
             if deadline.settle(plan):
                 continue
         journal.tell(plan)
+        journal.planned(plan)
         mine = map(deadline.shortened, plan.lanes())
         lanes = [free for lane in mine if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
         if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):

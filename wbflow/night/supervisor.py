@@ -56,6 +56,10 @@ class _Lane:
     def at_work(self) -> TaskSpec:
         return self.specs[min(self.finished, len(self.specs) - 1)]
 
+    def goes_on(self, done: Done) -> bool:
+        """Does a task follow the one that has just ended?"""
+        return self.finished < len(self.specs) and done.receipt is not None and done.outcome != "rejected"
+
     def count(self, done: Done) -> None:
         self.finished, self.losses = self.finished + 1, 0
         if done.receipt:
@@ -65,7 +69,15 @@ class _Lane:
 class Supervisor:
     """Does lanes in worker processes of its own; see `executor.Executor`."""
 
-    def __init__(self, jobs: int, cache: Cache, limits: Limits, warn: Callable[[str, Task], None]) -> None:
+    def __init__(
+        self,
+        jobs: int,
+        cache: Cache,
+        limits: Limits,
+        warn: Callable[[str, Task], None],
+        begun: Callable[[Task], None] = lambda task: None,
+    ) -> None:
+        self._begun = begun
         self._jobs = jobs
         self._cache = cache
         self._limits = limits
@@ -116,6 +128,7 @@ class Supervisor:
             hand = self._idle.pop() if self._idle else Hand()
             hand.give(lane.specs[lane.finished :], lane.receipts, self._cache)
             self._busy[hand] = lane
+            self._begun(lane.at_work.task)
 
     def _listen(self) -> Iterator[Report]:
         wait([hand.pipe for hand in self._busy], LOOK_SECONDS)
@@ -128,6 +141,8 @@ class Supervisor:
                 elif done is not None:
                     lane.count(done)
                     yield Report(lane.specs, done)
+                    if lane.goes_on(done):
+                        self._begun(lane.at_work.task)
                 else:
                     self._idle.append(hand)
                     del self._busy[hand]

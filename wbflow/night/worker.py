@@ -15,6 +15,7 @@ from typing import Any
 from ..errors import LONGEST_TRACE, printable
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
+from ..graph.rows import PointTable
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
@@ -110,6 +111,19 @@ def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
     return list(do_lane(specs, cache, {}, Kept()))
 
 
+def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
+    """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
+    lane = _Lane(cache, Kept())
+    return {name: _load(value, lane) for name, value in spec.inputs.items()}
+
+
+def result_bytes(result: Any, table: PointTable | None) -> bytes | bytearray:
+    """A result as the cache keeps it."""
+    if table:
+        return ply_bytes(load(table.columns)(result), comments=("made by wbflow",))
+    return artifact.encode(result)
+
+
 def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
     """The one broad `except`: whatever a stage does wrong costs that task only."""
     try:
@@ -152,7 +166,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
     result = load(spec.function)(**arguments, **spec.parameters)
     nothing: Any = load(REJECTED)
     rejected = isinstance(result, nothing)
-    data = None if rejected else _bytes(spec, result)
+    data = None if rejected else result_bytes(result, spec.table)
     warnings = () if rejected else _draw(spec, key, result, lane, arguments)
     receipt = Receipt(
         task=str(spec.task),
@@ -180,12 +194,6 @@ def _code(rejection: Any) -> str | None:
     """The reason as one word, where a function gives one."""
     code = getattr(rejection, "code", None)
     return None if code is None else str(code)
-
-
-def _bytes(spec: TaskSpec, result: Any) -> bytes | bytearray:
-    if spec.table:
-        return ply_bytes(load(spec.table.columns)(result), comments=("made by wbflow",))
-    return artifact.encode(result)
 
 
 def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class Past:
 def usual_of(records: Sequence[RunRecord]) -> Usual:
     """The medians of some nights."""
     cameras = list(dict.fromkeys(camera.id for record in records for camera in record.cameras))
-    of_records = [looks_of(record) for record in records]
+    of_records = [all_looks(record) for record in records]
     looks = {name: [of.get(name, {}) for of in of_records] for name in cameras}
     return Usual(
         len(records),
@@ -116,14 +116,15 @@ def figures_of(record: RunRecord) -> dict[str, float]:
     return found
 
 
-def looks_of(record: RunRecord) -> dict[str, dict[str, float]]:
+def all_looks(record: RunRecord) -> dict[str, dict[str, float]]:
     """What is compared of each camera that is well, by id and name: how its picture looks, and the share of its pairs that found
     common points."""
     reports = stage_with(Role.FRAME).reports
     names = reports.fields if reports else ()
     matched: dict[str, list[bool]] = {}
+    well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one
     for pair in record.pairs:
-        if (told := pair.figures.get("matched")) is not None:
+        if {pair.left, pair.right} <= well and (told := pair.figures.get("matched")) is not None:
             for name in (pair.left, pair.right):
                 matched.setdefault(name, []).append(bool(told))
     found = {}
@@ -134,6 +135,11 @@ def looks_of(record: RunRecord) -> dict[str, dict[str, float]]:
                 looks["matched_share"] = sum(shares) / len(shares)
             found[camera.id] = looks
     return found
+
+
+def looks_of(record: RunRecord, name: str) -> dict[str, float]:
+    """The same of one camera."""
+    return all_looks(record).get(name, {})
 
 
 def settings_of(site: Site) -> str:

@@ -74,7 +74,7 @@ def publish(
     record = replace(record, later=told_beside(night.plan, beside))
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
-    page = _report(work, record, journal, cameras or {})
+    page = _report(night.plan, record, journal, cameras or {}, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with suppress(OSError):  # it costs reading cloud and functions again
         intact.save()
@@ -123,12 +123,12 @@ def _told_of_world(plan: Plan, products: Mapping[Task, Product], journal: Journa
     return made
 
 
-def _report(work: WorkFolder, record: RunRecord, journal: Journal, cameras: Mapping[str, Any]) -> str:
+def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:
     """The report.  The night's work is done: a report that cannot be drawn must not lose it, but is told of."""
     try:
         from .report.page import build_report
 
-        return build_report(work, record, journal.events, cameras)
+        return build_report(plan.site, plan.cache.work, record, journal.events, cameras, unfinished.paths.folder)
     except Exception as error:  # whatever is wrong in it
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())

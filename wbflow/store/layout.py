@@ -4,7 +4,7 @@ cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
 runs/latest                          link to the newest run, whatever came of it
 runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
-reference/                           what nights are compared with: reference.json, and links to its artifacts
+reference/                           what nights are compared with: reference.json (twice), and copies of its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
 notified.json                        what somebody was told last
@@ -134,6 +134,10 @@ class WorkFolder:
         """What runs publish of an artifact, besides itself."""
         return self.artifact(task, key, ".published")
 
+    def view(self, task: Task, key: str) -> Path:
+        """The points of an artifact for the report's 3-D view."""
+        return self.artifact(task, key, ".view")
+
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""
         return self.artifact(task, key, ".json")
@@ -248,6 +252,11 @@ class WorkFolder:
         """What is pinned; without it nothing is (see `store.reference`)."""
         return self.reference / "reference.json"
 
+    @property
+    def reference_twin(self) -> Path:
+        """The same again: it takes the place of a record that is damaged."""
+        return self.reference / "reference-twin.json"
+
     def pinned(self, path: Path) -> Path:
         """Where the reference keeps a file of the cache."""
         return self.reference / path.relative_to(self.cache)
@@ -281,7 +290,8 @@ class WorkFolder:
             for folder in (self.cache, self.reference):
                 for path in folder.rglob(f".*{_UNFINISHED}"):
                     path.unlink(missing_ok=True)
-            for path in [*self.runs.glob(f".*{_UNFINISHED}"), *self.runs.glob(f"*/.*{_UNFINISHED}")]:
+            beside = f".*{_UNFINISHED}"
+            for path in [*self.root.glob(beside), *self.runs.glob(beside), *self.runs.glob(f"*/{beside}")]:
                 if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
                     shutil.rmtree(path)
                 else:

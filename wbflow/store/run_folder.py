@@ -174,7 +174,7 @@ class UnfinishedRun:
         for component, data in clouds.items():
             self.write(cloud_name(component), data)
         if cameras is not None:
-            self.write(self._paths.cameras.name, json.dumps(cameras, indent=1).encode())
+            self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
     def write(self, name: str, data: bytes, of: str = "") -> None:
         """A product that is not changed after the run; what the run before has just the same takes no room.
@@ -195,7 +195,7 @@ class UnfinishedRun:
         """
         places = (self.work.run(run).folder / name for run in self._earlier)
         earlier = next((path for path in places if path.is_file()), None)
-        shares = write_product(self._paths.folder / name, data, earlier)
+        shares = write_product(self.paths.folder / name, data, earlier)
         self.files[name] = hashlib.sha256(data).hexdigest()
         if earlier and shares and of and self.intact:
             self.intact.published(earlier, of, self.files[name])
@@ -216,7 +216,7 @@ class UnfinishedRun:
             The disk is full, or there is no right to write.
         """
         found = self.intact.product(name, of, self._earlier) if self.intact else None
-        if found is None or not share_product(self._paths.folder / name, found[0]):
+        if found is None or not share_product(self.paths.folder / name, found[0]):
             return False
         self.files[name] = found[1]
         return True
@@ -240,18 +240,19 @@ class UnfinishedRun:
         OSError
             The disk is full, or there is no right to write.
         """
-        write_atomic(self._paths.log, _lines(events))
-        write_atomic(self._paths.record, signed(_OF, record.to_json(), indent=1))
-        write_atomic(self._paths.report, report.encode(errors="backslashreplace"))
-        write_atomic(self._paths.metrics, metrics.encode(errors="backslashreplace"))
+        write_atomic(self.paths.log, _lines(events))
+        write_atomic(self.paths.record, signed(_OF, record.to_json(), indent=1))
+        write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
+        write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
-        self._paths.folder.rename(final.folder)
+        self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
         turn_links(self.work)
         return RunFolder(final)
 
     @property
-    def _paths(self) -> RunPaths:
+    def paths(self) -> RunPaths:
+        """Where it is put together."""
         return self.work.unfinished_run(self.name)
 
     @cached_property

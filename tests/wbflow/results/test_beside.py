@@ -39,7 +39,7 @@ def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     (toy.folder / "toylook.py").write_text(STAGE)
     mine = dataclasses.replace(ROW, files="toyfiles:files", picture=None, reports=Reports({"box": "box"}), title="The toy")
     rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
-    for module in ("wbflow.night.plan", "wbflow.results.beside", "wbflow.results.report.ground"):
+    for module in ("wbflow.night.plan", "wbflow.results.beside", "wbflow.results.report.tables"):
         monkeypatch.setattr(f"{module}.STAGES", rows)
     write(toy, "first")
     return toy

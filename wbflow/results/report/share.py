@@ -1,4 +1,4 @@
-"""Pictures that the next report has, too, are not kept twice: the earlier report shows them by leading there."""
+"""Pictures and points that the next report has, too, are not kept twice: the earlier report leads to that one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import re
 from ...store.layout import WorkFolder
 from ...store.run_folder import RunFolder
 
-_PICTURE = re.compile(r'<img [^>]*?src="(data:[^"]+)"[^>]*>')
+_PICTURE = re.compile(r'<img (?:id="([^"]*)" )?src="(data:[^"]+)"[^>]*>')
+_POINTS = re.compile(r'<script type="application/octet-stream" class="points" data-of="(\w+)">([^<]+)</script>')
 
 
 def share_pictures(work: WorkFolder, run: str) -> None:
@@ -32,11 +33,21 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         return
     newest, earlier = work.run(run).report, work.run(before[0]).report
     try:
-        here = {match.group(1) for match in _PICTURE.finditer(newest.read_text())}
+        text = newest.read_text()
+        here = {match.group(2) for kind in (_PICTURE, _POINTS) for match in kind.finditer(text)}
         page = earlier.read_text()
     except (OSError, ValueError):  # removed, or damaged: nothing to share
         return
-    link = f'<a href="../{run}/{newest.name}">the same picture as in the report of run {run}</a>'
-    shared = _PICTURE.sub(lambda match: link if match.group(1) in here else match.group(), page)
+    target = f"../{run}/{newest.name}"
+
+    def picture(match: re.Match[str]) -> str:
+        link = f'<a class="elsewhere" id="{match.group(1)}" href="{target}">the same picture as in the report of run {run}</a>'
+        return link if match.group(2) in here else match.group()
+
+    def points(match: re.Match[str]) -> str:
+        lead = f'<script type="application/json" class="points-elsewhere">"{target}"</script>'
+        return lead if match.group(2) in here else match.group()
+
+    shared = _POINTS.sub(points, _PICTURE.sub(picture, page))
     if shared != page:
         RunFolder(work.run(before[0])).write_report(shared)

@@ -1,0 +1,184 @@
+"""The pinhole that a camera's picture is straightened to: the lens's own, or a view of what a wider lens sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import radians, tan
+
+import cv2
+import numpy as np
+
+from ..core.cameras import scaled_intrinsics
+from ..core.lenses import lens_pixels
+from ..types import Bools, Float32s, Float64s, Lens, Uint8s, View
+from .files import BadCapture, wrong_size
+
+WIDEST_DEG = 110.0
+"""No pinhole is made wider: at its border a pixel would be three times smaller than in its middle."""
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Size and intrinsics of captures as they come, and of the pinhole picture that is made of them.
+
+    Where the lens bends little (`pinhole`, `brown`) that picture has the K and size of the captures, and pixels without a source
+    are black.  Else it is turned as `lens.turn` says and just as large as what the lens sees up to its limits, with the scale of
+    the lens in its middle.
+    """
+
+    width: int
+    """Of captures."""
+    height: int
+    K: Float64s | None
+    """(3, 3) of the straightened picture; a guess from the field of view unless `focal_known`."""
+    focal_known: bool
+    lens: Lens
+    size: tuple[int, int]
+    """(width, height) of the straightened picture, at the scale of captures."""
+
+    @classmethod
+    def of(cls, image: Uint8s, lens: Lens, name: str, whole_field: bool = False) -> Straight:
+        """The pinhole for a picture.
+
+        Parameters
+        ----------
+        image : ndarray
+            (h, w, 3) uint8, as captured.
+        lens : Lens
+            What is known of its lens.
+        name : str
+            Of the capture, for messages.
+        whole_field : bool
+            All that the lens sees (up to `WIDEST_DEG`), rather than what has place with its own K, where it is a brown lens.
+
+        Raises
+        ------
+        BadCapture
+            Of another size than the lens is for, or the lens sees nothing in the direction of the view.
+        """
+        height, width = image.shape[:2]
+        if lens.width and lens.height and (width, height) != (lens.width, lens.height):
+            raise wrong_size(name, width, height, lens)
+        K, known = _intrinsics(lens, width, height)
+        if lens.K is None or not _bends(lens, whole_field):
+            return cls(width, height, K, known, lens, (width, height))
+        return cls(width, height, *_framed(lens, width, height, name))
+
+    @property
+    def own(self) -> bool:
+        """Does the straightened picture have the captures' own K and size?"""
+        return self.lens.K is None or self.K is self.lens.K
+
+    def undistort(self, image: Uint8s, nearest: bool = False) -> Uint8s:
+        """Straighten (h, w, ...) of the captures' size; pixels without a source become 0."""
+        if self.K is None or (self.own and not np.any(self.lens.distortion)):
+            return image
+        # in a view of another size, what is part black at the edge of the picture counts as not seen
+        how = cv2.INTER_NEAREST if nearest and self.own else cv2.INTER_LINEAR
+        return np.asarray(cv2.remap(image, *self._maps, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
+
+    def working_size(self, resolution: int | None) -> tuple[int, int]:
+        """(width, height) of the frame: its scale is that of captures brought to a long side of `resolution`."""
+        width, height = working_size(self.width, self.height, resolution)
+        if self.size == (self.width, self.height):
+            return width, height
+        scale = max(width, height) / max(self.width, self.height)
+        return max(1, round(self.size[0] * scale)), max(1, round(self.size[1] * scale))
+
+    def view(self, width: int, height: int) -> View:
+        """Of the frame, of this size."""
+        K = None if self.K is None else scaled_intrinsics(self.K, width / self.size[0], height / self.size[1])
+        known = self.focal_known and K is not None
+        if not self.own:
+            return View(width, height, K, known, self.width, self.height, lens=self.lens)
+        removed = np.zeros(5) if K is None else self.lens.distortion
+        return View(width, height, K, known, self.width, self.height, removed)
+
+    @cached_property
+    def _maps(self) -> tuple[Float32s, Float32s]:
+        """Where each pixel of the straightened picture comes from."""
+        assert self.K is not None
+        if self.own:
+            maps = cv2.initUndistortRectifyMap(self.K, self.lens.distortion, None, self.K, self.size, cv2.CV_32FC1)
+            return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
+        width, height = self.size
+        x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+        back = np.linalg.inv(self.K).T @ self.lens.turn
+        for first in range(0, height, _ROWS):
+            rows = np.arange(first, min(first + _ROWS, height))
+            pixels = np.stack([*np.meshgrid(np.arange(width), rows), np.ones((len(rows), width))], axis=-1)
+            rays: Float64s = pixels.reshape(-1, 3).astype(np.float64) @ back
+            found = lens_pixels(self.lens, rays)
+            # what the lens does not see comes from far outside of the picture
+            x[rows], y[rows] = (np.nan_to_num(found[:, k], nan=-1e4).reshape(len(rows), width) for k in (0, 1))
+        return x, y
+
+
+def working_size(width: int, height: int, resolution: int | None) -> tuple[int, int]:
+    """(width, height) in pixels of an image brought to a long side of `resolution`; never larger than it is."""
+    if resolution is not None and resolution < 1:
+        raise ValueError(f"resolution is {resolution}, at least 1 pixel is needed")
+    if resolution is None or resolution >= max(width, height):
+        return width, height
+    scale = resolution / max(width, height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+_ROWS = 128
+"""That are reckoned at once: bounds memory."""
+_GRID_DEG = 0.25
+"""Steps in which the limits of a view are looked for."""
+
+
+def _bends(lens: Lens, whole_field: bool) -> bool:
+    """Is the picture straightened to another pinhole than the lens's own?"""
+    if lens.part_of or not np.array_equal(lens.turn, np.eye(3)):
+        return True
+    return (whole_field and bool(np.any(lens.distortion))) if lens.model == "brown" else lens.model != "pinhole"
+
+
+def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, bool]:
+    """K of the captured image, and whether its focal length is known rather than guessed from a field of view."""
+    if lens.K is not None:
+        return lens.K, True
+    if lens.hfov_deg is None:
+        return None, False
+    f = 0.5 * width / tan(0.5 * radians(lens.hfov_deg))
+    return np.array([[f, 0.0, 0.5 * (width - 1)], [0.0, f, 0.5 * (height - 1)], [0.0, 0.0, 1.0]]), False
+
+
+def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
+    """K, that it is known, the lens and the size of the view."""
+    across, down = lens.field_deg if len(lens.field_deg) else (WIDEST_DEG, WIDEST_DEG)
+    steps = [np.deg2rad(np.arange(-0.5 * limit, 0.5 * limit + 1e-9, _GRID_DEG)) for limit in (across, down)]
+    x, y = np.meshgrid(np.tan(steps[0]), np.tan(steps[1]))
+    seen = _inside(lens, np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3), width, height).reshape(x.shape)
+    if not seen.any():
+        raise BadCapture(f"{name}: the lens sees nothing within {across:.0f} degrees of the axis of its view")
+    spans = []
+    for slopes, columns in ((x[0], seen.any(axis=0)), (y[:, 0], seen.any(axis=1))):
+        found = np.flatnonzero(columns)
+        spans.append((slopes[max(found[0] - 1, 0)], slopes[min(found[-1] + 1, len(slopes) - 1)]))
+    f = _scale(lens)
+    size = tuple(max(1, round(f * (high - low))) for low, high in spans)
+    K = np.array([[f, 0.0, -f * spans[0][0] - 0.5], [0.0, f, -f * spans[1][0] - 0.5], [0.0, 0.0, 1.0]])
+    return K, True, lens, (size[0], size[1])
+
+
+def _inside(lens: Lens, rays: Float64s, width: int, height: int) -> Bools:
+    """(n,) do rays (n, 3), in the axes of the view, fall on the picture?"""
+    x = lens_pixels(lens, rays @ lens.turn)
+    return np.asarray((x > -0.5).all(axis=1) & (x < (width - 0.5, height - 0.5)).all(axis=1), np.bool_)
+
+
+def _scale(lens: Lens) -> float:
+    """Pixels of the capture for each radian in the middle of the view; where the lens ends before it, in the lens's own."""
+    step = 1e-4
+    around = np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]])
+    for rays in (around @ lens.turn, around):
+        x = lens_pixels(lens, rays)
+        scale = np.sqrt(abs(np.linalg.det(np.array([x[0] - x[1], x[2] - x[3]]) / (2 * step))))
+        if np.isfinite(scale):
+            return float(scale)
+    raise BadCapture("the lens sees nothing on its own axis: are its coefficients right?")

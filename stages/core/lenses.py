@@ -1,0 +1,254 @@
+"""Lenses: which ray of light falls on a pixel, and on which pixel a ray falls, by every model that is in use.
+
+Each model maps a ray to *normalised* coordinates, which K makes pixels of; the way back is Newton's, from a table of the lens's
+radial profile.  Rays are directions (x, y, z) in camera axes, of any length: a lens of 180 degrees or more sees some with z < 0.
+
+References
+----------
+pinhole, brown, rational, fisheye: OpenCV, calib3d (Brown 1971; Kannala & Brandt 2006)
+division: Fitzgibbon 2001; fov: Devernay & Faugeras 2001; eucm: Khomutenko 2016; omni: Mei & Rives 2007;
+double-sphere: Usenko 2018; thin-prism-fisheye, rad-tan-thin-prism-fisheye, equirectangular: COLMAP, Project Aria
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Float64s, Lens
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """How a lens bends light."""
+
+    project: Callable[[Float64s, Float64s], Float64s]
+    """Coefficients and unit rays (n, 3) to normalised coordinates (n, 2); nan where the lens sees nothing."""
+    farthest: float = np.pi
+    """No ray farther from the axis, in radians, is of use: the model, or its way back, ends there."""
+
+
+def lens_pixels(lens: Lens, rays: Float64s) -> Float64s:
+    """Pixels (n, 2) of the capture on which rays (n, 3) in camera axes fall; nan where the lens does not see them."""
+    if lens.K is None:
+        raise ValueError("a lens without intrinsics has no rays")
+    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    with np.errstate(all="ignore"):
+        x = _model(lens).project(_coefficients(lens), unit)
+    x[off_axis(unit) > reach(lens)] = np.nan
+    return np.asarray(x @ lens.K[:2, :2].T + lens.K[:2, 2], dtype=np.float64)
+
+
+def lens_rays(lens: Lens, x: Float64s) -> Float64s:
+    """Rays (n, 3) of unit length, in camera axes, of pixels (n, 2) of the capture; nan where the model knows none."""
+    if lens.K is None:
+        raise ValueError("a lens without intrinsics has no rays")
+    target = (x - lens.K[:2, 2]) @ np.linalg.inv(lens.K[:2, :2]).T
+    if lens.model == "equirectangular":
+        longitude, latitude = target.T
+        return np.column_stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)])
+    coefficients, project, limit = _coefficients(lens), _model(lens).project, reach(lens)
+    with np.errstate(all="ignore"):
+        bent = _start(coefficients, project, limit, target)
+        for _ in range(_MOST_STEPS):
+            step = _newton(coefficients, project, bent, target)
+            bent = bent - step
+            if not (np.abs(step) > _STEP).any():
+                break
+        found = _ray(bent)
+        missed = np.linalg.norm(project(coefficients, found) - target, axis=1)
+        found[~((missed < _MISSED) & (off_axis(found) <= limit + _STEP))] = np.nan
+    return found
+
+
+def reach(lens: Lens) -> float:
+    """How far from the axis, in radians, the lens images rays one beside the other: beyond it the model folds over or ends."""
+    if lens.model == "equirectangular":
+        return np.pi
+    model, coefficients = _model(lens), _coefficients(lens)
+    angles = np.arange(_SAMPLE, model.farthest, _SAMPLE)
+    limit = float(angles[-1])
+    with np.errstate(all="ignore"):
+        for azimuth in np.arange(8) * (np.pi / 4):
+            radius = np.linalg.norm(model.project(coefficients, _ray(angles[:, None] * _towards(azimuth))), axis=1)
+            ends = ~(np.diff(radius, prepend=0.0) > _SAMPLE * 1e-3)
+            if ends.any():
+                limit = min(limit, float(angles[max(int(ends.argmax()) - 1, 0)]))
+    return limit
+
+
+def off_axis(rays: Float64s) -> Float64s:
+    """(n,) radians between rays (n, 3) and the optical axis."""
+    return np.asarray(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]), dtype=np.float64)
+
+
+_SAMPLE = np.deg2rad(0.25)
+"""Steps of the radial profile."""
+_MOST_STEPS, _STEP, _MISSED = 30, 1e-13, 1e-10
+"""Of Newton's method: how many, the smallest, and how far from a pixel (over the focal length) its ray may end."""
+_DIFFERENCE = 1e-6
+"""Of the angles between which slopes are taken."""
+
+
+def _model(lens: Lens) -> LensModel:
+    if lens.model not in MODELS:
+        raise ValueError(f"lens model {lens.model!r} is not known: {', '.join(MODELS)}")
+    return MODELS[lens.model]
+
+
+def _coefficients(lens: Lens) -> Float64s:
+    """Of every model at least as many as it has: those that are not stated are 0."""
+    return np.concatenate([np.asarray(lens.distortion, dtype=np.float64), np.zeros(14)])
+
+
+def _towards(azimuth: float) -> Float64s:
+    return np.array([np.cos(azimuth), np.sin(azimuth)])
+
+
+def _ray(bent: Float64s) -> Float64s:
+    """Unit rays (n, 3) from angles off the axis times their direction in the image (n, 2)."""
+    angle = np.linalg.norm(bent, axis=1)
+    across = np.sinc(angle / np.pi)  # sin(angle) / angle
+    return np.column_stack([across * bent[:, 0], across * bent[:, 1], np.cos(angle)])
+
+
+def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], limit: float, target: Float64s) -> Float64s:
+    """(n, 2) angles times directions, by the mean radial profile."""
+    angles = np.linspace(0, limit, 400)
+    azimuths = np.arange(8) * (np.pi / 4)
+    radii = [np.linalg.norm(project(coefficients, _ray(angles[:, None] * _towards(a))), axis=1) for a in azimuths]
+    profile = np.mean(radii, axis=0)
+    radius = np.linalg.norm(target, axis=1)
+    return np.asarray(target * (np.interp(radius, profile, angles) / np.maximum(radius, 1e-300))[:, None], dtype=np.float64)
+
+
+def _newton(
+    coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], bent: Float64s, target: Float64s
+) -> Float64s:
+    """(n, 2) by how much to go back; 0 where the model ends."""
+    slopes = []
+    for axis in np.eye(2) * _DIFFERENCE:
+        slopes.append((project(coefficients, _ray(bent + axis)) - project(coefficients, _ray(bent - axis))) / (2 * _DIFFERENCE))
+    (a, c), (b, d) = slopes[0].T, slopes[1].T
+    e, f = (project(coefficients, _ray(bent)) - target).T
+    step = np.column_stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)[:, None]
+    step[~np.isfinite(step).all(axis=1)] = 0.0
+    return np.asarray(np.clip(step, -0.2, 0.2), dtype=np.float64)
+
+
+def _pinhole(_: Float64s, rays: Float64s) -> Float64s:
+    x = rays[:, :2] / rays[:, 2:]
+    x[rays[:, 2] <= 0] = np.nan
+    return x
+
+
+def _brown(c: Float64s, rays: Float64s) -> Float64s:
+    """OpenCV's whole model: k1 k2 p1 p2 k3, k4 k5 k6 (rational), s1..s4 (thin prism), and the tilt of the sensor."""
+    x, y = _pinhole(c, rays).T
+    r2 = x * x + y * y
+    radial = (1 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]))) / (1 + r2 * (c[5] + r2 * (c[6] + r2 * c[7])))
+    u = x * radial + 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x) + c[8] * r2 + c[9] * r2 * r2
+    v = y * radial + c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y + c[10] * r2 + c[11] * r2 * r2
+    if not c[12:14].any():
+        return np.column_stack([u, v])
+    sx, cx, sy, cy = np.sin(c[12]), np.cos(c[12]), np.sin(c[13]), np.cos(c[13])
+    turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    tilt = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+    tilted = np.column_stack([u, v, np.ones_like(u)]) @ tilt.T
+    return np.asarray(tilted[:, :2] / tilted[:, 2:], dtype=np.float64)
+
+
+def _by_angle(rays: Float64s) -> Float64s:
+    """(n, 2) angle off the axis times direction in the image: what an ideal fisheye images."""
+    r = np.hypot(rays[:, 0], rays[:, 1])
+    return np.asarray(rays[:, :2] * np.where(r > 0, off_axis(rays) / r, 1.0)[:, None], dtype=np.float64)
+
+
+def _fisheye(c: Float64s, rays: Float64s) -> Float64s:
+    x = _by_angle(rays)
+    t2 = (x * x).sum(axis=1)
+    return np.asarray(x * (1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * c[3]))))[:, None], dtype=np.float64)
+
+
+def _thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
+    """k1 k2 p1 p2 k3 k4 sx1 sy1, as COLMAP orders them."""
+    x, y = _by_angle(rays).T
+    r2 = x * x + y * y
+    radial = 1 + r2 * (c[0] + r2 * (c[1] + r2 * (c[4] + r2 * c[5])))
+    u = x * radial + 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x) + c[6] * r2
+    v = y * radial + c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y + c[7] * r2
+    return np.column_stack([u, v])
+
+
+def _rad_tan_thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
+    """k0..k5, p0 p1, s0..s3: Project Aria's Fisheye624."""
+    x = _by_angle(rays)
+    t2 = (x * x).sum(axis=1)
+    radial = 1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * (c[3] + t2 * (c[4] + t2 * c[5])))))
+    x = x * radial[:, None]
+    r2 = (x * x).sum(axis=1)[:, None]
+    return np.asarray(x + 2 * (x @ c[6:8])[:, None] * x + r2 * c[6:8] + r2 * c[[8, 10]] + r2 * r2 * c[[9, 11]], dtype=np.float64)
+
+
+def _division(c: Float64s, rays: Float64s) -> Float64s:
+    """r_u = r_d / (1 + k r_d^2), solved for r_d."""
+    z = rays[:, 2]
+    root = np.sqrt(z * z - 4 * c[0] * (rays[:, :2] ** 2).sum(axis=1))
+    return np.asarray(2 * rays[:, :2] / (z + root)[:, None], dtype=np.float64)
+
+
+def _fov(c: Float64s, rays: Float64s) -> Float64s:
+    r = np.hypot(rays[:, 0], rays[:, 1])
+    bent = np.arctan2(2 * r * np.tan(c[0] / 2), rays[:, 2]) / c[0] if c[0] else r / rays[:, 2]
+    slope = 2 * np.tan(c[0] / 2) / c[0] if c[0] else 1.0
+    return np.asarray(rays[:, :2] * np.where(r > 1e-12, bent / r, slope)[:, None], dtype=np.float64)
+
+
+def _eucm(c: Float64s, rays: Float64s) -> Float64s:
+    """alpha, beta."""
+    z, distance = rays[:, 2], np.sqrt(c[1] * (rays[:, :2] ** 2).sum(axis=1) + rays[:, 2] ** 2)
+    below = c[0] * distance + (1 - c[0]) * z
+    w = c[0] / (1 - c[0]) if c[0] <= 0.5 else (1 - c[0]) / c[0]
+    return np.asarray(rays[:, :2] / np.where((below > 0) & (z > -w * distance), below, np.nan)[:, None], dtype=np.float64)
+
+
+def _omni(c: Float64s, rays: Float64s) -> Float64s:
+    """xi, then k1 k2 p1 p2 k3 of what the mirror's or the lens's sphere shows."""
+    below = rays[:, 2] + c[0]
+    sphere = np.column_stack([rays[:, :2], np.where(below > 0, below, np.nan)])
+    return _brown(np.concatenate([c[1:6], np.zeros(9)]), sphere)
+
+
+def _double_sphere(c: Float64s, rays: Float64s) -> Float64s:
+    """xi, alpha."""
+    xi, alpha = c[:2]
+    z = xi + rays[:, 2]
+    second = np.sqrt((rays[:, :2] ** 2).sum(axis=1) + z * z)
+    below = alpha * second + (1 - alpha) * z
+    w1 = alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
+    w2 = (w1 + xi) / np.sqrt(2 * w1 * xi + xi * xi + 1)
+    return np.asarray(rays[:, :2] / np.where((below > 0) & (rays[:, 2] > -w2), below, np.nan)[:, None], dtype=np.float64)
+
+
+def _equirectangular(_: Float64s, rays: Float64s) -> Float64s:
+    """Longitude and latitude."""
+    return np.column_stack([np.arctan2(rays[:, 0], rays[:, 2]), np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))])
+
+
+MODELS = {
+    "pinhole": LensModel(_pinhole, np.deg2rad(89.5)),
+    "brown": LensModel(_brown, np.deg2rad(89.5)),
+    "rational": LensModel(_brown, np.deg2rad(89.5)),
+    "fisheye": LensModel(_fisheye),
+    "division": LensModel(_division),
+    "fov": LensModel(_fov),
+    "eucm": LensModel(_eucm),
+    "omni": LensModel(_omni),
+    "double-sphere": LensModel(_double_sphere),
+    "thin-prism-fisheye": LensModel(_thin_prism_fisheye),
+    "rad-tan-thin-prism-fisheye": LensModel(_rad_tan_thin_prism_fisheye),
+    "equirectangular": LensModel(_equirectangular),
+}
+"""By the name that a site file gives them; the order of coefficients is OpenCV's where OpenCV has the model."""

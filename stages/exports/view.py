@@ -1,0 +1,141 @@
+"""Points for the report's 3-D view: thinned by voxels, in few bytes each, in one stream that a browser can unpack by itself.
+
+A stream is the length of a JSON head (uint32, little-endian), the head, and zlib-packed planes of `n` bytes: of each coordinate,
+low and high byte of its difference from the point before (points follow a space-filling curve, so that these are small: Morton,
+A computer oriented geodetic data base, 1966); red, green, blue; and one plane for each of `layers`.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+
+import numpy as np
+import numpy.typing as npt
+
+from ..types import Changes, Cloud, Float64s, Int64s, Uint8s
+
+MOST = 600_000
+"""Points that a browser turns without a graphics card's help."""
+_STEPS = 65535
+"""A coordinate takes 16 bits."""
+_FAR = 0.5
+"""Points farther outside than this share of the middle 99.9 percent's extent would make the rest coarse: they are not shown."""
+_RAMP = 255
+_SAMPLE = 600
+"""So many points stand in the head, for whoever wants to know where they are without unpacking any."""
+_NEW, _VANISHED = 1, 2
+
+Layers = dict[str, tuple[npt.NDArray[np.float32], str]]
+"""Values (n,) and their unit, by name."""
+
+
+def cloud_view(cloud: Cloud, most: int = MOST) -> bytes:
+    """The stream of a cloud: one mean point for each voxel, the smallest voxels that leave at most `most` points."""
+    values = np.column_stack([cloud.colors, cloud.confidence, cloud.views, cloud.sigma_mm]).astype(np.float32)
+    near = _near(cloud.points)
+    points, values, voxel = _thinned(cloud.points[near].astype(np.float64), values[near], most)
+    layers: Layers = {
+        "confidence": (values[:, 3], ""),
+        "views": (values[:, 4], "cameras"),
+        "sigma": (values[:, 5], "mm"),
+    }
+    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), layers, voxel, len(cloud.points))
+
+
+def changes_view(changes: Changes) -> bytes:
+    """The stream of the points that are new, or have vanished; the layer `kind` is 1 for those that are gone."""
+    chosen = np.isin(changes.label, (_NEW, _VANISHED)) & (changes.blob > 0)
+    points = changes.points[chosen].astype(np.float64)
+    kind = (changes.label[chosen] == _VANISHED).astype(np.float32)
+    values = np.column_stack([changes.colors[chosen], kind]).astype(np.float32)
+    points, values, voxel = _thinned(points, values, MOST // 6)
+    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": (values[:, 3], "")}, voxel, int(chosen.sum()))
+
+
+def _near(points: Float64s) -> npt.NDArray[np.bool_]:
+    if len(points) < 100:
+        return np.ones(len(points), bool)
+    low, high = np.percentile(points[:: 1 + len(points) // 200_000], [0.05, 99.95], axis=0)
+    margin = _FAR * (high - low).max()
+    return np.asarray(np.all((points >= low - margin) & (points <= high + margin), axis=1))
+
+
+def _thinned(points: Float64s, values: npt.NDArray[np.float32], most: int) -> tuple[Float64s, npt.NDArray[np.float32], float]:
+    """Mean point and values of each voxel, along the curve, and the voxel's edge; the points as they are where they are few."""
+    if not len(points):
+        return points, values, 1.0
+    low, extent = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-9)
+    edge = _edge(points - low, extent, most) if len(points) > most else extent / _STEPS
+    codes = _curve(((points - low) / edge).astype(np.int64))
+    order = np.argsort(codes, kind="stable")
+    if len(points) <= most:
+        return points[order], values[order], extent / np.sqrt(len(points))
+    codes = codes[order]
+    first = np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
+    count = np.diff(np.append(first, len(codes)))[:, None]
+    means = np.add.reduceat(points[order], first) / count
+    return means, np.asarray(np.add.reduceat(values[order], first) / count, np.float32), edge
+
+
+def _edge(points: Float64s, extent: float, most: int) -> float:
+    """A voxel's edge that leaves nearly `most` voxels, and no more (a surface has as many as the edge's square goes into it)."""
+    edge = 1.5 * extent / np.sqrt(most)
+    for _ in range(12):
+        occupied = _occupied(points, edge)
+        if 0.9 * most <= occupied <= most:
+            break
+        edge *= np.sqrt(occupied / (0.96 * most))
+    while occupied > most:
+        edge *= 1.03
+        occupied = _occupied(points, edge)
+    return float(edge)
+
+
+def _occupied(points: Float64s, edge: float) -> int:
+    cells = (points * (1.0 / edge)).astype(np.int64)
+    codes = np.sort((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
+    return 1 + int(np.count_nonzero(codes[1:] != codes[:-1]))
+
+
+def _curve(cells: Int64s) -> Int64s:
+    """Position of cells (n, 3), 16 bits each, along the curve: their bits in turns."""
+    code = np.zeros(len(cells), np.int64)
+    for axis in range(3):
+        bits = np.clip(cells[:, axis], 0, _STEPS)
+        for shift, mask in ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249)):
+            bits = (bits | (bits << shift)) & mask
+        code |= bits << axis
+    return code
+
+
+def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, total: int) -> bytes:
+    low = points.min(axis=0) if len(points) else np.zeros(3)
+    step = max(float((points - low).max()) if len(points) else 1.0, 1e-9) / _STEPS
+    coded = np.rint((points - low) / step).astype(np.uint16)
+    apart = np.diff(coded, axis=0, prepend=np.zeros((1, 3), np.uint16))  # modulo 65536
+    planes = [apart & 255, apart >> 8, colors]
+    told = []
+    for name, (values, unit) in layers.items():
+        known = values[np.isfinite(values)]
+        low_value, high_value = (float(v) for v in np.percentile(known, [1, 98])) if len(known) else (0.0, 1.0)
+        if len(known) and high_value <= low_value:
+            low_value, high_value = float(known.min()), float(known.max())
+        spread = max(high_value - low_value, 1e-12)
+        share = np.nan_to_num((values - low_value) / spread, nan=1.0).clip(0, 1)
+        planes.append(np.rint(share * _RAMP)[:, None])
+        told.append({"name": name, "unit": unit, "low": round(low_value, 4), "high": round(high_value, 4)})
+    sample = np.round(points[:: 1 + len(points) // _SAMPLE], 3).tolist()
+    head = {
+        "n": len(points),
+        "total": total,
+        "sample": sample,
+        "low": low.tolist(),
+        "step": step,
+        "voxel": float(voxel),
+        "layers": told,
+    }
+    raw = b"".join(np.ascontiguousarray(plane.T.astype(np.uint8)).tobytes() for plane in planes)
+    words = json.dumps(head).encode()
+    return struct.pack("<I", len(words)) + words + zlib.compress(raw, 6)

@@ -1,0 +1,151 @@
+"""A run that nobody has made: a ring of cameras around a bowl, for tests of its page."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from wbflow.api import load_site
+from wbflow.config.site import Site
+from wbflow.graph.pipeline import STAGES, stage_with
+from wbflow.graph.rows import Role
+from wbflow.results.report.page import build_report
+from wbflow.store.artifact import digest
+from wbflow.store.events import Event, TaskEvent
+from wbflow.store.layout import WorkFolder
+from wbflow.store.record import (
+    CameraRecord,
+    CloudRecord,
+    Finding,
+    Health,
+    PairRecord,
+    RunRecord,
+    Seconds,
+    TaskCounts,
+    Verdict,
+    WorldRecord,
+)
+from wbflow.store.run_folder import UnfinishedRun
+from wbflow.task import Task
+from wbflow_stages.exports.view import cloud_view
+from wbflow_stages.types import Cloud
+
+RUN = "20261210T031500Z"
+_RADIUS = 12.0
+
+
+def names(count: int) -> list[str]:
+    return [f"cam-{k + 1}" for k in range(count)]
+
+
+def cameras(ids: list[str]) -> dict[str, Any]:
+    """A ring that looks at its middle, as cameras.json has it."""
+    found = {}
+    for k, name in enumerate(ids):
+        angle = math.pi * (1 + k / max(1, len(ids) - 1))  # the southern half
+        C = np.array([_RADIUS * math.cos(angle), _RADIUS * math.sin(angle), 5.0])
+        ahead = -C / np.linalg.norm(C)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        R = [right.tolist(), np.cross(ahead, right).tolist(), ahead.tolist()]
+        K = [[500.0, 0, 320.0], [0, 500.0, 180.0], [0, 0, 1.0]]
+        found[name] = {"K": K, "R": R, "C": C.tolist(), "width": 640, "height": 360}
+    return found
+
+
+def bowl(points: int) -> Cloud:
+    """A wavy disk in all colours."""
+    rng = np.random.default_rng(7)
+    r, a = 8 * np.sqrt(rng.random(points)), 2 * math.pi * rng.random(points)
+    x, y = r * np.cos(a), r * np.sin(a)
+    z = 0.02 * r**2 + 0.6 * np.sin(x) * np.cos(y)
+    shades = np.stack([120 + 10 * x, 120 + 10 * y, 100 + 60 * z], axis=1).clip(0, 255).astype(np.uint8)
+    up = np.tile(np.array([0, 0, 1], np.float32), (points, 1))
+    share = (r / 8).astype(np.float32)
+    sure = (1 - share / 2).astype(np.float32)
+    return Cloud(np.stack([x, y, z], axis=1), up, shades, sure, (2 + 6 * share).astype(np.uint16), 5 + 20 * share)
+
+
+def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: Any) -> RunRecord:
+    """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
+    well = {"brightness": 110.0, "sharpness": 0.2, "keypoints": 6000, "frames_used": 3}
+    told = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
+    told[-1] = replace(told[-1], health=Health("foreign", "it shows another place", remedy="look at its picture"))
+    told[-2] = CameraRecord(ids[-2], "failed", "the capture ends after 1,000 bytes")
+    figures = {"matches": 400, "inliers": 500, "angle_deg": 12.0, "epipolar_px": 0.3, "density": 0.5, "matched": True}
+    steps = (1, 2, 3)
+    pairs = [PairRecord(a, ids[k + s], "ok", figures=figures) for s in steps for k, a in enumerate(ids[:-s])]
+    pairs[0] = PairRecord(pairs[0].left, pairs[0].right, "rejected", "12 inliers, 30 needed", figures={"inliers": 12})
+    findings = (
+        Finding("camera-foreign", (ids[-1],), "it shows another place", remedy="look at its picture"),
+        Finding("camera-lost", (ids[-2],), "the capture ends after 1,000 bytes; left out tonight"),
+        Finding("fewer-points", (), "900 points, 50 % of the usual 1,800"),
+    )
+    base = RunRecord(
+        run,
+        "bowl",
+        "0.1.0",
+        date,
+        f"{date}T03:15:00Z",
+        f"{date}T03:25:00Z",
+        3,
+        TaskCounts(ran=len(ids)),
+        Seconds(600.0, 900.0),
+        400,
+        tuple(told),
+        tuple(pairs),
+        CloudRecord("cloud.ply", 900, ((-8.0, -8.0, -1.0), (8.0, 8.0, 2.0))),
+        poses=WorldRecord({"metric": True}),
+        verdict=Verdict("degraded", findings),
+    )
+    return replace(base, **changes)
+
+
+def site(folder: Path, ids: list[str]) -> Site:
+    """A site file with as many cameras."""
+    (folder / "captures").mkdir(parents=True, exist_ok=True)
+    plain = [f"c{k}" for k in range(len(ids))]
+    told = {"site": "bowl", "captures": {"root": "captures", "pattern": "{camera}.jpg"}, "cameras": plain}
+    (folder / "site.yaml").write_text(json.dumps(told))
+    return load_site(folder / "site.yaml", folder / "work")
+
+
+def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int, int] = (160, 90), nights: int = 2) -> Path:
+    """The file of a night's page, and a few nights before it in the work folder."""
+    ids = [camera.id for camera in night.cameras]
+    described = site(folder, ids)
+    work = WorkFolder(described.work)
+    events: list[Event] = []
+    rng = np.random.default_rng(3)
+    small = rng.integers(0, 255, (9, 16, 3), dtype=np.uint8)
+    jpeg = cv2.imencode(".jpg", cv2.resize(small, pictures))[1].tobytes()
+    subjects: dict[str, list[tuple[str, ...]]] = {
+        "camera": [(name,) for name in ids],
+        "pair": [(p.left, p.right) for p in night.pairs if p.ok],
+    }
+    shown = [(row, of) for row in STAGES if row.picture and row.scope in subjects for of in subjects[row.scope]]
+    for k, (stage, subject) in enumerate(shown):
+        key = f"{k:032x}"
+        path = work.picture(Task(stage.name, subject), key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(jpeg + bytes([k % 256, k // 256]))
+        events.append(TaskEvent(Task(stage.name, subject), "ran", f"{night.date}T03:16:00+00:00", key=key))
+    product = stage_with(Role.PRODUCT)
+    if night.cloud:
+        stream, path = cloud_view(bowl(points)), work.view(Task(product.name), "0" * 32)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        code = described.reader.read(product.view).code
+        path.write_bytes(f"{code} {digest(stream)}\n".encode() + stream)
+        events.append(TaskEvent(Task(product.name), "ran", f"{night.date}T03:20:00+00:00", key="0" * 32))
+    for k in range(nights):
+        before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
+        UnfinishedRun(work, before.run).publish(before, [], "")
+    unfinished = UnfinishedRun(work, night.run)
+    told = build_report(described, work, night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
+    return unfinished.publish(night, events, told).paths.report

@@ -1,0 +1,201 @@
+"""Calibrations as other programs write them are read, and mean the same rays as for the program that wrote them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+
+from wbflow.config.calibration import Calibrated, CalibrationError, read_calibration
+from wbflow.config.load import load_site
+from wbflow_stages.core.lenses import lens_pixels, lens_rays
+from wbflow_stages.types import Float64s, Lens
+
+WIDTH, HEIGHT = 640, 480
+K = np.array([[402.5, 0.0, 318.2], [0.0, 399.1, 243.7], [0.0, 0.0, 1.0]])
+GRID = np.stack(np.meshgrid(np.linspace(0, WIDTH - 1, 14), np.linspace(0, HEIGHT - 1, 11)), axis=-1).reshape(-1, 2)
+BROWN = [-0.21, 0.055, 0.0004, -0.0003, -0.008]
+RATIONAL = [0.35, 0.11, 0.0004, -0.0003, 0.004, 0.62, 0.18, 0.02]
+FISHEYE = [-0.02, 0.005, 0.001, -0.0002]
+ALMOST = 1e-9
+
+
+def rays_of(camera: Calibrated) -> Float64s:
+    lens = Lens(np.array(camera.K), np.array(camera.distortion or [0.0]), None, camera.width, camera.height, camera.model)
+    rays = lens_rays(lens, GRID)
+    assert np.abs(lens_pixels(lens, rays) - GRID).max() < ALMOST, "there and back"
+    return rays
+
+
+def opencv_pixels(rays: Float64s, coefficients: list[float], fisheye: bool = False) -> Float64s:
+    """Where OpenCV images rays."""
+    nothing, points = np.zeros(3), np.ascontiguousarray((rays / rays[:, 2:])[:, None])
+    project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
+    arguments = (points, nothing, nothing, K, np.array(coefficients))
+    return np.asarray(project(*arguments)[0].reshape(-1, 2), dtype=np.float64)
+
+
+def file_storage(path: Path, coefficients: list[float], **more: int) -> Path:
+    """As OpenCV's calibration sample writes it."""
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in {"image_width": WIDTH, "image_height": HEIGHT, **more}.items():
+        file.write(name, value)
+    file.write("camera_matrix", K)
+    file.write("distortion_coefficients", np.array(coefficients)[:, None])
+    file.release()
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+@pytest.mark.parametrize(("coefficients", "model"), [(BROWN, "brown"), (RATIONAL, "rational"), (FISHEYE, "fisheye")])
+def test_opencv(tmp_path: Path, suffix: str, coefficients: list[float], model: str) -> None:
+    fisheye = model == "fisheye"
+    path = file_storage(tmp_path / f"gate{suffix}", coefficients, **({"fisheye_model": 1} if fisheye else {}))
+    camera = read_calibration(path)["gate"]
+    assert (camera.model, camera.width, camera.height) == (model, WIDTH, HEIGHT)
+    assert np.abs(opencv_pixels(rays_of(camera), coefficients, fisheye) - GRID).max() < ALMOST
+
+
+def test_json_as_people_dump_it(tmp_path: Path) -> None:
+    data = {"mtx": K.tolist(), "dist": [BROWN], "image_size": [WIDTH, HEIGHT]}
+    (tmp_path / "gate.json").write_text(json.dumps(data))
+    camera = read_calibration(tmp_path / "gate.json")["gate"]
+    assert np.abs(opencv_pixels(rays_of(camera), BROWN) - GRID).max() < ALMOST
+
+
+ROS = """
+image_width: {width}
+image_height: {height}
+camera_name: narrow
+camera_matrix: {{rows: 3, cols: 3, data: {K}}}
+distortion_model: {model}
+distortion_coefficients: {{rows: 1, cols: {count}, data: {D}}}
+rectification_matrix: {{rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"), [("plumb_bob", BROWN), ("rational_polynomial", RATIONAL), ("equidistant", FISHEYE)]
+)
+def test_ros(tmp_path: Path, model: str, coefficients: list[float]) -> None:
+    text = ROS.format(width=WIDTH, height=HEIGHT, K=K.ravel().tolist(), model=model, count=len(coefficients), D=coefficients)
+    (tmp_path / "ost.yaml").write_text(text)
+    camera = read_calibration(tmp_path / "ost.yaml")["narrow"]
+    assert np.abs(opencv_pixels(rays_of(camera), coefficients, model == "equidistant") - GRID).max() < ALMOST
+
+
+KALIBR = """
+cam0:
+  camera_model: pinhole
+  intrinsics: [402.5, 399.1, 318.2, 243.7]
+  distortion_model: radtan
+  distortion_coeffs: [-0.21, 0.055, 0.0004, -0.0003]
+  resolution: [640, 480]
+  rostopic: /gate/image_raw
+cam1:
+  camera_model: pinhole
+  intrinsics: [402.5, 399.1, 318.2, 243.7]
+  distortion_model: equidistant
+  distortion_coeffs: [-0.02, 0.005, 0.001, -0.0002]
+  resolution: [640, 480]
+  T_cn_cnm1: [[0, -1, 0, 0.5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+cam2:
+  camera_model: omni
+  intrinsics: [0.9, 402.5, 399.1, 318.2, 243.7]
+  distortion_model: radtan
+  distortion_coeffs: [-0.21, 0.055, 0.0004, -0.0003]
+  resolution: [640, 480]
+"""
+
+
+def test_kalibr(tmp_path: Path) -> None:
+    (tmp_path / "camchain.yaml").write_text(KALIBR)
+    cameras = read_calibration(tmp_path / "camchain.yaml")
+    assert np.abs(opencv_pixels(rays_of(cameras["cam0"]), BROWN[:4]) - GRID).max() < ALMOST
+    assert np.abs(opencv_pixels(rays_of(cameras["cam1"]), FISHEYE, fisheye=True) - GRID).max() < ALMOST
+    sphere = rays_of(cameras["cam2"]) + np.array([0, 0, 0.9])  # Mei's model: what a camera in the sphere's own depth sees of it
+    assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
+    assert cameras["gate/image_raw"] is cameras["cam0"]
+    assert cameras["cam1"].C is not None and np.allclose(cameras["cam1"].C, [0, 0.5, 0]), "each camera lies as the chain says"
+    assert cameras["cam2"].R is None
+
+
+COLMAP = {
+    "SIMPLE_PINHOLE": [402.5],
+    "PINHOLE": [402.5, 399.1],
+    "SIMPLE_RADIAL": [402.5, -0.1],
+    "RADIAL": [402.5, -0.1, 0.02],
+    "OPENCV": [402.5, 399.1, *BROWN[:4]],
+    "FULL_OPENCV": [402.5, 399.1, *RATIONAL],
+    "SIMPLE_RADIAL_FISHEYE": [402.5, -0.02],
+    "RADIAL_FISHEYE": [402.5, -0.02, 0.005],
+    "OPENCV_FISHEYE": [402.5, 399.1, *FISHEYE],
+    "SIMPLE_FISHEYE": [402.5],
+    "FISHEYE": [402.5, 399.1],
+    "FOV": [402.5, 399.1, 0.8],
+    "THIN_PRISM_FISHEYE": [402.5, 399.1, -0.02, 0.005, 0.001, -0.002, 0.001, 0.0, 0.001, 0.002],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [402.5, 399.1, -0.02, 0.005, 0.001, 0, 0, 0, 0.001, -0.002, 0.001, 0.002, 0.003, -0.001],
+    "SIMPLE_DIVISION": [402.5, -0.2],
+    "DIVISION": [402.5, 399.1, -0.2],
+    "EUCM": [402.5, 399.1, 0.6, 1.1],
+    "EQUIRECTANGULAR": [],
+}
+
+
+@pytest.mark.parametrize("name", sorted(pycolmap.CameraModelId.__members__.keys() - {"INVALID"}))
+def test_every_model_of_colmap(tmp_path: Path, name: str) -> None:
+    focals = sum(
+        word.startswith("f") for word in pycolmap.Camera(model=name, width=1, height=1, params=[]).params_info.split(", ")
+    )
+    given = COLMAP[name]
+    params = [*given[:focals], 318.7, 244.2, *given[focals:]] if given else [WIDTH, HEIGHT]
+    words = " ".join(map(repr, params))
+    (tmp_path / "cameras.txt").write_text(f"1 {name} {WIDTH} {HEIGHT} {words}\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 gate.jpg\n\n")
+    rays = rays_of(read_calibration(tmp_path)["gate.jpg"])
+    theirs = np.asarray(pycolmap.Camera(model=name, width=WIDTH, height=HEIGHT, params=params).img_from_cam(rays))
+    assert np.abs(theirs - (GRID + 0.5)).max() < ALMOST, "COLMAP's origin is the corner of the first pixel"
+
+
+def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path) -> None:
+    coefficients = [*RATIONAL, 0.001, 0.002, 0.003, -0.001, 0.03, -0.02]
+    camera = read_calibration(file_storage(tmp_path / "gate.yaml", coefficients))["gate"]
+    assert np.abs(opencv_pixels(rays_of(camera), coefficients) - GRID).max() < ALMOST
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (("image_width: 640\n", ""), r"gate.yaml:2:1: lacks the size of the pictures"),
+        (("plumb_bob", "equidistant"), r"gate.yaml:7:\d+: .*a fisheye lens has 1 or 2 or 3 or 4 coefficients"),
+        (("plumb_bob", "wobbly"), "'wobbly' is no lens model"),
+        (("rows: 3, cols: 3, data: [402.5", "rows: 3, cols: 4, data: [402.5"), "camera_matrix says 3 x 4, and holds 9"),
+        (("data: [402.5", "data: [no"), "camera_matrix must hold numbers"),
+        (("camera_matrix", "matrix"), "holds no calibration"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, changed: tuple[str, str], said: str) -> None:
+    text = ROS.format(width=WIDTH, height=HEIGHT, K=K.ravel().tolist(), model="plumb_bob", count=5, D=BROWN)
+    (tmp_path / "gate.yaml").write_text(text.replace(*changed))
+    with pytest.raises(CalibrationError) as error:
+        read_calibration(tmp_path / "gate.yaml")
+    assert re.search(said, f"{error.value.where}: {error.value.what}")
+
+
+def test_a_site_takes_a_file_for_each_camera_or_a_folder_of_them(tmp_path: Path) -> None:
+    (tmp_path / "lenses").mkdir()
+    file_storage(tmp_path / "lenses" / "gate.yaml", FISHEYE, fisheye_model=1)
+    file_storage(tmp_path / "lenses" / "roof.yaml", BROWN)
+    head = "site: harbour\ncaptures: {root: ., pattern: '{camera}.jpg'}\n"
+    (tmp_path / "folder.yaml").write_text(head + "cameras: [gate, roof]\ncalibration: lenses\n")
+    cameras = "cameras: [{id: front, calibration: lenses/gate.yaml}, {id: back, calibration: lenses/roof.yaml}]\n"
+    (tmp_path / "files.yaml").write_text(head + cameras)
+    for name in ("folder.yaml", "files.yaml"):
+        site = load_site(tmp_path / name)
+        assert [c.lens.model for c in site.cameras] == ["fisheye", "brown"]
+        assert [c.lens.distortion for c in site.cameras] == [FISHEYE, BROWN]

@@ -1,0 +1,196 @@
+"""The page of a night, in a browser from the disk: it draws, turns, flies, shows all there is, asks nobody for anything."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers import made_up_run
+from wbflow.store.record import RunRecord
+
+webdriver = pytest.importorskip("selenium.webdriver")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+HOSTILE = ["gate", "\"><script>document.title='taken'</script>", "o'clock\n&amp; {{ 7 * 7 }}", "</script><b>", "yard-2", "yard-3"]
+PATIENCE_S = 120.0
+"""Of a machine that does other things, too."""
+
+
+@pytest.fixture(scope="module")
+def night() -> RunRecord:
+    return made_up_run.record(HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def page(night: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_up_run.page(tmp_path_factory.mktemp("page"), night)
+
+
+@pytest.fixture(scope="module")
+def browser(page: Path) -> Iterator[Any]:
+    """A browser that has the page open, from the disk."""
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("there is no chromium with its chromedriver here: scripts/setup.sh installs them for the tests")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=900,700",
+        "--disable-background-networking",
+    ):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        driver.get(page.as_uri())
+        until(driver, "return document.querySelector('#view').dataset.state === 'ready'")
+        yield driver
+    finally:
+        driver.quit()
+
+
+def until(browser: Any, script: str) -> Any:
+    end = time.monotonic() + PATIENCE_S
+    while not (found := browser.execute_script(script)):
+        assert time.monotonic() < end, script
+        time.sleep(0.05)
+    return found
+
+
+PIXELS = """
+const canvas = document.querySelector('#view canvas.points'), pen = canvas.getContext('2d');
+const data = pen.getImageData(0, 0, canvas.width, canvas.height).data;
+let sum = 0, drawn = 0;
+for (let i = 0; i < data.length; i += 4) if (data[i + 3]) {
+  drawn++;
+  sum = (sum * 31 + data[i] * 7 + data[i + 1] * 3 + data[i + 2] + i) % 2147483647;
+}
+return [drawn, sum];"""
+POSE = "return document.querySelector('#view').dataset.pose"
+
+
+def settled(browser: Any, does: Callable[[], object]) -> tuple[int, int]:
+    """Pixels drawn, and a sum over them, once what was done has come to rest."""
+    does()
+    until(browser, "return !view.moving && !view.dirty && view.root.dataset.mode === view.mode")
+    drawn, total = browser.execute_script(PIXELS)
+    return drawn, total
+
+
+def test_it_asks_nobody_and_complains_of_nothing(browser: Any, page: Path) -> None:
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = {m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"}
+    assert {url for url in asked if not url.startswith("data:")} == {page.as_uri()}
+    assert browser.get_log("browser") == []
+    assert "taken" not in browser.title
+
+
+def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
+    drawn, first = settled(browser, lambda: None)
+    assert drawn > 500
+    pose = browser.execute_script(POSE)
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    drag = webdriver.ActionChains(browser, duration=20).move_to_element(canvas).click_and_hold().move_by_offset(90, 15).release()
+    _, turned = settled(browser, drag.perform)
+    assert browser.execute_script(POSE) != pose
+    assert turned != first
+    _, back = settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
+    assert back == first
+
+
+def test_colours_switch_and_have_a_scale(browser: Any) -> None:
+    looks = set()
+    for button in browser.find_elements("css selector", "[data-mode]"):
+        looks.add(settled(browser, partial(browser.execute_script, "arguments[0].click()", button)))
+        assert (button.get_attribute("data-mode") == "photograph") != browser.find_element(
+            "css selector", ".legend"
+        ).is_displayed()
+    assert len(looks) == 5, "photograph, height, confidence, views, sigma"
+    browser.execute_script("document.querySelector('[data-mode=photograph]').click()")
+
+
+def test_a_click_on_a_camera_flies_to_it(browser: Any) -> None:
+    at = browser.execute_script("const s = view.spots.find(s => s.cam.id === 'gate'); return [s.x, s.y, ...view.size]")
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    across, down = (round(at[k] - at[2 + k] / 2) for k in (0, 1))
+    webdriver.ActionChains(browser, duration=0).move_to_element_with_offset(canvas, across, down).click().perform()
+    until(browser, "return view.root.dataset.flown === 'gate'")
+    eye, stands = browser.execute_script("return [view.eye().eye, view.flown.C]")
+    assert eye == pytest.approx(stands, abs=1e-6)
+    assert browser.find_element("css selector", ".inset img").is_displayed(), "what it saw stands beside"
+    browser.execute_script("document.querySelector('[data-do=home]').click()")
+    until(browser, "return view.root.dataset.flown === ''")
+
+
+def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night: RunRecord) -> None:
+    def texts(selector: str) -> list[str]:
+        script = "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)"
+        found: list[str] = browser.execute_script(script, selector)
+        return found
+
+    ids = [camera.id for camera in night.cameras]
+    assert texts(".card h3 a") == ids
+    assert texts("#map .dot > text") == ids
+    assert texts("table.pairs tbody td:first-child") == [pair.name for pair in night.pairs]
+    assert len(texts("#map line.pair")) == len(night.pairs)
+    told = "\n".join(texts(".finding"))
+    assert night.verdict
+    for finding in night.verdict.findings:
+        assert finding.text in told and finding.remedy in told
+    assert texts(".verdict strong") == ["2 cameras to look at"]
+    assert browser.execute_script("return view.scene.cameras.map(c => c.id)") == ids
+
+
+def test_pairs_are_sorted_by_any_figure(browser: Any) -> None:
+    head = next(th for th in browser.find_elements("css selector", "table.pairs th button") if "inliers" in th.text)
+    browser.execute_script("arguments[0].click()", head)
+    rows = "return [...document.querySelectorAll('table.pairs tbody tr')].map(r => r.className)"
+    assert browser.execute_script(rows)[0] == "rejected"
+    browser.execute_script("arguments[0].click()", head)
+    assert browser.execute_script(rows)[-1] == "rejected"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    told = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", told)
+    browser.execute_script("for (const fold of document.querySelectorAll('details')) fold.open = true")
+    out = """return [...document.querySelectorAll('body *')].filter(e => !e.closest('svg'))
+        .filter(e => e.getBoundingClientRect().right > 390.5).map(e => e.outerHTML.slice(0, 80))"""
+    assert browser.execute_script(out) == []
+    assert browser.execute_script("return document.documentElement.scrollWidth") == 390
+    ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, re.findall(r"\d+", ground)[:3])) < 150) == (scheme == "dark")
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_hundred_cameras_have_room(tmp_path: Path) -> None:
+    night = made_up_run.record(made_up_run.names(100))
+    file = made_up_run.page(tmp_path, night, points=20_000, pictures=(480, 270), nights=1)
+    told = file.read_text()
+    assert file.stat().st_size < 15_000_000
+    assert told.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
+    assert told.count('<g class="dot') == 100
+    assert all(html.escape(pair.name) in told for pair in night.pairs)
+    assert 'class="elsewhere" href="../../cache/' in told, "what has no room is led to"
+
+
+def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path: Path) -> None:
+    night = made_up_run.record(made_up_run.names(3), cloud=None, pairs=(), verdict=None, exit_code=1)
+    told = made_up_run.page(tmp_path, night, nights=0).read_text()
+    assert "No cloud this night" in told
+    assert "No two cameras were matched." in told
+    assert '<script type="application/octet-stream"' not in told

@@ -1,0 +1,70 @@
+"""What the figures of run.json mean, for people: words for a hover, and where good ends and bad begins.
+
+The bounds are those at which the stages themselves become careful (their parameters' defaults), not new ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Of one figure."""
+
+    title: str
+    words: str
+    good: float | None = None
+    """From here on it is good."""
+    bad: float | None = None
+    """From here on it is bad; below `good` where less is worse, above it where more is."""
+
+    def grade(self, value: Any) -> str:
+        """good, fair or bad; "" where there is nothing to grade."""
+        if self.good is None or self.bad is None or isinstance(value, bool | str) or value is None:
+            return ""
+        sign = 1.0 if self.good > self.bad else -1.0
+        if sign * value >= sign * self.good:
+            return "good"
+        return "bad" if sign * value <= sign * self.bad else "fair"
+
+
+MEANINGS: Mapping[str, Meaning] = {
+    "matches": Meaning("matches", "points that look alike in both pictures, and whose neighbours do so too", 100, 30),
+    "inliers": Meaning(
+        "inliers",
+        "points that one position of the two cameras explains; more than matches where a second search, led by the first, "
+        "found further ones; fewer than 30 are not enough",
+        100,
+        30,
+    ),
+    "angle_deg": Meaning(
+        "angle °", "between the two views of the scene: below 4° depth is not told, above 60° little looks alike"
+    ),
+    "epipolar_px": Meaning("epipolar px", "how far inliers lie from the line where they should be, median", 0.6, 1.5),
+    "probability": Meaning("probability", "that this pair's geometry is right, from how matches are spread and agree", 0.9, 0.5),
+    "poses_px": Meaning("placed px", "the same distance, once all cameras are placed together", 0.8, 2.0),
+    "known": Meaning("known", "where the relative position is from: stated by the site file, or solved"),
+    "vertical_px": Meaning(
+        "vertical px", "how far matches lie from their common row in the rectified pictures, median", 0.6, 1.5
+    ),
+    "method": Meaning("method", "how the pair was resampled to common rows"),
+    "verified": Meaning("verified", "by what the pose was confirmed"),
+    "row_share": Meaning("row share", "share of rows whose offset could be measured from the pictures"),
+    "row_error_px": Meaning("row error px", "offset between corresponding rows, measured from the pictures", 0.5, 1.5),
+    "density": Meaning("density", "share of the common view whose depth was found and confirmed from both sides", 0.3, 0.1),
+    "brightness": Meaning("brightness", "mean of the picture, 0 to 255"),
+    "contrast": Meaning("contrast", "standard deviation of the picture's brightness"),
+    "saturated": Meaning("saturated", "share of the picture that is pure white", 0.02, 0.15),
+    "sharpness": Meaning("sharpness", "of fine detail, compared with the contrast; compare it with other nights only"),
+    "frames_used": Meaning("captures", "captures of the night that the clean picture was made of"),
+    "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
+}
+"""By the name of the figure in run.json."""
+
+
+def meaning(figure: str) -> Meaning:
+    """Of a figure, known or not."""
+    return MEANINGS.get(figure) or Meaning(figure.replace("_", " "), "")

@@ -1,0 +1,81 @@
+"""Pictures of a report: each is in the page once, as far as there is room; the others are led to where they lie."""
+
+from __future__ import annotations
+
+import base64
+import mimetypes
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ...graph.pipeline import stage_with
+from ...graph.rows import Role
+from ...store.run_folder import NoSuchRun, RunFolder
+from ...task import Task
+from .sources import Sources
+
+ROOM = 6_500_000
+"""Bytes of pictures that a page holds at most: what it is all about are points and words."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture in the page."""
+
+    id: str
+    alt: str
+    data: str = ""
+    """A data URL; "" where the picture stands elsewhere in the page, or has no room."""
+    link: str = ""
+    """Where the file lies, seen from the report, where there was no room for it."""
+
+
+@dataclass
+class Album:
+    """Hands out pictures in the order in which the page shows them."""
+
+    sources: Sources
+    _held: dict[Path, str] = field(default_factory=dict)
+    _bytes: int = 0
+
+    def of_task(self, task: Task, alt: str) -> Shown | None:
+        """The picture of a result of this run."""
+        event = self.sources.tasks.get(task)
+        return self.of_file(self.sources.work.picture(task, event.key), alt) if event and event.key else None
+
+    def of_frame(self, camera: str, alt: str) -> Shown | None:
+        """What a camera saw this night."""
+        return self.of_task(Task(stage_with(Role.FRAME).name, (camera,)), alt)
+
+    def of_last_good(self, camera: str) -> Shown | None:
+        """What a camera saw when it was last as it should be."""
+        good = self.sources.last_good(camera)
+        task = Task(stage_with(Role.FRAME).name, (camera,))
+        if good is None:
+            return None
+        try:
+            event = RunFolder.of(self.sources.work, good.run).tasks().get(task)
+        except NoSuchRun:
+            return None
+        path = self.sources.work.picture(task, event.key) if event and event.key else None
+        return self.of_file(path, f"{camera} on {good.date}, when all was well") if path else None
+
+    def of_product(self, name: str, alt: str) -> Shown | None:
+        """A picture that the run publishes."""
+        return self.of_file(self.sources.files / name, alt)
+
+    def of_file(self, path: Path, alt: str) -> Shown | None:
+        """A picture by its file; None where there is none."""
+        if path in self._held:
+            return Shown(self._held[path], alt)
+        try:
+            data = path.read_bytes()
+        except OSError:
+            return None
+        name = f"picture-{len(self._held) + 1}"
+        if self._bytes + len(data) > ROOM:
+            return Shown(name, alt, link=os.path.relpath(path, self.sources.work.run(self.sources.record.run).folder))
+        self._held[path] = name
+        self._bytes += len(data)
+        kind = mimetypes.guess_type(path.name)[0] or "image/jpeg"
+        return Shown(name, alt, f"data:{kind};base64,{base64.b64encode(data).decode()}")

@@ -1,0 +1,116 @@
+"use strict";
+// What the page does besides showing itself.
+(() => {
+  const $ = (q, of = document) => of.querySelector(q), $$ = (q, of = document) => [...of.querySelectorAll(q)];
+
+  for (const copy of $$("img[data-same]")) { // a picture is in the page once
+    const first = document.getElementById(copy.dataset.same);
+    if (first?.src) copy.src = first.src; else if (first) copy.replaceWith(first.cloneNode(true)); else copy.remove();
+  }
+
+  for (const head of $$("table.sortable thead th")) head.firstElementChild.addEventListener("click", () => {
+    const table = head.closest("table"), column = [...head.parentNode.children].indexOf(head);
+    const down = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
+    const key = row => row.children[column].dataset.value ?? row.children[column].textContent, rows = [...table.tBodies[0].rows];
+    const numbers = rows.every(r => key(r) === "" || !isNaN(key(r)));
+    rows.sort((a, b) => {
+      if (key(a) === "" || key(b) === "") return (key(a) === "") - (key(b) === ""); // what is not known comes last
+      return down * (numbers ? key(a) - key(b) : key(a).localeCompare(key(b), undefined, {numeric: true}));
+    });
+    for (const other of head.parentNode.children) other.setAttribute("aria-sort", "none");
+    head.setAttribute("aria-sort", down > 0 ? "ascending" : "descending");
+    table.tBodies[0].append(...rows);
+  });
+
+  for (const table of $$(".scroll table")) for (const row of table.tBodies[0].rows) $$("th", table).forEach((head, column) => {
+    const cell = row.children[column], words = head.firstElementChild?.title; // a figure is named and explained as its column is
+    cell.dataset.label = head.textContent;
+    if (words) cell.title = words;
+  });
+
+  const large = $("#large");
+  for (const button of $$("[data-large]")) button.addEventListener("click", () => {
+    const image = $("img", button);
+    if (!image) return;
+    $("img", large).src = image.src; $("img", large).alt = image.alt; large.showModal();
+  });
+  large.addEventListener("click", e => { if (e.target === large || e.target.tagName === "IMG") large.close(); });
+  addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
+
+  const told = $("#scene"), root = $("#view");
+  if (!told || !root) return;
+  const scene = JSON.parse(told.textContent), view = window.view = new CloudView(root, scene);
+
+  const legend = $(".legend"), number = v => Math.abs(v) >= 100 ? v.toFixed(0) : +v.toPrecision(3);
+  function colour(mode) {
+    view.mode = mode; view.draw();
+    for (const button of $$("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
+    const layer = view.sets[0]?.points.layers[mode];
+    legend.hidden = !layer;
+    if (!layer) return;
+    $(".low", legend).textContent = `${number(layer.low)} ${layer.unit}`; $(".high", legend).textContent = `${number(layer.high)} ${layer.unit}`;
+    $(".ramp", legend).style.background = RAMP_CSS;
+  }
+  for (const button of $$("[data-mode]")) button.addEventListener("click", () => colour(button.dataset.mode));
+  const does = {
+    home: () => view.reset(), above: () => view.above(),
+    cameras: b => { view.showCameras = !view.showCameras; b.setAttribute("aria-pressed", String(view.showCameras)); view.draw(); },
+    full: () => document.fullscreenElement ? document.exitFullscreen() : root.parentNode.requestFullscreen?.(),
+  };
+  for (const button of $$("[data-do]")) button.addEventListener("click", () => does[button.dataset.do](button));
+
+  const inset = $(".inset", root);
+  view.onCamera = cam => { // what it saw, beside the cloud as it sees it
+    const shot = cam && $$(".card").find(card => $("[data-fly]", card)?.dataset.fly === cam.id);
+    const image = shot && $(".shot img", shot);
+    inset.hidden = !cam;
+    if (!cam) return;
+    $("img", inset).hidden = !image; if (image) $("img", inset).src = image.src;
+    $("figcaption", inset).textContent = [cam.id, cam.note].filter(Boolean).join(": ");
+  };
+  const axes = scene.axes;
+  view.onPlace = p => { // where that is, in the world
+    const world = p && [0, 1, 2].map(k => axes.origin[k] + axes.rows[0][k] * p[0] + axes.rows[1][k] * p[1] + axes.rows[2][k] * p[2]);
+    $(".place", root).textContent = world ? world.map(v => v.toFixed(2)).join("  ") + (axes.unit ? ` ${axes.unit}` : "") : "";
+  };
+  for (const link of $$("[data-fly]")) link.addEventListener("click", e => {
+    const cam = scene.cameras.find(c => c.id === link.dataset.fly);
+    if (!cam) return;
+    e.preventDefault(); root.scrollIntoView({behavior: "smooth", block: "nearest"}); view.flyTo(cam);
+  });
+
+  function drawPlan(points) { // the same points from above, below the drawing
+    const canvas = $(".plan canvas");
+    if (!canvas) return;
+    const [left, top, scale, wide, high] = ["left", "top", "scale", "width", "height"].map(k => +canvas.dataset[k]);
+    const width = canvas.width = Math.round(wide), height = canvas.height = Math.round(high), data = new ImageData(width, height);
+    const image = new Uint32Array(data.data.buffer), heights = new Float32Array(image.length).fill(-Infinity), pixels = pixelsOf(points, "photograph");
+    const reach = Math.max(0, Math.min(3, Math.round(points.voxel * scale / 2)));
+    for (let i = 0; i < points.n; i++) {
+      const x = Math.round((points.at[3 * i] - left) * scale), y = Math.round((top - points.at[3 * i + 1]) * scale), z = points.at[3 * i + 2];
+      for (let v = Math.max(0, y - reach); v <= Math.min(height - 1, y + reach); v++) for (let u = Math.max(0, x - reach); u <= Math.min(width - 1, x + reach); u++) {
+        const k = v * width + u;
+        if (z > heights[k]) { heights[k] = z; image[k] = pixels[i]; }
+      }
+    }
+    canvas.getContext("2d").putImageData(data, 0, 0);
+  }
+  (async () => {
+    const message = $(".message", root);
+    for (const stream of $$("script.points")) {
+      try {
+        const points = await unpackPoints(stream.textContent, axes);
+        view.add(points, stream.dataset.of);
+        if (stream.dataset.of === "product") { drawPlan(points); message.hidden = true; }
+      } catch (error) { message.textContent = `the points cannot be shown here: ${error.message}`; root.dataset.state = "failed"; return; }
+    }
+    root.dataset.state = view.sets.length ? "ready" : "empty";
+    const elsewhere = $("script.points-elsewhere");
+    if (!view.sets.length && elsewhere) { // the newest page has the same points
+      const link = document.createElement("a");
+      link.href = JSON.parse(elsewhere.textContent); link.textContent = "the same points as in the report of the next run";
+      message.replaceChildren(link);
+    }
+    if (location.hash.startsWith("#colour=")) colour(location.hash.slice(8));
+  })();
+})();

@@ -1,0 +1,102 @@
+"use strict";
+// The points of the page: unpacked from their stream (see stages/exports/view.py) and drawn, without any help of a graphics card,
+// into the pixels of a canvas.  Half a million points take about 20 ms so; it works wherever there is a canvas.
+
+async function unpackPoints(base64, axes) {
+  const text = atob(base64.trim()), bytes = new Uint8Array(text.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = text.charCodeAt(i);
+  const length = new DataView(bytes.buffer).getUint32(0, true);
+  const head = JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + length)));
+  const packed = new Blob([bytes.subarray(4 + length)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const planes = new Uint8Array(await new Response(packed).arrayBuffer());
+  const n = head.n;
+  const at = new Float32Array(3 * n), rgb = new Uint8Array(3 * n), layers = {};
+  for (const layer of head.layers) layers[layer.name] = {...layer, of: new Uint8Array(n)};
+  // neighbours on the curve are spread over the whole order, so that every beginning of it shows the whole scene
+  let stride = Math.max(1, Math.round(n * 0.6180339887));
+  const gcd = (a, b) => (b ? gcd(b, a % b) : a);
+  while (gcd(stride, n || 1) !== 1) stride++;
+  const [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = axes.rows, step = head.step;
+  const [x0, y0, z0] = [0, 1, 2].map(k => head.low[k] - axes.origin[k]), of = head.layers.map(layer => layers[layer.name].of);
+  let x = 0, y = 0, z = 0;
+  for (let i = 0, to = 0; i < n; i++, to = (to + stride) % n) {
+    x = x + planes[i] + (planes[3 * n + i] << 8) & 65535; y = y + planes[n + i] + (planes[4 * n + i] << 8) & 65535; z = z + planes[2 * n + i] + (planes[5 * n + i] << 8) & 65535;
+    const u = x0 + x * step, v = y0 + y * step, w = z0 + z * step, k = 3 * to;
+    at[k] = ax * u + ay * v + az * w; at[k + 1] = bx * u + by * v + bz * w; at[k + 2] = cx * u + cy * v + cz * w;
+    rgb[k] = planes[6 * n + i]; rgb[k + 1] = planes[7 * n + i]; rgb[k + 2] = planes[8 * n + i];
+    for (let l = 0; l < of.length; l++) of[l][to] = planes[(9 + l) * n + i];
+  }
+  const heights = Float32Array.from({length: Math.min(n, 20000)}, (_, i) => at[3 * i + 2]).sort();
+  const low = heights[Math.floor(0.01 * heights.length)] || 0, high = heights[Math.floor(0.99 * heights.length)] || 1;
+  const height = new Uint8ClampedArray(n), share = 255 / Math.max(high - low, 1e-9);
+  for (let i = 0; i < n; i++) height[i] = share * (at[3 * i + 2] - low);
+  layers.height = {name: "height", low, high, unit: axes.unit, of: height};
+  return {n, at, rgb, layers, voxel: head.voxel, total: head.total};
+}
+
+// 256 colours from dark to light through green (after viridis, by Nathaniel Smith and Stéfan van der Walt, CC0), packed as pixels
+const RAMP = (() => {
+  const stops = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]];
+  return Uint32Array.from({length: 256}, (_, i) => {
+    const x = i / 255 * (stops.length - 1), k = Math.min(stops.length - 2, Math.floor(x)), t = x - k;
+    const [r, g, b] = [0, 1, 2].map(c => Math.round(stops[k][c] * (1 - t) + stops[k + 1][c] * t));
+    return (255 << 24 | b << 16 | g << 8 | r) >>> 0;
+  });
+})();
+const RAMP_CSS = `linear-gradient(90deg, ${[0, 64, 128, 192, 255].map(i => `rgb(${RAMP[i] & 255},${RAMP[i] >> 8 & 255},${RAMP[i] >> 16 & 255})`).join(", ")})`;
+
+function pixelsOf(points, mode) {
+  const {n, rgb} = points, pixels = new Uint32Array(n), layer = points.layers[mode];
+  for (let i = 0; i < n; i++) {
+    if (layer) pixels[i] = RAMP[layer.of[i]];
+    else if (mode === "change") { // grey, so that what has changed stands out
+      const grey = 40 + 0.55 * (0.3 * rgb[3 * i] + 0.6 * rgb[3 * i + 1] + 0.1 * rgb[3 * i + 2]);
+      pixels[i] = (255 << 24 | grey << 16 | grey << 8 | grey) >>> 0;
+    } else pixels[i] = (255 << 24 | rgb[3 * i + 2] << 16 | rgb[3 * i + 1] << 8 | rgb[3 * i]) >>> 0;
+  }
+  return pixels;
+}
+
+// Draws the first `count` points of a set as squares of their voxel's size, the nearest in front.
+// eye, right, up, ahead: where from, in the axes of the points; focal: pixels.
+function splat(frame, points, pixels, count, camera, grow) {
+  const {width, height, depth, image} = frame, at = points.at;
+  const [ex, ey, ez] = camera.eye, [rx, ry, rz] = camera.right, [ux, uy, uz] = camera.up, [fx, fy, fz] = camera.ahead;
+  const focal = camera.focal, cx = width / 2, cy = height / 2, near = camera.near, size = 0.62 * points.voxel * grow * focal;
+  for (let i = 0, j = 0; i < count; i++, j += 3) {
+    const x = at[j] - ex, y = at[j + 1] - ey, z = at[j + 2] - ez;
+    const w = x * fx + y * fy + z * fz;
+    if (w < near) continue;
+    const q = focal / w, u = cx + (x * rx + y * ry + z * rz) * q, v = cy - (x * ux + y * uy + z * uz) * q;
+    if (!(u >= 0 && v >= 0 && u < width && v < height)) continue;
+    const half = size / w, colour = pixels[i];
+    if (half < 0.75) {
+      const k = (v | 0) * width + (u | 0);
+      if (w < depth[k]) { depth[k] = w; image[k] = colour; }
+      continue;
+    }
+    const reach = half > 6 ? 6 : half;
+    const left = Math.max(0, u - reach + 0.5 | 0), right = Math.min(width - 1, u + reach - 0.5 | 0);
+    const bottom = Math.min(height - 1, v + reach - 0.5 | 0);
+    for (let row = Math.max(0, v - reach + 0.5 | 0); row <= bottom; row++)
+      for (let k = row * width + left, end = row * width + right; k <= end; k++)
+        if (w < depth[k]) { depth[k] = w; image[k] = colour; }
+  }
+}
+
+// Darkens what lies behind its neighbours, so that edges and shapes are seen without any light
+// (eye-dome lighting: Boucheny, Interactive scientific visualization of large datasets, 2009; by ratios of depths).
+function shade(frame, strength) {
+  const {width, height, depth, image} = frame, far = 2 * width;
+  for (let row = 2; row < height - 2; row++)
+    for (let k = row * width + 2, end = (row + 1) * width - 2; k < end; k++) {
+      const here = depth[k];
+      if (here > 1e30) continue;
+      const a = depth[k - 2], b = depth[k + 2], c = depth[k - far], d = depth[k + far];
+      const nearer = (a < here ? here - a : 0) + (b < here ? here - b : 0) + (c < here ? here - c : 0) + (d < here ? here - d : 0);
+      const dark = strength * nearer / here;
+      if (dark < 0.02) continue;
+      const light = dark > 3 ? 64 : (256 / (1 + dark)) | 0, pixel = image[k]; // in 256ths
+      image[k] = -16777216 | ((pixel >> 16 & 255) * light >> 8) << 16 | ((pixel >> 8 & 255) * light >> 8) << 8 | (pixel & 255) * light >> 8;
+    }
+}

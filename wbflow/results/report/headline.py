@@ -1,0 +1,136 @@
+"""The first words of a report: what the night came to, what to do, and what each finding looks like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...config.site import Measure
+from ...graph.pipeline import STAGES
+from ...store.record import Finding, RunRecord
+from ...task import Task
+from ..past import figures_of
+from .album import Album, Shown
+from .sources import Sources
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A figure that tells how much came of the night."""
+
+    value: str
+    words: str
+    usual: str = ""
+    grade: str = ""
+    """fair or bad where it is clearly less than usual."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The verdict in words."""
+
+    level: str
+    title: str
+    words: str
+    facts: tuple[Fact, ...]
+
+
+@dataclass(frozen=True)
+class ShownFinding:
+    """A finding with its pictures."""
+
+    subject: str
+    camera: bool
+    """It is about one camera."""
+    number: int
+    """Of the camera in the page, from 1."""
+    text: str
+    remedy: str
+    pictures: tuple[tuple[Shown | None, str], ...]
+    """With what is said below them; none for one that could not be read."""
+
+
+def headline(record: RunRecord) -> Headline:
+    """The verdict, what to do first, and how much there is."""
+    verdict = record.verdict
+    level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
+    findings = verdict.findings if verdict else ()
+    cameras = [finding for finding in findings if finding.kind.startswith("camera-")]
+    if level == "good":
+        title = "A good night"
+        words = "There is nothing to do." if not findings else "What is said below may wait."
+    elif level == "degraded":
+        title = f"{_count(len(cameras), 'camera')} to look at" if cameras else f"{_count(len(findings), 'thing')} to look at"
+        words = f"There is a cloud, but it is not all that it should be. {_todo(findings)}"
+    else:
+        interrupted = any(finding.kind == "interrupted" for finding in findings)
+        title = "Interrupted" if interrupted else "No cloud this night"
+        words = _todo(findings) or "The reasons stand below."
+    return Headline(level, title, words, tuple(_facts(record)))
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def _todo(findings: tuple[Finding, ...]) -> str:
+    """What to do first."""
+    first = next((finding for finding in findings if finding.remedy and finding.subject), None)
+    first = first or next((finding for finding in findings if finding.remedy), None)
+    if first is None:
+        return ""
+    end = "" if first.remedy[-1] in ".?!" else "."
+    return f"First: {'--'.join(first.subject) + ': ' if first.subject else ''}{first.remedy}{end}"
+
+
+def _facts(record: RunRecord) -> list[Fact]:
+    usual = record.usual.figures if record.usual else {}
+    now = figures_of(record)
+    whose = "reference" if record.usual and record.usual.reference else "usual"
+    well = sum(camera.ok for camera in record.cameras)
+    found = [Fact(f"{well} of {len(record.cameras)}", "cameras", grade="" if well == len(record.cameras) else "bad")]
+    good = sum(pair.ok for pair in record.pairs)
+    most = max(len(record.pairs), round(usual.get(Measure.PAIRS, 0)))
+    found.append(Fact(f"{good} of {most}", "pairs of cameras", grade=_grade(good, usual.get(Measure.PAIRS))))
+    if record.cloud:
+        base = usual.get(Measure.POINTS)
+        words = f"{whose}: {base:,.0f}" if base else ""
+        found.append(Fact(f"{record.cloud.points:,}", "points", words, _grade(now[Measure.POINTS], base)))
+    for stage in STAGES:
+        if stage.name in now and stage.reports and stage.reports.expects:
+            base = usual.get(stage.name)
+            words = f"{whose}: {base:,.0f} m²" if base else ""
+            found.append(Fact(f"{now[stage.name]:,.0f} m²", "seen by two cameras", words, _grade(now[stage.name], base)))
+        told = record.later.get(stage.name) or {}
+        if isinstance(told, dict) and told.get("compared") and isinstance(told.get("count"), int):
+            found.append(Fact(str(told["count"]), f"change{'s' * (told['count'] != 1)} since the reference"))
+    seconds = record.seconds.wall
+    found.append(Fact(f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s", "from captures to cloud"))
+    return found
+
+
+def _grade(value: float, base: float | None) -> str:
+    """Against what is usual: the verdict alone decides whether it is enough."""
+    if not base:
+        return ""
+    return "" if value >= 0.9 * base else "fair" if value >= 0.7 * base else "bad"
+
+
+def findings(sources: Sources, album: Album) -> list[ShownFinding]:
+    """The findings of a night, the most important first."""
+    record = sources.record
+    numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
+    found = []
+    for finding in record.verdict.findings if record.verdict else ():
+        name = "--".join(finding.subject)
+        camera = finding.subject[0] if len(finding.subject) == 1 and finding.subject[0] in numbers else None
+        pictures: list[tuple[Shown | None, str]] = []
+        if camera:
+            tonight, then = album.of_frame(camera, f"{camera} on {record.date}"), album.of_last_good(camera)
+            if tonight or then:
+                pictures = [(tonight, f"this night, {record.date}"), *([(then, then.alt)] if then else [])]
+        elif len(finding.subject) == 2:
+            shown = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
+            pictures.extend([(picture, name) for picture in shown if picture][:2])
+        number = numbers.get(name, 0)
+        found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures)))
+    return found

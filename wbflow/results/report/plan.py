@@ -1,0 +1,142 @@
+"""The map: cameras, what they see, pairs and marks from above, in the frame of the page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ...store.record import PairRecord
+from .place import Layout, Standing
+from .sources import Sources
+
+WIDTH = 1000.0
+_LONGEST = 900.0
+"""Height at most."""
+_MARGIN = 70.0
+_REACH = 0.16
+"""How far a field of view is drawn, as a share of the map."""
+_WIDEST = 5.0
+"""Of the line of a pair."""
+
+
+@dataclass(frozen=True)
+class Dot:
+    """A camera on the map."""
+
+    id: str
+    state: str
+    x: float
+    y: float
+    view: str
+    """Corners of the field of view; "" where it is not known where it looks."""
+    title: str
+
+
+@dataclass(frozen=True)
+class Line:
+    """A pair on the map."""
+
+    name: str
+    outcome: str
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    width: float
+    title: str
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A mark on the map."""
+
+    name: str
+    kind: str
+    x: float
+    y: float
+    r: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that is drawn, in the units of the drawing."""
+
+    width: float
+    height: float
+    left: float
+    """Of the drawing, in the frame of the page."""
+    top: float
+    scale: float
+    """Units of the drawing for one unit of the page's frame."""
+    dots: tuple[Dot, ...]
+    lines: tuple[Line, ...]
+    spots: tuple[Spot, ...]
+    bar: float
+    """Length of the scale bar in units of the drawing."""
+    bar_words: str
+    north_deg: float
+    """Clockwise from the top."""
+    north: str
+    absent: tuple[str, ...]
+    """Cameras of which nobody knows where they stand."""
+
+
+def plan_of(sources: Sources, layout: Layout) -> Plan:
+    """The map of a run."""
+    spans = [max(layout.high[k] - layout.low[k], 1e-9) for k in (0, 1)]
+    scale = min((WIDTH - 2 * _MARGIN) / spans[0], (_LONGEST - 2 * _MARGIN) / spans[1])
+    height = min(_LONGEST, max(360.0, spans[1] * scale + 2 * _MARGIN))
+    left = (layout.low[0] + layout.high[0]) / 2 - WIDTH / 2 / scale
+    top = (layout.low[1] + layout.high[1]) / 2 + height / 2 / scale
+
+    def spot(at: tuple[float, ...]) -> tuple[float, float]:
+        return (at[0] - left) * scale, (top - at[1]) * scale
+
+    reach = _REACH * max(WIDTH, height) / scale
+    standing = {camera.id: camera for camera in layout.cameras}
+    words = {camera.id: camera.reason or (camera.health.text if camera.health else "") for camera in sources.record.cameras}
+    dots = []
+    for camera in layout.cameras:
+        x, y = spot(camera.at)
+        view = " ".join(f"{a:.1f},{b:.1f}" for a, b in map(spot, _seen(camera, reach)))
+        title = "; ".join(filter(None, (words[camera.id], camera.note)))
+        dots.append(Dot(camera.id, camera.state, x, y, view, title))
+    most = max((pair.figures.get("inliers") or 0 for pair in sources.record.pairs), default=0) or 1
+    lines = [
+        _line(pair, spot(standing[pair.left].at), spot(standing[pair.right].at), most)
+        for pair in sorted(sources.record.pairs, key=lambda pair: pair.ok)
+        if pair.left in standing and pair.right in standing
+    ]
+    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale)) for m in layout.marks]
+    bar = _round_length(0.2 * WIDTH / scale)
+    east, north = layout.northward
+    absent = tuple(camera.id for camera in sources.record.cameras if camera.id not in standing)
+    turned = math.degrees(math.atan2(east, north))
+    words_of_bar = f"{bar:g} {layout.unit or 'units'}"
+    drawn = tuple(dots), tuple(lines), tuple(spots)
+    return Plan(WIDTH, height, left, top, scale, *drawn, bar * scale, words_of_bar, turned, layout.north, absent)
+
+
+def _seen(camera: Standing, reach: float) -> list[tuple[float, float]]:
+    """Corners of a camera's field of view on the ground; the widest two of its rays bound it."""
+    level = [(r[0], r[1]) for r in camera.rays if math.hypot(r[0], r[1]) > 1e-9]
+    if len(level) < 2 or math.hypot(camera.ahead[0], camera.ahead[1]) < 0.1:
+        return []
+    middle = math.atan2(camera.ahead[1], camera.ahead[0])
+    turns = [(math.atan2(y, x) - middle + math.pi) % (2 * math.pi) - math.pi for x, y in level]
+    first, last = min(turns), max(turns)
+    angles = [middle + first + (last - first) * k / 8 for k in range(9)]
+    at = camera.at
+    return [(at[0], at[1]), *((at[0] + reach * math.cos(a), at[1] + reach * math.sin(a)) for a in angles)]
+
+
+def _line(pair: PairRecord, start: tuple[float, float], end: tuple[float, float], most: float) -> Line:
+    share = math.sqrt((pair.figures.get("inliers") or 0) / most)
+    note = f"{pair.figures.get('inliers') or 0:,} inliers" if pair.ok else f"{pair.outcome}: {pair.reason or ''}"
+    return Line(pair.name, pair.outcome, *start, *end, 1 + _WIDEST * share if pair.ok else 1.5, note)
+
+
+def _round_length(length: float) -> float:
+    """1, 2 or 5 times a power of ten that is not longer."""
+    power = 10.0 ** math.floor(math.log10(max(length, 1e-12)))
+    return max(step * power for step in (1, 2, 5) if step * power <= length * 1.0001)
