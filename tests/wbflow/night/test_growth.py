@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.toy_site import ToySite
+from tests.helpers.toy_site import HELPERS, ToySite
 
 FEW, MANY = 8, 24
 STEEPEST = 1.1
@@ -50,6 +50,7 @@ def exponent(few: tuple[int, int], many: tuple[int, int]) -> float:
 
 
 def test_what_the_engine_does_grows_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(HELPERS)
     counted, found = Counted(monkeypatch), []
     for cameras in (FEW, MANY):
         toy = ToySite(tmp_path / str(cameras), [f"c{k}" for k in range(cameras)], keys={"pin": "none"})
