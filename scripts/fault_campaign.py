@@ -5,7 +5,8 @@
 
 Kills at file operations, worker deaths, damage to every sort of file, receipts exchanged, full disks, overlapping runs, clocks,
 signals.  After each, a plain `wbflow run` has to give the cloud that an undisturbed run gives, with the right exit code, without
-anybody's help, and without doing again what was finished.  Exit code 1 if anything was lost.
+anybody's help, and without doing again what was finished.  And site files, calibrations and captures that nobody means well with,
+which have to be refused by name, or used.  Exit code 1 if anything was lost.
 """
 
 from __future__ import annotations

@@ -96,8 +96,8 @@ def tiff(wide: int, high: int) -> bytes:
 def capture_cases() -> list[Hostile]:
     """All of them."""
     good_png, good_jpg = encoded(".png"), encoded(".jpg")
-    cases = [Hostile(f"pipe-{k}", os.mkfifo, said="a pipe") for k in range(1)]
-    cases += [
+    return [
+        Hostile("pipe", os.mkfifo, said="a pipe"),
         Hostile("socket", _socket, said="a socket"),
         Hostile("device", _link("/dev/zero"), said="a device"),
         Hostile("device-without-end", _link("/dev/urandom"), said="a device"),
@@ -132,7 +132,9 @@ def capture_cases() -> list[Hostile]:
         Hostile("bmp-other-size", _bytes(encoded(".bmp", 2, 640, 360)), said="640 x 360"),
         Hostile("jpg-65500", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), said="65500"),
         Hostile("jpg-65500-unstated", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), said="pixels", stated=False),
-        Hostile("jpg-14000-unstated", _bytes(_jpeg_claims(good_jpg, 14_000, 14_000)), refused=False, stated=False),
+        Hostile("jpg-14000-unstated", _bytes(_jpeg_claims(good_jpg, 14_000, 14_000)), said="cannot hold", stated=False),
+        Hostile("jpg-10000-padded", _bytes(_jpeg_claims(good_jpg, 10_000, 10_000) + bytes(200_000)), refused=False, stated=False),
+        Hostile("jpg-12000-padded", _bytes(_jpeg_claims(good_jpg, 12_000, 12_000) + bytes(200_000)), said="state", stated=False),
         Hostile("jpg-of-nothing", _bytes(_jpeg_claims(good_jpg, 0, 0)), stated=False),
         Hostile("tiff-billions", _bytes(tiff(60_000, 60_000)), said="pixels", stated=False),
         Hostile("tiff-of-nothing", _bytes(tiff(0, 0)), stated=False),
@@ -161,7 +163,6 @@ def capture_cases() -> list[Hostile]:
         Hostile("mask-900-Mpx", _bytes(good_png), mask=_bytes(png(30_000, 30_000, 10)), said="mask"),
         Hostile("mask-black", _bytes(good_png), mask=_bytes(png(WIDE, HIGH, HIGH)), said="no pixel"),
     ]
-    return cases
 
 
 def _bytes(data: bytes) -> Make:

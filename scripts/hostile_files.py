@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hostile_tables import CALIBRATION, CAMERAS_TXT, IMAGES_TXT, SITE, changed, colmap, jsons, plug_ins, texts
+from hostile_tables import CALIBRATION, CAMERA_FILES, CAMERAS_TXT, IMAGES_TXT, SITE, changed, colmap, jsons, plug_ins, texts
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -62,6 +62,7 @@ def base() -> dict[str, bytes]:
         "mask.png": b"",
         "model/cameras.txt": CAMERAS_TXT.encode(),
         "model/images.txt": IMAGES_TXT.encode(),
+        **{file: text.encode() for file, text in CAMERA_FILES.items()},
     }
 
 
@@ -91,13 +92,38 @@ def calibration_cases() -> Iterator[Case]:
     for name, data in jsons().items():
         yield Case(f"JSON: {name}", {"site.yaml": site, "cameras.json": data if isinstance(data, bytes) else data.encode()})
     for place in _places(CALIBRATION["gate"]):
-        for name in ("a word", "nothing", "no number", "endless", "400 digits", "minus one", "an empty list", "true"):
+        for name in _TRIED_IN_CALIBRATIONS:
             changed = {**CALIBRATION, "gate": _with(CALIBRATION["gate"], place, WRONG[name])}
             text = json.dumps(changed).encode()
             yield Case(f"JSON: {'.'.join(map(str, place))} is {name}", {"site.yaml": site, "cameras.json": text}, refused=False)
+    yield from _camera_files()
     model = _dumped(SITE | {"calibration": "model"})
     for name, (file, text) in colmap().items():
         yield Case(f"COLMAP: {name}", {"site.yaml": model, f"model/{file}": text})
+
+
+def _camera_files() -> Iterator[Case]:
+    """What OpenCV, ROS and Kalibr write: as it is, and with every value of it exchanged for others."""
+    import yaml
+
+    for file, text in CAMERA_FILES.items():
+        site = _calibrated_by(file)
+        yield Case(f"{file} as it is", {"site.yaml": site}, refused=False)
+        data = yaml.safe_load(text.replace("%YAML:1.0\n", "").replace("!!opencv-matrix", ""))
+        for place in _places(data):
+            for name in _TRIED_IN_CALIBRATIONS:
+                said = f"{file}: {'.'.join(map(str, place))} is {name}"
+                yield Case(said, {"site.yaml": site, file: _dumped(_with(data, place, WRONG[name]))}, refused=False)
+
+
+def _calibrated_by(file: str) -> bytes:
+    """A site file whose lenses stand in a camera file, or in its folder."""
+    cameras = [{key: value for key, value in camera.items() if key not in _LENS} for camera in SITE["cameras"]]
+    return _dumped(SITE | {"cameras": cameras, "calibration": file.partition("/")[0]})
+
+
+_LENS = {"intrinsics", "distortion"}
+_TRIED_IN_CALIBRATIONS = ("a word", "nothing", "no number", "endless", "400 digits", "minus one", "an empty list", "true")
 
 
 def fuzzed(count: int, seed: int) -> Iterator[Case]:
@@ -110,9 +136,12 @@ def fuzzed(count: int, seed: int) -> Iterator[Case]:
         kind = chance.random()
         if kind < 0.7:
             files = {"site.yaml": _mutated(chance.choice(sites), chance)}
-        elif kind < 0.85:
+        elif kind < 0.83:
             files = {"site.yaml": calibrated, "cameras.json": _mutated(json.dumps(CALIBRATION, indent=1).encode(), chance)}
-        elif kind < 0.93:
+        elif kind < 0.92:
+            file = chance.choice([*CAMERA_FILES])
+            files = {"site.yaml": _calibrated_by(file), file: _mutated(CAMERA_FILES[file].encode(), chance)}
+        elif kind < 0.96:
             files = {"site.yaml": model, "model/images.txt": _mutated(IMAGES_TXT.encode(), chance)}
         else:
             files = {"site.yaml": model, "model/cameras.txt": _mutated(CAMERAS_TXT.encode(), chance)}

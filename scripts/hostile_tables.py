@@ -42,6 +42,55 @@ CALIBRATION: dict[str, Any] = {
 }
 CAMERAS_TXT = "# cameras\n1 PINHOLE 640 480 500 500 320 240\n"
 IMAGES_TXT = "# images\n1 1 0 0 0 0 0 0 1 gate.jpg\n\n2 1 0 0 0 1 0 0 1 roof.jpg\n\n3 1 0 0 0 2 0 0 1 mast.jpg\n\n"
+OPENCV = """%YAML:1.0
+---
+image_width: 640
+image_height: 480
+flags: 0
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 500., 0., 320., 0., 500., 240., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -1.0e-01, 1.0e-02, 0., 0., 0. ]
+"""
+ROS = """image_width: 640
+image_height: 480
+camera_name: gate
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.01, 0, 0, 0]}
+"""
+KALIBR = """gate:
+  camera_model: pinhole
+  intrinsics: [500.0, 500.0, 320.0, 240.0]
+  distortion_model: radtan
+  distortion_coeffs: [-0.1, 0.01, 0, 0]
+  rostopic: /gate/image_raw
+  resolution: [640, 480]
+roof:
+  camera_model: omni
+  intrinsics: [1.2, 500.0, 500.0, 320.0, 240.0]
+  distortion_model: radtan
+  distortion_coeffs: [-0.1, 0.01, 0, 0]
+  resolution: [640, 480]
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -1.0]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+mast:
+  camera_model: ds
+  intrinsics: [-0.2, 0.6, 500.0, 500.0, 320.0, 240.0]
+  distortion_model: none
+  resolution: [640, 480]
+"""
+CAMERA_FILES = {"lenses/gate.yaml": OPENCV, "lenses/roof.yaml": ROS, "lenses/mast.yaml": ROS, "chain.yaml": KALIBR}
+"""A folder with a file for each camera, and a file of all."""
 
 
 def texts() -> dict[str, str | bytes]:
@@ -229,7 +278,7 @@ def colmap() -> dict[str, tuple[str, bytes]]:
         "an image without a name": ("images.txt", images.replace(b" gate.jpg", b"", 1)),
         "images that are no text": ("images.txt", b"\xff\xfe" + images),
         "cameras that are no text": ("cameras.txt", b"\xff\xfe" + cameras),
-        "an unknown model": ("cameras.txt", cameras.replace(b"PINHOLE", b"FISHEYE")),
+        "an unknown model": ("cameras.txt", cameras.replace(b"PINHOLE", b"PINBALL")),
         "too few parameters": ("cameras.txt", cameras.replace(b" 320 240", b"")),
         "a size of 400 digits": ("cameras.txt", cameras.replace(b"640", b"9" * 400)),
         "a size of nothing": ("cameras.txt", cameras.replace(b"640", b"0")),

@@ -40,3 +40,12 @@ install_project() { # install_project EXTRAS
   # an editable install leaves the project uncompiled: every process of every run would compile it anew where caches of it are not written
   "$VENV/bin/python" -m compileall -q wbflow stages tests
 }
+
+install_browser() { # for the tests of the report's page alone, which are skipped without
+  if command -v chromium >/dev/null && command -v chromedriver >/dev/null; then return; fi
+  if command -v apt-get >/dev/null && [ "$(id -u)" -eq 0 ]; then
+    echo "Installing chromium for the tests of the report's page"
+    DEBIAN_FRONTEND=noninteractive sh -c 'apt-get update && apt-get install -y --no-install-recommends chromium chromium-driver' \
+      >/dev/null || echo "chromium could not be installed: the tests of the report's page are skipped" >&2
+  fi
+}

@@ -74,16 +74,13 @@ def match_dense(
     TypeError
         A parameter that the matcher does not read.
 
-    References
-    ----------
-    Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
+    References: Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
     """
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
     if then is not None and then_rectification is not None and _alike(rectification, then_rectification):
-        known = [_known(stored, then.offset_px, pair.left.shape[1]) for stored in (then.left, then.right)]
-        pair = replace(pair, then_left=known[0], then_right=known[1])
+        pair = _starting_from(pair, then)
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
@@ -95,16 +92,14 @@ def match_dense(
     density = float(np.sum(kept[0][0] != INVALID) / max(int(common.sum()), 1))
     if density < min_density:
         return Rejected(Reason.NO_DENSE_MATCHES, {"density": density, "common_px": float(common.sum())})
-    (disparity1, confidence1), (disparity2, confidence2) = kept
-    width1, width2 = rectification.size1[0], rectification.size2[0]
-    return Disparity(
-        left=np.ascontiguousarray(disparity1[:, :width1]),
-        right=np.ascontiguousarray(disparity2[:, :width2]),
-        confidence_left=np.ascontiguousarray(confidence1[:, :width1]),
-        confidence_right=np.ascontiguousarray(confidence2[:, :width2]),
-        offset_px=offset,
-        density=density,
-    )
+    widths = rectification.size1[0], rectification.size2[0]
+    (left_map, sure1), (right_map, sure2) = ((a[:, :w].copy(), b[:, :w].copy()) for w, (a, b) in zip(widths, kept, strict=True))
+    return Disparity(left_map, right_map, sure1, sure2, offset, density)
+
+
+def _starting_from(pair: RectifiedPair, then: Disparity) -> RectifiedPair:
+    left, right = (_known(stored, then.offset_px, pair.left.shape[1]) for stored in (then.left, then.right))
+    return replace(pair, then_left=left, then_right=right)
 
 
 def _alike(one: Rectification, two: Rectification) -> bool:

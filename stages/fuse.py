@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from .core.cameras import backproject
+from .fusion.certainty import depth_variance
 from .fusion.company import company
 from .fusion.exposure import exposure_gains
 from .fusion.pair_depth import world_normals
@@ -117,6 +118,7 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, g
         _confidence(check, depth, y, x),
         check.cameras[y, x].astype(np.float32),
         (z / camera.K[0, 0]).astype(np.float32),
+        depth_variance(depth, check, y, x).astype(np.float32),
     )
 
 
@@ -133,5 +135,5 @@ def _cloud(merged: Samples) -> Cloud:
         (merged.colors + 0.5).clip(0, 255).astype(np.uint8),
         merged.confidence,
         merged.cameras.astype(np.uint16),
-        (1000.0 / np.sqrt(merged.weight)).astype(np.float32),
+        (1000.0 * np.sqrt(merged.variance)).astype(np.float32),
     )

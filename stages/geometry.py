@@ -17,6 +17,7 @@ from .twoview.pair_score import (
     GRID_COLUMNS,
     GRID_ROWS,
     PairEvidence,
+    hardly_converging,
     pair_evidence,
     pair_score,
     point_evidence,
@@ -83,7 +84,8 @@ def estimate_geometry(
     few_inliers : fewer are warned about.
     min_area : share of the image that the hull of the inliers covers, at least, in both images.
     small_area : less than this is warned about.
-    min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides.
+    min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides, and on
+        pairs whose matches agree but whose rays hardly meet.
     seed : of the random samples.
 
     Returns
@@ -116,7 +118,7 @@ def estimate_geometry(
     evidence = _evidence(before, inliers, found, left, right, seed)
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
-    if score < min_score:
+    if score < min_score and not hardly_converging(evidence.angle_deg, evidence.agreement):  # the site says that and why
         return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
     warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
     accepted = _accepted(inliers, found, support, evidence, score)

@@ -18,7 +18,17 @@ from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
 from .sfm.baseline import without_baseline
 from .sfm.overruled import NewPose, overruled
-from .sfm.pose_check import PAIR_PX, TURNED_DEG, Sigma, Witnesses, check_cameras, confirmed, epipolar_error_px, turned_deg
+from .sfm.pose_check import (
+    PAIR_PX,
+    TURNED_DEG,
+    Evidence,
+    Sigma,
+    Witnesses,
+    check_cameras,
+    confirmed,
+    epipolar_error_px,
+    turned_deg,
+)
 from .sfm.within import adjust_within
 from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
@@ -94,7 +104,7 @@ def solve_poses(
         source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
-        notes=(*suspects.values(), *([_doubt(unclear, cameras, seen)] if unclear else []), *found.notes),
+        notes=(*suspects.values(), *([_doubt(unclear, cameras, seen, told)] if unclear else []), *found.notes),
     )
 
 
@@ -181,13 +191,18 @@ def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
     return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
 
 
-def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> str:
+def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], told: list[Evidence]) -> str:
     """What is known of poses of which some are wrong, and what would tell which."""
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
     most = max((turned_deg(cameras, pair, geometry) for pair, geometry in pairs.items()), default=float("nan"))
     by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
+    against = [e.cameras for e in told if e.contradicts]
+    common = [name for name in names if all(name in witnesses for witnesses in against)]
+    if len(against) > 1 and len(common) == 1:
+        what = f"the known poses of {_listed(names)} contradict each other{by}: all pairs that say so have {common[0]} in common."
+        return f"{what} It is the likeliest to be wrong, and stays in use, unverified. Has it been moved?"
     what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong cannot be told."
     what += " They stay in use, unverified: the matches may be of look-alikes."
     if len(names) == len(cameras) > 2:

@@ -25,6 +25,7 @@ from .rectification.warping import to_rectified
 from .stereo.witness import ask_witness
 from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
+from .twoview.pair_score import hardly_converging
 from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfPair, PairCheck, Rectification, Scene
 
 METHODS = {
@@ -81,8 +82,8 @@ def rectify(
 ) -> Rectification | Rejected:
     """Find how the two frames of a pair are resampled so that a point lies on the same row in both.
 
-    Where both cameras are known, they give the rows.  Matches that agree with them choose scale, crop and disparity range; where
-    these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
+    Known cameras give the rows.  Matches that agree with them choose scale, crop and range, with the ground where that is known;
+    where these are too few, points of the likely scene do, and dense matching is asked whether the rows are right.
 
     Parameters
     ----------
@@ -126,9 +127,7 @@ def rectify(
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
     by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
     enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
-    if left is None or right is None or left_frame is None or right_frame is None:
-        return by_matches
-    if enough:
+    if enough or left is None or right is None or left_frame is None or right_frame is None:
         return _reaching_ground(by_matches, geometry, (left, right), scene, fitted)
     by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
     return by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
@@ -148,7 +147,7 @@ def _by_matches(
         return Rejected(Reason.NOTHING_KNOWN), 0
     min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _obeying(geometry, left, right)
-    refusal = _contradicted(check) or _unbelievable(geometry, pair)
+    refusal = _contradicted(check) or _unbelievable(geometry, pair, min_angle_deg)
     found = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fitted(pair)
     if isinstance(found, Rejected):
         return found, len(pair.x1)
@@ -209,14 +208,16 @@ def _from_cameras(
 def _reaching_ground(
     found: Rectification | Rejected,
     geometry: Geometry | None,
-    cameras: tuple[Camera, Camera],
+    views: tuple[Camera | None, Camera | None],
     scene: Scene | None,
     fitted: Callable[[MatchedPair], Placed | Rejected],
 ) -> Rectification | Rejected:
     """What the matches tell, laid out anew where that leaves most of the ground out of reach: façades all around a square match
     one another, its repeated paving at their feet does not."""
-    if isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
+    left, right = views
+    if left is None or right is None or isinstance(found, Rejected) or geometry is None or scene is None or scene.ground is None:
         return found
+    cameras = left, right
     x1, x2 = ground_in_both(*cameras, scene.ground)
     if len(x1) < _FEWEST_POINTS or _in_reach(found, x1, x2) >= _LEAST_GROUND_IN_REACH:
         return found
@@ -289,8 +290,10 @@ def _obeying(geometry: Geometry, left: Camera | None, right: Camera | None) -> M
     return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, _angle_deg(left, right, x1, x2))
 
 
-def _unbelievable(geometry: Geometry, pair: MatchedPair) -> Rejected | None:
+def _unbelievable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
     """Why F is not to be believed where no cameras gave it."""
+    if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
+        return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
     if pair.camera1 is None and geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
         return Rejected(Reason.UNLIKELY_GEOMETRY, figures)

@@ -74,41 +74,34 @@ def refine(
     scene
         Where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
     then_camera, then_depth
-        The reference's, if there is one: its surface is where to start from where tonight's pairs have none, for a camera that
-        stands as it stood.
+        The reference's, if there is one: where to start from where tonight's pairs have nothing, if the camera stands as then.
     radius
-        The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones: what it
-        costs doesn't grow, since its pixels move apart.
+        The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones, whose
+        pixels move apart.
     sweeps
         Passes over the image, alternately down and up.
-    max_sources
-        Compare with at most so many views, the nearest in angle.
-    min_angle_deg, max_angle_deg
-        Only with views that see the scene from so many degrees aside.
-    max_cost
-        Keep planes whose best source correlates better than 1 - max_cost.
-    noise_px
-        Assumed error of a match in pixels, standard deviation.
+    max_sources, min_angle_deg, max_angle_deg
+        Compare with at most so many views, the nearest in angle, that see the scene from so many degrees aside.
+    max_cost, noise_px
+        Keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels, standard deviation.
     """
-    around = _sources(camera, {n: cameras[n] for n in frames if n in cameras}, depth, min_angle_deg, max_angle_deg)
-    around = around[: min(max_sources, 32)]
+    others = {name: cameras[name] for name in frames if name in cameras}
+    around = _sources(camera, others, depth, min_angle_deg, max_angle_deg)[: min(max_sources, 32)]
     if not around:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    image = luminance(frame.image)
-    sources = _stack([luminance(frames[other].image) for other in around])
+    image, sources = luminance(frame.image), _stack([luminance(frames[other].image) for other in around])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, cameras[other]) for other in around), strict=True))
-    spacing = max(1, round(max(image.shape) / 768))
-    taps = spacing * _taps(radius)
-    far = max(2, round(5 * max(image.shape) / 768))
+    spacing, far = max(1, round(max(image.shape) / 768)), max(2, round(5 * max(image.shape) / 768))
+    if then_depth is not None and not _stands(camera, then_camera, depth, then_depth):
+        then_depth = None
     planes = _planes_of(depth)
-    then = _planes_of(then_depth) if then_depth is not None and _stands(camera, then_camera, depth, then_depth) else None
-    if then is not None:
-        planes = np.where(np.isfinite(planes[0]), planes, then)
+    if then_depth is not None:
+        planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
     known = np.isfinite(planes[0])
     nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
-    propagation = Propagation(image, frame.mask, sources, M, b, taps)
-    cost = propagation.improve(planes, sweeps if then is None else min(sweeps, _AGAIN), far, 0.9 * farthest, 1.1 * nearest)
-    ground = None if scene is None or scene.ground is None else ground_planes(camera, scene.ground)
+    propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(radius))
+    cost = propagation.improve(planes, sweeps if then_depth is None else min(sweeps, _AGAIN), far, 0.9 * farthest, 1.1 * nearest)
+    ground = ground_planes(camera, scene.ground) if scene is not None and scene.ground is not None else None
     if ground is not None:
         _lean_on_ground(planes, cost, propagation, ground, max_cost)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
@@ -116,12 +109,12 @@ def refine(
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
     z, sigma = _depth_and_sigma(np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=noise_px))
-    sure = kept & (_as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE))
+    sure = _as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
     if ground is not None:
-        sure |= kept & _on_ground(planes, ground)
-    if then is not None and then_depth is not None:
-        sure |= kept & (support.second < max_cost) & then_depth.sure & _as_before(z, sigma, then_depth)
-    return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), sure)
+        sure |= _on_ground(planes, ground)
+    if then_depth is not None:
+        sure |= (support.second < max_cost) & then_depth.sure & _as_before(z, sigma, then_depth)
+    return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
 
 
 def _planes_of(depth: DepthMap) -> Float32s:

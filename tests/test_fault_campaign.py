@@ -13,7 +13,7 @@ SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "fault_campaign.py
 
 GROUPS = {
     "kills": ("kills-first", "kills-idle", "kills-clean"),
-    "damage": ("damage", "exchanges"),
+    "damage": ("damage", "exchanges", "references"),
     "disks": ("disks", "clocks"),
 }
 

@@ -23,17 +23,16 @@ from .config.load import load_site as _load_site
 from .config.site import Site
 from .errors import UsageError, WbflowError
 from .graph.exports import CLOUD_OBJECT
-from .graph.pipeline import STAGES
 from .night.journal import Costs, Journal
 from .night.night import open_night
 from .night.options import Options
 from .night.pin import fit_to_pin, pin, prepare
 from .night.run import terminate_as_interrupt, work
-from .results.artifacts import FinishedRun, function
+from .results.artifacts import FinishedRun, function, task_named
 from .results.publish import publish
 from .results.report.share import share_pictures
 from .store.clean import clean
-from .store.events import Event, Listener
+from .store.events import Event, Listener, Watcher
 from .store.intact import Intact
 from .store.layout import WorkFolder
 from .store.ledger import Ledger
@@ -127,7 +126,7 @@ class Run:
         WbflowError
             The cache does not hold it any more.
         """
-        task = _task(task) if isinstance(task, str) else task
+        task = task_named(task) if isinstance(task, str) else task
         event = self.finished.tasks.get(task)
         if event is None:
             known = ", ".join(dict.fromkeys(str(t) for t in self.finished.tasks if t.stage == task.stage)) or "none of this stage"
@@ -162,6 +161,7 @@ def run(
     time_limit: float | None = None,
     stop_at: datetime.datetime | None = None,
     listen: Listener | None = None,
+    watch: Watcher | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
@@ -179,18 +179,16 @@ def run(
         Stages, or tasks such as "matches gate--roof", to be done again.
     wait : bool
         Wait for another run of the same work folder.
-    backend : str
-        Where tasks run: processes, threading or dask.
-    scheduler : str, optional
-        Address of the Dask scheduler.
+    backend, scheduler : str
+        Where tasks run: processes, threading or dask; the address of Dask's scheduler.
     memory : str, optional
-        What all workers together may hold, such as "4GB"; four fifths of what the machine has, if not given.
+        What all workers together may hold: "4GB"; four fifths of what the machine has, if not given.
     time_limit : float, optional
         Seconds that a task may take; told by what its stage took before, if not given.
     stop_at : datetime, optional
         Local time from which on only what is there already is put together and published.
-    listen : callable, optional
-        Told of every event as it happens.
+    listen, watch : callable, optional
+        Told of every event as it happens; of what is planned, and of each task that is begun.
 
     Returns
     -------
@@ -213,7 +211,7 @@ def run(
     options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit, stop_at)
     options.check()
     try:
-        return _run(site, options, listen or _quiet)
+        return _run(site, options, listen or _quiet, watch)
     except OSError as error:
         what = f"{error.filename or site.work}: {error.strerror or error}"
         remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
@@ -244,13 +242,13 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
 
 
-def _run(site: Site, options: Options, listen: Listener) -> Run:
+def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) -> Run:
     place = WorkFolder(site.work)
     with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
         night = open_night(site, options.date, options.until, options.force)
-        journal = Journal(listen)
+        journal = Journal(listen, watch, options.jobs)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         for damage in filter(None, (night.digests.damage, night.seen.damage, site.reader.damage)):
@@ -328,10 +326,3 @@ def _size(text: str) -> int:
 
 def _quiet(event: Event) -> None:
     """A listener that says nothing."""
-
-
-def _task(name: str) -> Task:
-    stage, _, subject = name.partition(" ")
-    if stage not in {row.name for row in STAGES}:
-        raise UsageError(f"{name!r}: there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
-    return Task(stage, tuple(subject.split("--")) if subject else ())

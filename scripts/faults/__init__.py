@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 from .bench import Bench as Bench
 from .bench import Row as Row
-from .damage import damage, exchanges
+from .damage import damage, exchanges, references
+from .hostile import HOSTILE
 from .kills import cleaning, first_night, kills_in, next_night, nothing_to_do, parents, pinning, workers
 from .others import clocks, full_disks, overlaps, signals
 
@@ -20,9 +21,11 @@ CAMPAIGN: dict[str, Callable[[Bench, bool], Row]] = {
     "workers": workers,
     "damage": damage,
     "exchanges": exchanges,
+    "references": references,
     "disks": full_disks,
     "overlaps": overlaps,
     "signals": signals,
     "clocks": clocks,
+    **HOSTILE,
 }
 """By name: the bench, and whether a few tries are enough."""

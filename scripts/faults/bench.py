@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
 import random
 import shutil
-import signal
-import subprocess
-import sys
-import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+from jinja2 import Environment
+
 from tests.helpers.toy_site import ToySite
+from wbflow.graph.functions import FunctionReader
+from wbflow.store.layout import WorkFolder
 
 from .operations import arm
+from .processes import Ended, Started, fork_workers, forked, started_anew
 
-HANG_SECONDS = 60.0
 QUICK = ("--jobs", "1", "--backend", "threading")
 """In one process: the one that is struck."""
 
 
-KINDS = ("wrong cloud", "manual step", "traceback", "hang", "wrong exit", "done twice")
+KINDS = ("wrong cloud", "manual step", "traceback", "hang", "wrong exit", "done twice", "memory")
 
 
 @dataclass
@@ -37,7 +37,7 @@ class Row:
     losses: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
 
-    HEAD: ClassVar[str] = f"{'fault':34} {'tries':>6}  wrong cloud  manual step  traceback  hang  wrong exit  done twice"
+    HEAD: ClassVar[str] = f"{'fault':38} {'tries':>6}  {'  '.join(KINDS)}"
 
     def lost(self, kind: str, what: str) -> None:
         self.counts[kind] += 1
@@ -45,21 +45,11 @@ class Row:
         self.losses.append(f"{kind}: {what}")
 
     def __str__(self) -> str:
-        c = [self.counts[kind] for kind in KINDS]
-        return f"{self.fault:34} {self.tries:6}  {c[0]:11}  {c[1]:11}  {c[2]:9}  {c[3]:4}  {c[4]:10}  {c[5]:10}"
+        counts = "  ".join(f"{self.counts[kind]:{len(kind)}}" for kind in KINDS)
+        return f"{self.fault:38} {self.tries:6}  {counts}"
 
     def to_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a process ended."""
-
-    code: int
-    """Negative: the signal that killed it."""
-    said: str
-    hung: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,15 +68,32 @@ class Bench:
         self.random = random.Random(seed)
         self.clouds: dict[str, bytes] = {}
         """What undisturbed runs give, by night."""
-        _import_all(folder)
+        self._functions = _import_all(folder)
         self._made = 0
 
-    def site(self, cameras: int = 2, **settings: Any) -> ToySite:
-        """A new site; settings: sections of its file."""
+    def site(self, cameras: int = 2, unread: bool = False, watched: bool = False, **settings: Any) -> ToySite:
+        """A new site.
+
+        Parameters
+        ----------
+        cameras : int
+            How many.
+        unread : bool
+            Nothing is remembered of its functions yet.
+        watched : bool
+            Its captures are dated, and its cameras compared with the reference.
+        **settings : Any
+            Sections of its file.
+        """
         self._made += 1
-        toy = ToySite(self.folder / f"site-{self._made}", ["gate", "roof", "mast-1", "crane"][:cameras])
+        ids = ["gate", "roof", "mast-1", "crane"][:cameras]
+        toy = ToySite(self.folder / f"site-{self._made}", ids, watched=watched, dated=watched)
         site = json.loads(toy.file.read_text())
         toy.file.write_text(json.dumps({**site, **settings}))
+        if not unread and "work" not in settings:
+            memo = WorkFolder(toy.work).functions_memo
+            memo.parent.mkdir(parents=True)
+            shutil.copyfile(self._functions, memo)
         return toy
 
     def copy(self, toy: ToySite) -> ToySite:
@@ -122,25 +129,31 @@ class Bench:
     def run(self, toy: ToySite, *arguments: str, strike: Strike | None = None, command: str = "run") -> Ended:
         """A command in a process of its own: a child of this one, which has everything imported already."""
         quick = QUICK if command == "run" and "--jobs" not in arguments else ()
-        output = self.folder / "said"
-        counter = self.folder / "operations"
-        counter.write_bytes(b"")
-        child = os.fork()
-        if child == 0:
-            _become(toy, output, [command, str(toy.file), *quick, *arguments], strike, counter)
-        return self._wait(child, output)
+        return self._forked(toy, [command, str(toy.file), *quick, *arguments], strike).wait()
 
     def operations(self, toy: ToySite, *arguments: str, command: str = "run") -> int:
         """How many operations on files a command takes."""
         self.run(toy, *arguments, strike=Strike(0), command=command)
-        return (self.folder / "operations").stat().st_size
+        return self._counter.stat().st_size
 
-    def start(self, toy: ToySite, *arguments: str) -> subprocess.Popen[str]:
-        """A run in a process that is started anew, as cron does."""
+    def start(self, toy: ToySite, *arguments: str, anew: bool = False) -> Started:
+        """A run of as many processes as it likes; anew: none of them is forked from this one."""
+        if not anew:
+            return self._forked(toy, ["run", str(toy.file), *arguments], None)
         environment = {**toy.env(), "PYTHONDONTWRITEBYTECODE": "1"}
-        command = toy.command("run", str(toy.file), *arguments)
-        pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-        return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=_heed, **pipes)
+        return started_anew(toy.command("run", str(toy.file), *arguments), environment, self._output())
+
+    def _forked(self, toy: ToySite, arguments: list[str], strike: Strike | None) -> Started:
+        self._counter.write_bytes(b"")
+        return forked(lambda: _run(toy, arguments, strike, self._counter), self._output())
+
+    @property
+    def _counter(self) -> Path:
+        return self.folder / "operations"
+
+    def _output(self) -> Path:
+        self._made += 1
+        return self.folder / f"said-{self._made}"
 
     def recovered(self, row: Row, toy: ToySite, cloud: bytes, what: str, code: int = 0, at_most: int | None = None) -> None:
         """After a fault, a plain run has to give the cloud, without anybody's help.
@@ -187,19 +200,6 @@ class Bench:
         """Of the tasks that are finished."""
         return {str(path.relative_to(toy.work)) for path in (toy.work / "cache").glob("*/*/*.json")}
 
-    def _wait(self, child: int, output: Path) -> Ended:
-        end = time.monotonic() + HANG_SECONDS
-        while time.monotonic() < end:
-            done, status = os.waitpid(child, os.WNOHANG)
-            if done:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(child, signal.SIGKILL)
-                return Ended(os.waitstatus_to_exitcode(status), output.read_text(errors="replace"))
-            time.sleep(0.02)
-        os.killpg(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        return Ended(-9, output.read_text(errors="replace"), hung=True)
-
 
 def set_parameters(toy: ToySite, **parameters: Any) -> None:
     """Parameters by stage, in the site file as it is."""
@@ -209,42 +209,48 @@ def set_parameters(toy: ToySite, **parameters: Any) -> None:
     toy.file.write_text(json.dumps(site))
 
 
-def _become(toy: ToySite, output: Path, arguments: list[str], strike: Strike | None, counter: Path) -> None:
-    """In the child: run the command line, struck where it is to be; never returns."""
-    code = 70
-    try:
-        os.setsid()
-        descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(descriptor, 1)
-        os.dup2(descriptor, 2)
-        os.environ.update(toy.env())
-        from wbflow.cli import main
-        from wbflow.store import digests, run_folder
+def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Path) -> None:
+    """In the child: the command line, struck where it is to be."""
+    os.environ.update(toy.env())
+    from wbflow.cli import main
+    from wbflow.store import digests
 
-        digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
-        run_folder._SET_BACK_S = -1.0  # ids of runs in one second don't wait for the next
-        if strike:
-            arm(counter, strike.at, strike.kind)
-        main.main(args=arguments, prog_name="wbflow", standalone_mode=True)
-        code = 0
-    except SystemExit as ended:
-        code = ended.code if isinstance(ended.code, int) else 1
-    except BaseException as error:  # as the interpreter would end
-        os.write(2, f"Traceback: {type(error).__name__}: {error}".encode())
-        code = 1
-    finally:
-        with contextlib.suppress(Exception):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
+    digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
+    fork_workers()
+    if strike:
+        arm(counter, strike.at, strike.kind)
+    main.main(args=arguments, prog_name="wbflow", standalone_mode=True)
 
 
-def _heed() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+def _read_once() -> None:
+    """Source files and the report's template are read once in the campaign: that takes longer than all else of a toy night."""
+    remembered = FunctionReader._remembered
+    known: dict[tuple[str, str, Path], Any] = {}
+
+    def read_once(self: FunctionReader, shelf: str, name: str, path: Path, read: Callable[[], Any]) -> dict[str, Any]:
+        def once() -> Any:
+            place = shelf, name, path
+            if place not in known:
+                known[place] = read()
+            return known[place]
+
+        return remembered(self, shelf, name, path, once)
+
+    FunctionReader._remembered = read_once  # type: ignore[method-assign]
+    compile_now = Environment.compile
+    compiled: dict[str, Any] = {}
+
+    def compile_once(self: Environment, source: str, *rest: Any, **named: Any) -> Any:
+        if source not in compiled:
+            compiled[source] = compile_now(self, source, *rest, **named)
+        return compiled[source]
+
+    Environment.compile = compile_once  # type: ignore[method-assign, assignment]
 
 
-def _import_all(folder: Path) -> None:
-    """What a run imports is imported once, before processes are split off: by a run."""
+def _import_all(folder: Path) -> Path:
+    """What a run imports is imported once, before processes are split off: by a run.  Returns what it remembers of functions."""
+    _read_once()
     toy = ToySite(folder / "first", ["gate", "roof"])
     before = dict(os.environ)
     os.environ.update(toy.env())
@@ -257,3 +263,4 @@ def _import_all(folder: Path) -> None:
         assert ended.exit_code == 0, ended.output
     os.environ.clear()
     os.environ.update(before)
+    return WorkFolder(toy.work).functions_memo

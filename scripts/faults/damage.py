@@ -37,9 +37,10 @@ SORTS = {
 def damage(bench: Bench, reduced: bool) -> Row:
     """One file, in one way; then the same night, and one whose tasks read what is there."""
     row = Row("damaged file")
-    made = _three_nights(bench)
+    sites = _three_nights(bench, pin="none"), _three_nights(bench)
     tries = 1 if reduced else 20
     for k in range(tries):
+        made = sites[(k + 1) % 2]
         for sort, pattern in SORTS.items():
             files = sorted(path for path in made.work.glob(pattern) if path.is_file() and "latest" not in str(path))
             if not files:
@@ -83,12 +84,40 @@ def exchanges(bench: Bench, reduced: bool) -> Row:
     return row
 
 
-def _three_nights(bench: Bench) -> ToySite:
-    toy = bench.site(2)
+def references(bench: Bench, reduced: bool) -> Row:
+    """One file that the reference consists of, there or in the cache; the nights after have to be what they would have been."""
+    row = Row("reference damaged")
+    made = bench.site(3, watched=True)
+    bench.run(made, "--date", "2026-11-01")
+    expected = {}
+    whole = bench.copy(made)
+    for date in (later := ("2026-11-02", "2026-11-03")):
+        whole.night(date)
+        bench.run(whole, "--date", date)
+        expected[date] = whole.cloud
+    for k in range(2 if reduced else 60):
+        files = sorted(path for path in (made.work / "reference").rglob("*") if path.is_file())
+        file = made.work / "reference" / "reference.json" if k % 4 == 0 else bench.random.choice(files)
+        of_cache = made.work / "cache" / file.relative_to(made.work / "reference")
+        file = of_cache if k % 4 == 3 and of_cache.exists() else file
+        way = list(WAYS)[k % len(WAYS)]
+        twin = bench.copy(made)
+        WAYS[way](bench, twin.work / file.relative_to(made.work))
+        row.tries += 1
+        for date in later:
+            twin.night(date)
+            bench.recovered(row, twin, expected[date], f"{way}: {file.relative_to(made.work)}, night of {date}")
+        bench.discard(twin)
+    return row
+
+
+def _three_nights(bench: Bench, pin: str = "auto") -> ToySite:
+    toy = bench.site(2, pin=pin)
     for view in ("two", "three", "one"):
         bench.night(toy, view)
         bench.run(toy)
-    bench.run(toy, command="pin")
+    if pin != "none":
+        bench.run(toy, command="pin")
     return toy
 
 

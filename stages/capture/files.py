@@ -10,7 +10,12 @@ from ..io.jpeg import SCAN, jpeg_segments
 from ..types import Capture, Lens, Uint8s
 
 MOST_PIXELS = 200_000_000
-"""Of an image that is decoded, unless its size is stated: 0.6 GB, and twice that while colours are put in order."""
+"""Of an image that is decoded: 0.6 GB, and twice that while colours are put in order."""
+MOST_UNSTATED_PIXELS = 110_000_000
+"""Of one whose size nobody has stated: what cameras that stand somewhere have; it takes seconds to decode."""
+MOST_PIXELS_A_BYTE = 1000
+"""Of an image of more than `FEW_PIXELS`: photographs have 5 to 100 pixels for each byte, black ones in PNG 300."""
+FEW_PIXELS = 10_000_000
 
 
 class BadCapture(ValueError):
@@ -56,7 +61,7 @@ def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
     written = data.tobytes()
     refuse_truncated(capture.name, written)
-    _refuse_size(capture.name, picture_size(written), lens)
+    _refuse_size(capture.name, picture_size(written), len(written), lens)
     image = decoded(data, cv2.IMREAD_COLOR)
     if image is None:
         raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
@@ -83,16 +88,23 @@ def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
     return WrongSize(f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}")
 
 
-def _refuse_size(name: str, size: tuple[int, int] | None, lens: Lens | None) -> None:
-    """By the header alone, before memory is asked for what it promises.  The image may lie on its side: EXIF data turn it."""
+def _refuse_size(name: str, size: tuple[int, int] | None, written: int, lens: Lens | None) -> None:
+    """By the header alone, before memory and time are given for what it promises in so many bytes.
+
+    The image may lie on its side: EXIF data turn it.
+    """
     if size is None:
         return
     width, height = size
-    if lens and lens.width and lens.height and sorted(size) != sorted((lens.width, lens.height)):
+    stated = bool(lens and lens.width and lens.height)
+    if stated and lens and sorted(size) != sorted((lens.width, lens.height)):
         raise wrong_size(name, width, height, lens)
-    if width * height > MOST_PIXELS:
-        most = f"{MOST_PIXELS // 10**6} million are the most that are decoded"
-        raise OversizedImage(f"{name} has {width} x {height} pixels, {most}")
+    if width * height > max(FEW_PIXELS, written * MOST_PIXELS_A_BYTE):
+        raise OversizedImage(f"{name} promises {width} x {height} pixels, which {written:,} bytes cannot hold")
+    most = MOST_PIXELS if stated else MOST_UNSTATED_PIXELS
+    if width * height > most:
+        how = "" if stated else " as long as its intrinsics do not state its size"
+        raise OversizedImage(f"{name} has {width} x {height} pixels, {most // 10**6} million are the most that are decoded{how}")
 
 
 def refuse_truncated(name: str, data: bytes) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.cameras import project
 from ..core.jit import kernel
 from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
-from .cloud_distance import CONFIDENCE, Distances, MeasuredCloud, cloud_distances
+from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances
 from .epoch import Epoch
 from .free_space import Sight, look_at
 from .likeness import likeness
@@ -101,8 +101,7 @@ def _gathered(
     core = cloud.points[rows]
     radius, reach = RADIUS * spacing, REACH * spacing
     normals = mean_normals(core, cloud.index, own.cloud.normals, radius)
-    limits = {"radius": radius, "reach": reach, "registration": registration}
-    found: Distances = cloud_distances(core, normals, other_cloud, cloud, **limits)
+    found = cloud_distances(core, normals, other_cloud, cloud, radius=radius, reach=reach, registration=registration)
     sight = look_at(core, cloud.sigma[rows], other.cameras, other.seeing, other.depth)
     measured = np.isfinite(found.distance)
     nothing, unasked = np.zeros(len(core), bool), np.full(len(core), np.nan, np.float32)

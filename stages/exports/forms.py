@@ -30,7 +30,7 @@ def laz(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
 
 
 def heights(cloud: Cloud, poses: Poses) -> Files:
-    """heights.tif where the site is georeferenced, else heights.png, heights.pfm and heights.json."""
+    """heights.tif where the site is georeferenced, else heights.png with its world file, heights.pfm and heights.json."""
     from .heights import geotiff, height_map, plain_files
 
     points = cloud.points.astype(np.float64)

@@ -70,7 +70,7 @@ def spacing(points: Float64s, sample: int = 20_000) -> float:
 
 
 def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float | int]]:
-    """heights.pfm and heights.png, and what is to be known to read them.
+    """heights.pfm, heights.png with its world file, and what is to be known to read them.
 
     PNG: 0 is unknown, else height = (value - 1) / png_steps_per_unit + png_lowest.
     """
@@ -80,7 +80,9 @@ def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float |
     rows, columns = heights.heights.shape
     told = {"left": heights.left, "top": heights.top, "cell": heights.cell, "rows": rows, "columns": columns}
     told |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
-    return {"heights.pfm": pfm(heights.heights), "heights.png": png(values)}, told
+    lines = (heights.cell, 0.0, 0.0, -heights.cell, heights.left + heights.cell / 2, heights.top - heights.cell / 2)
+    world = "".join(f"{value!r}\n" for value in map(float, lines)).encode()  # of the first cell's middle, as GIS programs read it
+    return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, told
 
 
 def geotiff(heights: HeightMap, epsg: int) -> bytes:

@@ -15,6 +15,10 @@ PNG_STEPS = 16
 """Steps of the 16-bit disparity image in a pixel."""
 
 
+FULL = 10_000
+"""Pictures are as large as the frames."""
+
+
 def pair_files(
     left: Frame,
     right: Frame,
@@ -61,11 +65,11 @@ def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, rig
     right : Frame
         The frame that x2 lies in.
     """
-    files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right))}
+    files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
     if geometry is not None:
         rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
         files |= {"inliers.csv": _table(geometry), "F.txt": f"{rows}\n".encode()}
-        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right))
+        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
     return files
 
 
@@ -74,7 +78,7 @@ def rectified_files(rectification: Rectification, left: Frame, right: Frame) -> 
     return {
         "left-rectified.png": png(warp(rectification, 1, left.image)),
         "right-rectified.png": png(warp(rectification, 2, right.image)),
-        "3-rectified.jpg": bytes(rectified_preview(rectification, left, right)),
+        "3-rectified.jpg": bytes(rectified_preview(rectification, left, right, width=FULL)),
     }
 
 
@@ -99,7 +103,7 @@ def disparity_files(
     maps = {"left": disparity_px(disparity, 1), "right": disparity_px(disparity, 2)}
     known = np.concatenate([m[np.isfinite(m)] for m in maps.values()])
     offset = int(np.floor(known.min())) if known.size else 0
-    files = {"4-disparity.jpg": bytes(disparity_preview(disparity, left, right, rectification))}
+    files = {"4-disparity.jpg": bytes(disparity_preview(disparity, left, right, rectification, width=FULL))}
     for name, values in maps.items():
         steps = np.nan_to_num((values - offset) * PNG_STEPS + 1, nan=0.0)
         files[f"{name}-disparity.png"] = png(np.clip(np.round(steps), 0, 65535).astype(np.uint16))

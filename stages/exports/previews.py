@@ -1,6 +1,7 @@
 """Small pictures of every stage's result, for the report: what a person looks at to see whether a night is sound.
 
-Each function returns a JPEG file's bytes, (n,) uint8, at most 480 pixels wide; the same result gives the same bytes.
+Each function returns a JPEG file's bytes, (n,) uint8, at most 480 pixels wide where nothing else is asked for; the same result
+gives the same bytes.
 """
 
 from __future__ import annotations
@@ -25,16 +26,25 @@ def frame_preview(frame: Frame, **_: object) -> Uint8s:
     return _jpeg(_fit(shown.astype(np.uint8), WIDTH))
 
 
-def matches_preview(matches: Matches | Geometry, left: object = None, right: object = None, **_: object) -> Uint8s:
+def matches_preview(
+    matches: Matches | Geometry, left: object = None, right: object = None, *, width: int = WIDTH, **_: object
+) -> Uint8s:
     """Both views side by side, and lines between corresponding points: evenly spread, each in a colour of its own.
 
-    left, right: the views' `Frame`s; anything else, and the points stand on empty ground.
+    Parameters
+    ----------
+    matches
+        Of the pair.
+    left, right
+        The views' `Frame`s; anything else, and the points stand on empty ground.
+    width
+        Of the picture, at most.
     """
     ground = [
         side.image if isinstance(side, Frame) else np.full((view.height, view.width, 3), 48, np.uint8)
         for side, view in ((left, matches.view1), (right, matches.view2))
     ]
-    canvas, at1, at2 = _side_by_side(ground[0], ground[1], matches.x1, matches.x2)
+    canvas, at1, at2 = _side_by_side(ground[0], ground[1], matches.x1, matches.x2, width)
     chosen = _spread(matches.x1, (matches.view1.width, matches.view1.height))
     for k, n in enumerate(chosen):
         colour = _hue(k / max(1, len(chosen)))
@@ -45,9 +55,19 @@ def matches_preview(matches: Matches | Geometry, left: object = None, right: obj
     return _jpeg(canvas)
 
 
-def rectified_preview(rectification: Rectification, left: Frame, right: Frame, **_: object) -> Uint8s:
-    """Both rectified images and a few common rows: what lies on a row on the left lies on it on the right."""
-    return _jpeg(_rectified(rectification, left, right))
+def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *, width: int = WIDTH, **_: object) -> Uint8s:
+    """Both rectified images and a few common rows: what lies on a row on the left lies on it on the right.
+
+    Parameters
+    ----------
+    rectification
+        How the frames are resampled.
+    left, right
+        The frames of the pair.
+    width
+        Of the picture, at most.
+    """
+    return _jpeg(_rectified(rectification, left, right, width))
 
 
 def disparity_preview(
@@ -55,6 +75,8 @@ def disparity_preview(
     left: Frame | None = None,
     right: Frame | None = None,
     rectification: Rectification | None = None,
+    *,
+    width: int = WIDTH,
     **_: object,
 ) -> Uint8s:
     """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given.
@@ -67,11 +89,13 @@ def disparity_preview(
         The frames of the pair.
     rectification
         How they are resampled.
+    width
+        Of the picture, at most.
     """
-    shown = _disparities(disparity)
+    shown = _disparities(disparity, width)
     if left is None or right is None or rectification is None:
         return _jpeg(shown)
-    above = _rectified(rectification, left, right)
+    above = _rectified(rectification, left, right, width)
     canvas = np.full((above.shape[0] + 4 + shown.shape[0], max(above.shape[1], shown.shape[1]), 3), 24, np.uint8)
     canvas[: above.shape[0], : above.shape[1]] = above
     canvas[above.shape[0] + 4 :, : shown.shape[1]] = shown
@@ -125,10 +149,10 @@ def _fit(image: Uint8s, width: int) -> Uint8s:
     return np.asarray(cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _side_by_side(left: Uint8s, right: Uint8s, x1: Float64s, x2: Float64s) -> tuple[Uint8s, Float64s, Float64s]:
+def _side_by_side(left: Uint8s, right: Uint8s, x1: Float64s, x2: Float64s, width: int) -> tuple[Uint8s, Float64s, Float64s]:
     """Two pictures on one canvas at one scale, and where their points come to lie on it."""
     gap, widest = 4, max(left.shape[1], right.shape[1])
-    scale = min(1.0, (WIDTH - gap) / 2 / widest)
+    scale = min(1.0, (width - gap) / 2 / widest)
     small = [_fit(image, max(1, round(image.shape[1] * scale))) for image in (left, right)]
     canvas = np.full((max(s.shape[0] for s in small), small[0].shape[1] + gap + small[1].shape[1], 3), 24, np.uint8)
     offset = small[0].shape[1] + gap
@@ -144,20 +168,21 @@ def _spread(x: Float64s, size: tuple[int, int]) -> list[int]:
     return [int(n) for n in first[:_LINES]]
 
 
-def _rectified(rectification: Rectification, left: Frame, right: Frame) -> Uint8s:
+def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
     """Both rectified images side by side, with common rows drawn in."""
     none = np.zeros((0, 2))
-    canvas, _, _ = _side_by_side(warp(rectification, 1, left.image), warp(rectification, 2, right.image), none, none)
+    one, two = warp(rectification, 1, left.image), warp(rectification, 2, right.image)
+    canvas, _, _ = _side_by_side(one, two, none, none, width)
     for row in np.linspace(0, canvas.shape[0] - 1, 9)[1:-1]:
         cv2.line(canvas, (0, round(row)), (canvas.shape[1] - 1, round(row)), (255, 210, 60), 1)
     return canvas
 
 
-def _disparities(disparity: Disparity) -> Uint8s:
+def _disparities(disparity: Disparity, width: int) -> Uint8s:
     """Disparity of both views side by side, on one scale of colours."""
     coloured = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
     none = np.zeros((0, 2))
-    return _side_by_side(coloured[0], coloured[1], none, none)[0]
+    return _side_by_side(coloured[0], coloured[1], none, none, width)[0]
 
 
 def _hue(share: float) -> tuple[int, int, int]:

@@ -67,11 +67,8 @@ def _thinned(points: Float64s, values: npt.NDArray[np.float32], most: int) -> tu
     if not len(points):
         return points, values, 1.0
     low, extent = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-9)
-    edge = extent / _STEPS
+    edge = _edge(points - low, extent, most) if len(points) > most else extent / _STEPS
     codes = _curve(((points - low) / edge).astype(np.int64))
-    if len(points) > most:
-        edge = _edge(points - low, extent, most)
-        codes = _curve(((points - low) / edge).astype(np.int64))
     order = np.argsort(codes, kind="stable")
     if len(points) <= most:
         return points[order], values[order], extent / np.sqrt(len(points))
@@ -84,19 +81,22 @@ def _thinned(points: Float64s, values: npt.NDArray[np.float32], most: int) -> tu
 
 def _edge(points: Float64s, extent: float, most: int) -> float:
     """A voxel's edge that leaves nearly `most` voxels, and no more (a surface has as many as the edge's square goes into it)."""
-    edge = extent / np.sqrt(most)
-    for _ in range(5):
-        occupied = len(np.unique(_packed((points / edge).astype(np.int64))))
+    edge = 1.5 * extent / np.sqrt(most)
+    for _ in range(12):
+        occupied = _occupied(points, edge)
         if 0.9 * most <= occupied <= most:
             break
         edge *= np.sqrt(occupied / (0.96 * most))
-    while len(np.unique(_packed((points / edge).astype(np.int64)))) > most:
+    while occupied > most:
         edge *= 1.03
+        occupied = _occupied(points, edge)
     return float(edge)
 
 
-def _packed(cells: Int64s) -> Int64s:
-    return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
+def _occupied(points: Float64s, edge: float) -> int:
+    cells = (points * (1.0 / edge)).astype(np.int64)
+    codes = np.sort((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
+    return 1 + int(np.count_nonzero(codes[1:] != codes[:-1]))
 
 
 def _curve(cells: Int64s) -> Int64s:

@@ -29,6 +29,14 @@ class CrossCheck:
     """Those among them whose own depth agrees..."""
     violating: Uint8s
     """...or lies behind, so that they look through the point."""
+    compared: Uint8s
+    """Other views with a depth of the same surface, within `_SAME_SURFACE`..."""
+    scatter: Float32s
+    """...and the sum of the squares of their differences from this view's, as shares of the depth."""
+
+
+_SAME_SURFACE = 0.016
+"""Depths that differ by no more than this share are of one surface: beyond it nothing agrees."""
 
 
 def cross_check(
@@ -54,17 +62,18 @@ def cross_check(
     h, w = own.depth.shape
     numbers = _PairNumbers()
     pairs = _own_pairs(own.support, numbers.of(name, own))
-    visible, agreeing, violating = (np.zeros((h, w), np.uint8) for _ in range(3))
+    visible, agreeing, violating, compared = (np.zeros((h, w), np.uint8) for _ in range(4))
+    scatter = np.zeros((h, w), np.float32)
     for other in others:
         M, b = transfer(cameras[name], cameras[other])
         seen = depth_of(other)
         _compare(
             *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
-            *(numbers.of(other, seen), numbers.of_pair(name, other), visible, agreeing, violating, pairs),
+            *(numbers.of(other, seen), numbers.of_pair(name, other), visible, agreeing, violating, compared, scatter, pairs),
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, violating)
+    return CrossCheck(count, seen_by, visible, agreeing, violating, compared, scatter)
 
 
 class _PairNumbers:
@@ -126,6 +135,8 @@ def _compare(
     visible: Uint8s,
     agreeing: Uint8s,
     violating: Uint8s,
+    compared: Uint8s,
+    scatter: Float32s,
     pairs: Uint64s,
 ) -> None:
     h, w = depth.shape
@@ -151,7 +162,10 @@ def _compare(
                 continue
             there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
             s = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2)
-            tolerance = min(3.0 * s + 0.002 * z, 0.016 * z)
+            tolerance = min(3.0 * s + 0.002 * z, _SAME_SURFACE * z)
+            if abs(there - z) <= _SAME_SURFACE * z:
+                compared[y, x] += 1
+                scatter[y, x] += np.float32((there / z - 1.0) ** 2)
             if there < z - tolerance:  # hidden: then that view cannot have seen it
                 pairs[y, x] &= ~common
                 continue

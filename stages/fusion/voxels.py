@@ -20,15 +20,16 @@ Int64s = npt.NDArray[np.int64]
 _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
 _BLOCK = 1 << 18
-_COLUMNS, _BEST = 14, 12
-"""Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count; from `_BEST` on the
-largest values: confidence, cameras."""
+_COLUMNS, _BEST = 15, 13
+"""Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, variance; from
+`_BEST` on the largest values: confidence, cameras."""
 
 
 @dataclass(frozen=True)
 class Samples:
     """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2, confidence 0 to 1,
-    number of cameras, and edge of the pixel's footprint in world lengths."""
+    number of cameras, edge of the pixel's footprint in world lengths, and squared standard deviation along the ray as other views
+    show it (the weight is what it was expected to be)."""
 
     points: Float64s
     normals: Float32s
@@ -37,10 +38,11 @@ class Samples:
     confidence: Float32s
     cameras: Float32s
     footprint: Float32s
+    variance: Float32s
 
 
 class VoxelGrid:
-    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 64 bytes for each."""
+    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 68 bytes for each."""
 
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
@@ -62,15 +64,15 @@ class VoxelGrid:
         sums = np.empty((len(starts), _COLUMNS), np.float32)
         _sum(
             order, np.append(starts, len(order)), away, samples.normals, samples.colors,
-            samples.weight, samples.confidence, samples.cameras, sums,
+            samples.weight, samples.confidence, samples.cameras, samples.variance, sums,
         )  # fmt: skip
         self._merge(keys[starts], sums)
 
     def merged(self, neighbours: int) -> Iterator[Samples]:
         """One sample for each voxel that has at least so many occupied ones within three edges of it, some at a time.
 
-        Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, not their sum: views
-        share pairs, so their errors are not independent; confidence and cameras are the best sample's.
+        Position and normal are means by weight, the colour by confidence; `weight` and `variance` are the samples' means, not
+        what would follow if their errors were independent: views share pairs; confidence and cameras are the best sample's.
         """
         kept = np.flatnonzero(sociable(self._keys, neighbours))
         for first in range(0, len(kept), _BLOCK):
@@ -83,9 +85,10 @@ class VoxelGrid:
                 np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
                 sums[:, 6:9] / c,
                 (w / n)[:, 0],
-                sums[:, 12].copy(),  # a view would keep all the block's sums alive
-                sums[:, 13].copy(),
+                sums[:, 13].copy(),  # a view would keep all the block's sums alive
+                sums[:, 14].copy(),
                 (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
+                sums[:, 12] / sums[:, 11],
             )
 
     def _merge(self, keys: Int64s, sums: Float32s) -> None:
@@ -127,6 +130,7 @@ def _sum(
     weight: Float32s,
     confidence: Float32s,
     cameras: Float32s,
+    variance: Float32s,
     sums: Float32s,
 ) -> None:
     """Sums of each voxel over its samples, which stand together in `order` from one of `starts` to the next."""
@@ -143,8 +147,9 @@ def _sum(
             row[9] += w
             row[10] += c
             row[11] += 1
-            row[12] = max(row[12], c)
-            row[13] = max(row[13], cameras[s])
+            row[12] += variance[s]
+            row[13] = max(row[13], c)
+            row[14] = max(row[14], cameras[s])
 
 
 @kernel

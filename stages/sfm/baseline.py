@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.cameras import rays
 from ..reasons import Reason, Rejected
+from ..twoview.pair_score import hardly_converging
 from ..types import Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, MIN_SHARED
 
@@ -28,7 +29,7 @@ def without_baseline(
     known
         Those whose poses are known.
     geometries
-        Of the pairs.  As long as a camera is in no believed pair whose angle is known, nothing is said.
+        Of the pairs.  As long as a camera is in no pair of matches that agree and whose angle is known, nothing is said.
     min_angle_deg
         A pair has a baseline if the rays of its matches meet at this or more (median), in degrees.
     metric
@@ -36,7 +37,8 @@ def without_baseline(
     """
     angles = {}
     for pair, geometry in geometries.items():
-        if geometry.good_probability >= BELIEVED and len(geometry.x1) >= MIN_SHARED:
+        matched = geometry.good_probability >= BELIEVED or hardly_converging(geometry.angle_deg, geometry.agreement)
+        if matched and len(geometry.x1) >= MIN_SHARED:
             both = set(pair) <= set(known)
             angle = _angle_deg(known[pair[0]], known[pair[1]], geometry) if both else geometry.angle_deg
             if np.isfinite(angle):

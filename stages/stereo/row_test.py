@@ -87,8 +87,9 @@ def _shifted(pair: RectifiedPair, rows: int) -> RectifiedPair:
     valid = np.roll(pair.valid_right, rows, axis=0)
     if rows:
         valid[slice(rows) if rows > 0 else slice(rows, None)] = False
-    known = {"prior_left": None, "prior_right": None, "floor_left": None, "floor_right": None}
-    return replace(pair, right=np.roll(pair.right, rows, axis=0), valid_right=valid, **known)
+    right = np.roll(pair.right, rows, axis=0)
+    blind = replace(pair, prior_left=None, prior_right=None, floor_left=None, floor_right=None)
+    return replace(blind, right=right, valid_right=valid)
 
 
 def _matched(pair: RectifiedPair) -> tuple[float, Float32s, Float32s]:

@@ -57,6 +57,9 @@ class Term:
     sign: int
 
 
+HARDLY_DEG, MOSTLY = 1.0, 0.8
+"""Rays that meet at less, and clear matches of which so many agree: two cameras at one place."""
+
 TERMS = (
     Term("ln(1 + distinct_cells)", 1),
     Term("distinct_share", 1),
@@ -180,6 +183,12 @@ def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
         score = 0.9 * cells + 12.0 * e.distinct_share + 5.5 * e.agreement + 3.0 * stretch + 0.6 * inliers - 6.5
     ambiguous = e.rival is not None and e.rival.ambiguous(e.inliers)
     return min(score, 0.0) if contradicted or ambiguous else score
+
+
+def hardly_converging(angle_deg: float, agreement: float) -> bool:
+    """The clear matches of a pair agree, but its rays are so near to parallel (degrees; nan: unknown) that no pose can be told:
+    what speaks against it is not its matches."""
+    return angle_deg < HARDLY_DEG and agreement >= MOSTLY
 
 
 def probability(score: float) -> float:

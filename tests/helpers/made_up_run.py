@@ -36,7 +36,7 @@ from wbflow.task import Task
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud
 
-RUN = "20261110T031500Z"
+RUN = "20261210T031500Z"
 _RADIUS = 12.0
 
 
@@ -68,10 +68,11 @@ def bowl(points: int) -> Cloud:
     shades = np.stack([120 + 10 * x, 120 + 10 * y, 100 + 60 * z], axis=1).clip(0, 255).astype(np.uint8)
     up = np.tile(np.array([0, 0, 1], np.float32), (points, 1))
     share = (r / 8).astype(np.float32)
-    return Cloud(np.stack([x, y, z], axis=1), up, shades, 1 - share / 2, (2 + 6 * share).astype(np.uint16), 5 + 20 * share)
+    sure = (1 - share / 2).astype(np.float32)
+    return Cloud(np.stack([x, y, z], axis=1), up, shades, sure, (2 + 6 * share).astype(np.uint16), 5 + 20 * share)
 
 
-def record(ids: list[str], run: str = RUN, date: str = "2026-11-09", **changes: Any) -> RunRecord:
+def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: Any) -> RunRecord:
     """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
     well = {"brightness": 110.0, "sharpness": 0.2, "keypoints": 6000, "frames_used": 3}
     told = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
@@ -124,7 +125,10 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     rng = np.random.default_rng(3)
     small = rng.integers(0, 255, (9, 16, 3), dtype=np.uint8)
     jpeg = cv2.imencode(".jpg", cv2.resize(small, pictures))[1].tobytes()
-    subjects = {"camera": [(name,) for name in ids], "pair": [(p.left, p.right) for p in night.pairs if p.ok]}
+    subjects: dict[str, list[tuple[str, ...]]] = {
+        "camera": [(name,) for name in ids],
+        "pair": [(p.left, p.right) for p in night.pairs if p.ok],
+    }
     shown = [(row, of) for row in STAGES if row.picture and row.scope in subjects for of in subjects[row.scope]]
     for k, (stage, subject) in enumerate(shown):
         key = f"{k:032x}"
@@ -141,7 +145,9 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         events.append(TaskEvent(Task(product.name), "ran", f"{night.date}T03:20:00+00:00", key="0" * 32))
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
-        UnfinishedRun(work, before.run).publish(before, [], "")
+        earlier = UnfinishedRun(work, before.run)
+        earlier.write_products({}, cameras(ids))
+        earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
     told = build_report(described, work, night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
     return unfinished.publish(night, events, told).paths.report

@@ -98,6 +98,26 @@ def test_damaged_files_are_named_with_their_fault(
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize(
+    ("size", "padding", "lens", "words"),
+    [
+        (30_000, 0, Lens(width=WIDTH, height=HEIGHT), "has 30000 x 30000 pixels, the intrinsics are for"),
+        (30_000, 10**6, Lens(), "110 million are the most"),
+        (14_000, 10**6, Lens(), "as long as its intrinsics do not state its size"),
+        (14_000, 0, Lens(width=14_000, height=14_000), "which .* bytes cannot hold"),
+    ],
+)
+def test_a_few_bytes_that_promise_gigabytes_are_not_decoded(
+    size: int, padding: int, lens: Lens, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cv2, "imdecode", lambda *image: pytest.fail("it is decoded"))
+    good = cv2.imencode(".jpg", scene())[1].tobytes()
+    at = good.index(b"\xff\xc0") + 5
+    bomb = good[:at] + size.to_bytes(2, "big") * 2 + good[at + 4 :] + bytes(padding)
+    with pytest.raises(BadCapture, match=words):
+        decode(Capture("gate.jpg", np.frombuffer(bomb, np.uint8)), lens)
+
+
 def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image() -> None:
     """A JPEG cut short may hold a whole thumbnail in its EXIF segment."""
     thumbnail = capture(scene(width=64, height=48), "t.jpg").data.tobytes()

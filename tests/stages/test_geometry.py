@@ -93,6 +93,12 @@ def test_a_camera_that_only_turned_is_called_so() -> None:
     assert isinstance(found, Rejected) and "rotation" in found.reason and found.figures["rotation_share"] > 0.95
 
 
+def test_two_cameras_at_one_place_are_not_called_wrong_matches() -> None:
+    X = world("solid", 800, np.random.default_rng(9)) * [10, 10, 10]
+    found = estimate_geometry(*observed(X, right=looking((0.8, 0, 0.2), 2), noise=0.05))
+    assert isinstance(found, Geometry) and found.angle_deg < 0.7
+
+
 def test_few_and_clustered_matches_are_rejected_with_figures() -> None:
     few = estimate_geometry(*observed(world("solid", 16, np.random.default_rng(6))))
     assert isinstance(few, Rejected) and few.reason.startswith("too few") and few.figures["matches"] <= 16

@@ -253,6 +253,8 @@ def test_almost_no_baseline_is_refused_with_and_without_cameras() -> None:
     assert isinstance(known, Rejected) and "baseline" in known.reason and known.figures["angle_deg"] < 0.7
     unknown = rectify(geometry, None, None)
     assert isinstance(unknown, Rejected) and "homography" in unknown.reason
+    agreed = rectify(dataclasses.replace(geometry, score=-6.0, agreement=0.95, angle_deg=0.3), None, None)
+    assert isinstance(agreed, Rejected) and "baseline" in agreed.reason and agreed.figures["angle_deg"] == 0.3
 
 
 def test_a_flat_scene_is_refused_only_where_f_must_come_from_it() -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
+from wbflow.cli import main
 
 COMMANDS = ["run", "status", "check", "report", "history", "clean", "demo", "compare"]
 
@@ -26,6 +29,35 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     code = "import sys, wbflow.cli; print([m for m in ('numpy', 'yaml', 'pydantic', 'joblib', 'networkx') if m in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
+
+
+@pytest.mark.parametrize("command", sorted(main.commands))
+def test_every_help_shows_what_to_type(command: str) -> None:
+    said = CliRunner().invoke(main, [command, "--help"]).output
+    assert re.search(rf"^  wbflow {command}\b", said, re.MULTILINE)
+
+
+def test_defaults_are_shown() -> None:
+    said = " ".join(CliRunner().invoke(main, ["run", "--help"]).output.split())
+    assert "[default: processes]" in said
+    assert "(all cores)" in said
+
+
+def test_a_command_that_there_is_not_is_told_with_the_nearest() -> None:
+    result = CliRunner().invoke(main, ["histroy", "site.yaml"])
+    assert result.exit_code == 2
+    assert "did you mean  wbflow history?" in result.output
+
+
+def test_check_knows_what_is_no_site_and_what_a_folder_is_called(toy: ToySite) -> None:
+    toy.cameras[:] = ["door"]
+    toy.write()
+    assert "1 camera: a cloud needs two or more" in toy.wbflow("check").stdout
+    toy.cameras[:] = ["gat", "roof"]
+    toy.write()
+    said = toy.wbflow("check").stdout
+    assert "camera gat: there is no capture" in said
+    assert "did you mean 'gate'? There are captures of it" in said
 
 
 def test_a_run_that_finds_everything_cached_loads_no_vision(toy: ToySite) -> None:

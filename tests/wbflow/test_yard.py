@@ -14,8 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import wbflow
+from tests.helpers.images import read_image
+from wbflow.cli import main
 from wbflow.results.demo import write_demo
 from wbflow.store.ply import read_ply
 from wbflow_stages.evaluate import compare_clouds
@@ -125,3 +128,20 @@ def test_a_camera_that_has_been_turned_is_named_with_how_far_and_the_others_stay
     assert "Has it been moved?" in (run_folder / "report.html").read_text()
     solved = json.loads((run_folder / "cameras.json").read_text())
     assert all(np.allclose(solved[camera]["C"], cameras[camera]["C"]) for camera in cameras if camera != name)
+
+
+def test_one_task_of_each_stage_can_be_done_alone_and_gives_the_same_bytes(yard: Path, tmp_path: Path) -> None:
+    """The scripts that `wbflow debug` writes, all in one process, to load the libraries once."""
+    run(yard)
+    tasks = {task.stage: str(task) for task in wbflow.open_run(yard).tasks}
+    for stage, task in tasks.items():
+        result = CliRunner().invoke(main, ["debug", str(yard), task, "--out", str(tmp_path / stage)])
+        assert result.exit_code == 0, result.output
+    code = "import runpy, sys\nfor script in sys.argv[1:]: runpy.run_path(script)"
+    scripts = [str(tmp_path / stage / "run.py") for stage in tasks]
+    done = subprocess.run([sys.executable, "-c", code, *scripts], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    told = [line for line in done.stdout.splitlines() if line.startswith(str(tmp_path))]
+    assert [line.rpartition(": ")[2] for line in told] == ["the same bytes as the cache has"] * len(tasks)
+    assert len(tasks) >= 12
+    assert read_image(tmp_path / "features" / "inputs" / "frame.image.png").shape == (180, 320, 3)

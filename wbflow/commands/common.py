@@ -75,7 +75,7 @@ date_option = click.option(
     "--date", type=Day(), metavar="DAY", help="Night to work on: 2026-11-19, yesterday, -1 (default: the newest with captures)."
 )
 jobs_option = click.option(
-    "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, metavar="N", help="Workers (default: all cores)."
+    "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, show_default="all cores", metavar="N", help="Workers."
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="The same as JSON, and nothing else.")
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Every task, and tracebacks.")

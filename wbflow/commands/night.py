@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ExitCode, UsageError, worst
-from ..screen import findings, listener, say, summary
+from ..screen import findings, next_command, say, summary, watching
 from .common import (
     BACKENDS,
     Clock,
@@ -64,9 +64,15 @@ def run(
     """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
     With --since, the nights of a machine that was off are caught up with, one run for each; the exit code is that of the worst.
+
+    \b
+    wbflow run site.yaml                          the newest night
+    wbflow run site.yaml --date yesterday -q      for cron: says only what went wrong
+    wbflow run site.yaml --force 'matches gate--roof' --until poses
+    wbflow run site.yaml --since -7 --stop-at 06:00
     """
     if date and since:
-        raise UsageError("--date and --since name two things to do: give one of them")
+        raise UsageError("--date and --since name two things to do", remedy=f"give one of them: wbflow run {site} --since DAY")
     loaded = load(site, work, notes=dry_run)
     if dry_run:
         for day in _nights(loaded, date, since):
@@ -82,7 +88,8 @@ def run(
             say(f"{len(nights) - len(codes)} nights were not begun: the run was to stop at {at:%H:%M}", err=True)
             codes.append(ExitCode.DEGRADED)
             break
-        finished = work_through(loaded, date=day, listen=listener(loaded, verbose, quiet or as_json), **asked)
+        with watching(loaded.name, verbose, quiet or as_json) as watch:
+            finished = work_through(loaded, date=day, listen=watch.hear, watch=watch.hear, **asked)
         record = finished.record
         codes.append(record.exit_code)
         records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
@@ -94,6 +101,8 @@ def run(
             findings(record)
         if record.exit_code == ExitCode.INTERRUPTED:
             break
+    if not (quiet or as_json):
+        say(f"next    {next_command(finished, site)}")
     if as_json:
         say(json.dumps(records if since else records[0], indent=1))
     sys.exit(worst(codes))
@@ -112,7 +121,12 @@ def _nights(site: Site, date: datetime.date | None, since: datetime.date | None)
 @until_option
 @json_option
 def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None, as_json: bool) -> None:
-    """What is cached, what would run, and why."""
+    """What is cached, what would run, and why.
+
+    \b
+    wbflow status site.yaml
+    wbflow status site.yaml --date -1 --json
+    """
     _explain(load(site, work), date, until, (), as_json)
 
 
@@ -121,7 +135,12 @@ def status(site: Path, date: datetime.date | None, work: Path | None, until: str
 @date_option
 @work_option
 def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
-    """Site, captures and machine examined without running; every finding, with its remedy."""
+    """Site, captures and machine examined without running; every finding, with its remedy.
+
+    \b
+    wbflow check site.yaml
+    wbflow check site.yaml --date yesterday
+    """
     loaded = load(site, work)
     from ..results.check import check as examine
     from ..results.check import exit_code

@@ -27,9 +27,16 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
 
     The first good run becomes it by itself, unless the site file says `pin: none`.
+
+    \b
+    wbflow pin site.yaml                          the newest good run
+    wbflow pin site.yaml 20261120T031500Z
+    wbflow pin site.yaml --list
     """
     if listed + drop + refine + (run_id is not None) > 1:
-        raise UsageError("--list, --drop, --refine and RUN exclude each other")
+        raise UsageError(
+            "--list, --drop, --refine and RUN exclude each other", remedy="wbflow pin SITE.yaml --list  says what is pinned"
+        )
     loaded = load(site, work)
     place = place_of(loaded)
     from ..store.reference import drop_reference, read_reference
@@ -64,7 +71,7 @@ def _refine(site: Site, place: WorkFolder) -> str:
 
     reference = read_reference(place)
     if reference is None:
-        raise UsageError(f"{site.name} has no reference to refine: wbflow pin SITE.yaml")
+        raise UsageError(f"{site.name} has no reference to refine", remedy=f"first: wbflow pin {site.file}")
     restore(place, reference)
     pooled = pool(place, reference, site.reader)
     return "\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet"

@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 @run_argument
 @work_option
 def report(site: Path, run_id: str | None, work: Path | None) -> None:
-    """(Re)build a run's report."""
+    """(Re)build a run's report.
+
+    \b
+    wbflow report site.yaml                       of the newest run
+    wbflow report site.yaml 20261120T031500Z
+    """
     loaded = load(site, work)
     place = place_of(loaded)
     from ..results.report.page import rebuild_report
@@ -36,7 +41,12 @@ def report(site: Path, run_id: str | None, work: Path | None) -> None:
 @json_option
 @work_option
 def history(site: Path, as_json: bool, work: Path | None) -> None:
-    """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding."""
+    """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding.
+
+    \b
+    wbflow history site.yaml
+    wbflow history site.yaml --json
+    """
     loaded = load(site, work)
     place = place_of(loaded)
     from ..results.history import history as entries
@@ -80,7 +90,7 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
         place = place_of(load(nights[0], work))
         a, b = (run_named(place, str(name)) for name in nights[1:])
     else:
-        raise UsageError("name two runs: wbflow compare SITE.yaml RUN_A RUN_B")
+        raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
     rows = rows_of(a.record(), b.record())
     if as_json:
         say(json.dumps({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}, indent=1))
@@ -102,10 +112,16 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
 @click.option("--colmap", is_flag=True, help="Cameras, images and points as a COLMAP model.")
 @work_option
 def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked: bool) -> None:
-    """A run's results for other programs; the newest run that made a cloud, if no RUN is named."""
+    """A run's results for other programs; the newest run that made a cloud, if no RUN is named.
+
+    \b
+    wbflow export site.yaml --laz --heights --out maps
+    wbflow export site.yaml 20261120T031500Z --colmap --out model
+    """
     forms = frozenset(name for name, wanted in asked.items() if wanted)
     if not forms:
-        raise UsageError(f"say what to export: {', '.join(f'--{name}' for name in asked)}")
+        first = f"wbflow export {site} --{next(iter(asked))} --out {out}"
+        raise UsageError(f"say what to export: {', '.join(f'--{name}' for name in asked)}", remedy=f"for example: {first}")
     place = place_of(load(site, work))
     from ..results.artifacts import FinishedRun
     from ..results.export import export as write
@@ -124,7 +140,12 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
 @click.option("--dry-run", is_flag=True, help="Only say how much would go.")
 @work_option
 def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: Path | None) -> None:
-    """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named."""
+    """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named.
+
+    \b
+    wbflow clean site.yaml --keep 7 --dry-run     says how much
+    wbflow clean site.yaml --keep 7 --clouds 30
+    """
     place = place_of(load(site, work))
     from ..store.clean import clean as remove
     from ..store.keep import Keep

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ExitCode, UsageError
-from ..screen import listener, say, stop
+from ..screen import say, stop, watching
 from .common import PATH, jobs_option, verbose_option
 
 if TYPE_CHECKING:
@@ -17,15 +17,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=PATH)
-@click.option(
-    "--scene", default="yard", metavar="NAME", show_default=True, help="yard, square, hall, hall-2, hall-4, houses, ..."
-)
+@click.option("--scene", default="yard", metavar="NAME", help="yard, square, hall, hall-2, hall-4, houses, ...")
 @click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
 @click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
 @click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Nights of the yard (640x360); what happens is in truth.")
-@click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", show_default=True, help="Of each camera and night.")
+@click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Of each camera and night.")
 def demo(
     folder: Path, scene: str, small: bool, light: str, cameras: int | None, seed: int, nights: int | None, frames: int
 ) -> None:
@@ -33,6 +31,11 @@ def demo(
 
     With --nights, each night has its own light and traffic; cameras are turned, covered, frozen and swapped, things appear and
     vanish, and truth/nights.json says what, where and when.
+
+    \b
+    wbflow demo yard                              eight cameras
+    wbflow demo hall --scene hall-2 --light dusk
+    wbflow demo harbour --nights 7 --small
     """
     from ..results.demo import write_demo, write_nights
 
@@ -54,8 +57,8 @@ def init(folder: Path) -> None:
     one night). The site file is put into FOLDER (here, if none is named) as site.yaml; one that is there is left alone.
 
     \b
-    photographs/gate.jpg photographs/roof.jpg ...            wbflow init photographs
-    photographs/gate/1.jpg photographs/roof/1.jpg ...        wbflow init photographs
+    wbflow init photographs        (photographs/gate.jpg, photographs/roof.jpg, ...)
+    wbflow init photographs        (photographs/gate/1.jpg, photographs/roof/1.jpg, ...)
     """
     from ..results.init import write_site
 
@@ -74,12 +77,18 @@ def init(folder: Path) -> None:
 @jobs_option
 @verbose_option
 def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose: bool) -> None:
-    """Two photographs and nothing else: matches, F, rectified pair, disparity, and a picture of each step."""
+    """Two photographs and nothing else: matches, F, rectified pair, disparity, and a page with a picture of each step.
+
+    \b
+    wbflow pair left.jpg right.jpg --out pair
+    wbflow pair left.jpg right.jpg --out pair --resolution 2400
+    """
     from ..api import run as work_through
     from ..results.pair import LAST_STAGE, failure, pair_site, write_pair
 
     site = pair_site(left, right, out, resolution)
-    finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=listener(site, verbose, quiet=False)).finished
+    with watching(site.name, verbose) as watch:
+        finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=watch.hear, watch=watch.hear).finished
     for file in write_pair(finished, out):
         say(file)
     if why := failure(finished):
@@ -89,7 +98,12 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
 @click.command()
 @click.argument("stage", metavar="[STAGE]", required=False)
 def stages(stage: str | None) -> None:
-    """Every parameter of every stage, with default, unit and meaning; of one stage, if it is named."""
+    """Every parameter of every stage, with default, unit and meaning; of one stage, if it is named.
+
+    \b
+    wbflow stages
+    wbflow stages disparity
+    """
     from ..graph.describe import describe, describe_all, lines
     from ..graph.functions import FunctionReader
     from ..graph.pipeline import STAGES

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from ..errors import printable
 from .calibrated import COEFFICIENTS
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .positions import Document, Place, SiteProblem
@@ -64,6 +66,9 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
             found.append(document.problem(place, f"unknown key {last!r}", remedy, key=True))
         elif kind == "missing":
             found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
+        elif last == "pattern" and isinstance(item["input"], dict):
+            what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
+            found.append(document.problem(place, what, "put it in quotes: pattern: '{camera}.jpg'"))
         else:
             what = item["msg"]
             if kind not in {"intrinsics", "lens", "pose", "place", "pattern", "notify", "keep"}:
@@ -71,6 +76,16 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(place, what, remedy))
     return sorted(found, key=lambda p: (p.line, p.column))
+
+
+def similar(path: Path) -> str:
+    """A remedy that names what lies beside a path that is not there, and is called nearly the same; "" where nothing is."""
+    try:
+        names = [entry.name for entry in path.parent.iterdir()]
+    except OSError:
+        return ""
+    close = difflib.get_close_matches(path.name, names, 1)
+    return f"did you mean {printable(close[0])!r}?" if close else ""
 
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:

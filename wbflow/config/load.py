@@ -15,7 +15,7 @@ from ..graph.functions import FunctionReader
 from ..store.layout import WorkFolder
 from ..store.outside import is_folder
 from .cameras import beside, is_name, read_cameras
-from .explain import explained, without_faults
+from .explain import explained, similar, without_faults
 from .geodesy import Position, local_frame
 from .positions import Document, Place, SiteError, SiteProblem, load_yaml
 from .schema import SiteSection
@@ -34,7 +34,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     SiteError
         With every problem that was found.
     """
-    path = path / "site.yaml" if is_folder(path) else path
+    path = _file_of(path)
     document = load_yaml(path)
     if not isinstance(document.data, dict):
         raise SiteError(
@@ -64,7 +64,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     _check_pairs(model, document, problems)
     root = beside(model.captures.root, ("captures", "root"), document, problems)
     if not is_folder(root):
-        remedy = "check the path and the variables in it; it is relative to the site file"
+        remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
         problems.append(document.problem(("captures", "root"), f"there is no folder {printable(root)}", remedy))
     if not is_name(model.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
@@ -93,6 +93,17 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         model.health.model_dump(),
         [zone.model_dump() for zone in model.zones] or None,
     )
+
+
+def _file_of(path: Path) -> Path:
+    """The site file that a path means: of a folder, the one in there."""
+    if not is_folder(path):
+        return path
+    file = path / "site.yaml"
+    if not file.exists():
+        remedy = f"wbflow init {path}  writes one from the photographs in there"
+        raise SiteError([SiteProblem(file, 0, 0, "", "cannot be read: there is no such file", remedy)])
+    return file
 
 
 def _work_folder(model: SiteSection, document: Document, problems: list[SiteProblem]) -> Path:

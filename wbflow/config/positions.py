@@ -139,7 +139,7 @@ def parse_yaml(text: str, path: Path) -> Document:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-        remedy = "check indentation, colons and quotes around this place"
+        remedy = _remedy_at(text, line)
         raise SiteError([SiteProblem(path, line, column, "", f"not valid YAML: {printable(error.problem)}", remedy)]) from None
     except yaml.YAMLError as error:
         raise SiteError([SiteProblem(path, 1, 1, "", f"not valid YAML: {printable(error)}", "save it as plain text")]) from None
@@ -153,6 +153,17 @@ def parse_yaml(text: str, path: Path) -> Document:
     if problems:
         raise SiteError(problems)
     return document
+
+
+def _remedy_at(text: str, line: int) -> str:
+    """What to do about text that is no YAML, by what people write most."""
+    lines = text.splitlines()
+    near = lines[max(0, line - 2) : line]
+    if any("\t" in each[: len(each) - len(each.lstrip())] for each in near):
+        return "indent with spaces: YAML allows no tabs there"
+    if any(re.search(r"[:\[,-]\s+\{(camera|date|time)\b", each) for each in near):
+        return "put what has {camera} or {date} in it in quotes: pattern: '{camera}.jpg'"
+    return "check indentation, colons and quotes around this place"
 
 
 class _Careful(_Loader):

@@ -64,3 +64,9 @@ CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 
 DECODE = "wbflow_stages.capture.video:one_picture"
 """Makes pixels of a capture; a ValueError says what is wrong with it."""
+
+PLAIN_FILES = "wbflow_stages.exports.plain:write"
+"""Writes any input of a stage as ordinary files, and says where its parts are."""
+
+FROM_PLAIN_FILES = "wbflow_stages.exports.plain:read"
+"""Makes it again from these files, to the bit."""

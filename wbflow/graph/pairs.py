@@ -1,12 +1,15 @@
 """The pair graph: which pairs of cameras are worth matching, and why each was kept or dropped.
 
 Nodes are cameras; edges carry the evidence of `Overlap`.  The graph is kept connected (maximum spanning tree), then made
-robust (edges across weak cuts), then filled with the best edges up to `degree` at each camera.
+robust (edges across weak cuts), then filled with the best edges up to `degree` at each camera.  No camera gets more than
+`MOST_AT_A_CAMERA`, whatever asks for them.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +17,11 @@ if TYPE_CHECKING:
     import networkx as nx
 
 Pair = tuple[str, str]
+
+MOST_AT_A_CAMERA = 32
+"""Pairs of one camera: the depth of a view is fused from no more."""
+MOST_DROPPED = 24
+"""So many of a camera's dropped pairs are told of, the most promising first."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +46,11 @@ class PairGraph:
     pairs: tuple[Pair, ...]
     """Those to match, in the order of the site file."""
     edges: tuple[Edge, ...]
-    """The decision about each."""
+    """The decision about each; of many that were dropped, the most promising of each camera."""
     components: tuple[tuple[str, ...], ...]
     """Cameras that the kept pairs connect, largest group first."""
+    untold: int = 0
+    """Dropped pairs that are not among the edges."""
 
 
 def select_pairs(
@@ -59,7 +69,7 @@ def select_pairs(
     overlap : Overlap
         Angle and shared share of every pair of cameras.
     degree : int
-        Pairs wanted at each camera; the spanning tree, edges that cover weak cuts and `include` may exceed it.
+        Pairs wanted at each camera; the spanning tree, edges that cover weak cuts and `include` may exceed it, up to 32.
     min_angle, max_angle : float
         Degrees; pairs whose views converge outside of this are dropped (where the angle is known).
     include, exclude : list of [id, id]
@@ -84,18 +94,35 @@ def select_pairs(
         else:
             candidates.add_edge(*pair, weight=_worth(angle, shared), order=len(candidates.edges))
     chosen = _choose(candidates, degree, [p for p in evidence if frozenset(p) in forced and frozenset(p) not in banned])
+    counts = Counter(camera for pair in chosen for camera in pair)
     full = f"both cameras have better pairs already (degree {degree})"
+    told = _told(evidence, chosen)
     edges = []
     for pair, (angle, shared) in evidence.items():
-        kept = pair in chosen
-        reason = chosen[pair] if kept else reasons.get(pair, full)
-        edges.append(Edge(*pair, kept=kept, reason=reason, angle_deg=angle, shared=shared))
+        if pair in told:
+            kept = pair in chosen
+            crowded = next((camera for camera in pair if counts[camera] >= MOST_AT_A_CAMERA), None)
+            why = f"{crowded} has {MOST_AT_A_CAMERA} better pairs, and no view takes more" if crowded else full
+            reason = chosen[pair] if kept else reasons.get(pair, why)
+            edges.append(Edge(*pair, kept=kept, reason=reason, angle_deg=angle, shared=shared))
     graph = nx.Graph(list(chosen))
     graph.add_nodes_from(overlap.cameras)
     position = {camera: i for i, camera in enumerate(overlap.cameras)}
     components = [tuple(sorted(c, key=position.__getitem__)) for c in nx.connected_components(graph)]
     kept_pairs = tuple((edge.left, edge.right) for edge in edges if edge.kept)
-    return PairGraph(kept_pairs, tuple(edges), tuple(sorted(components, key=lambda c: (-len(c), position[c[0]]))))
+    groups = tuple(sorted(components, key=lambda c: (-len(c), position[c[0]])))
+    return PairGraph(kept_pairs, tuple(edges), groups, len(evidence) - len(edges))
+
+
+def _told(evidence: Mapping[Pair, tuple[float, float]], chosen: Collection[Pair]) -> set[Pair]:
+    """The pairs that are told of: all chosen ones, and of the others those that are among the first of one of their cameras."""
+    told, counts = set(chosen), Counter[str]()
+    dropped = [pair for pair in evidence if pair not in told]
+    for pair in sorted(dropped, key=lambda pair: -_worth(*evidence[pair])):
+        if min(counts[camera] for camera in pair) < MOST_DROPPED:
+            told.add(pair)
+            counts.update(pair)
+    return told
 
 
 def _evidence(overlap: Any) -> dict[Pair, tuple[float, float]]:
@@ -136,30 +163,48 @@ def _choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair,
             chosen[pair] = why
             graph.add_edge(u, v)
 
+    def has_room(u: str, v: str, most: int = MOST_AT_A_CAMERA) -> bool:
+        return bool(max(graph.degree(u), graph.degree(v)) < most)
+
     for pair in forced:
-        take(*pair, "included by the site file")
-    for u, v in nx.maximum_spanning_edges(candidates, data=False):
-        take(u, v, "in the spanning tree")
+        if has_room(*pair):
+            take(*pair, "included by the site file")
+    groups = nx.utils.UnionFind(candidates.nodes)
     ranked = sorted(candidates.edges(data=True), key=lambda e: (-e[2]["weight"], e[2]["order"]))
-    while covered := _cover(graph, candidates, ranked):
-        (u, v), bridge = covered
-        take(u, v, f"covers the weak cut {bridge[0]}--{bridge[1]}")
+    for u, v, _ in ranked:  # Kruskal (1956), where there is room
+        if groups[u] != groups[v] and (graph.has_edge(u, v) or has_room(u, v)):
+            groups.union(u, v)
+            take(u, v, "in the spanning tree")
+    weight = {frozenset((u, v)): d["weight"] for u, v, d in ranked}
+    weakest = sorted(nx.bridges(graph), key=lambda b: (weight.get(frozenset(b), 0.0), b))
+    for bridge in weakest:
+        side = _side(graph, *bridge)
+        across = (
+            (-data["weight"], data["order"], u, v)
+            for u in side
+            for v, data in candidates[u].items()
+            if v not in side and groups[u] == groups[v] and not graph.has_edge(u, v) and has_room(u, v)
+        )
+        if best := min(across, default=None):
+            take(best[2], best[3], f"covers the weak cut {bridge[0]}--{bridge[1]}")
     for u, v, _ in ranked:
-        if not graph.has_edge(u, v) and max(graph.degree(u), graph.degree(v)) < degree:
+        if not graph.has_edge(u, v) and has_room(u, v, min(degree, MOST_AT_A_CAMERA)):
             closes = len(set(graph[u]) & set(graph[v]))
             take(u, v, f"closes {closes} triangle{'s' * (closes != 1)}" if closes else "among the best of its cameras")
     return chosen
 
 
-def _cover(graph: nx.Graph, candidates: nx.Graph, ranked: list[Any]) -> tuple[Pair, Pair] | None:
-    """The best edge across the weakest cut that is a single edge so far, and that edge; None when no cut can be covered."""
-    import networkx as nx
-
-    weight = {frozenset((u, v)): d["weight"] for u, v, d in ranked}
-    for bridge in sorted(nx.bridges(graph), key=lambda b: (weight.get(frozenset(b), 0.0), b)):
-        rest = nx.restricted_view(graph, [], [bridge])
-        side = nx.node_connected_component(rest, bridge[0])
-        for u, v, _ in ranked:
-            if (u in side) != (v in side) and not graph.has_edge(u, v) and nx.has_path(graph, u, v):
-                return (u, v), bridge
-    return None
+def _side(graph: nx.Graph, u: str, v: str) -> set[str]:
+    """What hangs on one end of a bridge, the smaller side; nothing where it is none any more, since another edge covers it."""
+    sides, edges = ({u}, {v}), ([u], [v])
+    while True:
+        for own, other, edge in zip(sides, reversed(sides), edges, strict=True):
+            if not edge:
+                return own
+            node = edge.pop()
+            for near in graph[node]:
+                if near not in own and {node, near} != {u, v}:
+                    if near in other:
+                        return set()
+                    own.add(near)
+                    edge.append(near)

@@ -60,7 +60,8 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
         The captures' names don't say which night they are of, or there are none.
     """
     if not pattern_of(site).dated:
-        raise UsageError("--since needs {date} in captures.pattern: the names of captures don't say which night they are of")
+        what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
+        raise UsageError(what, remedy="for example: pattern: '{camera}/{date:%Y-%m-%d}.jpg'; or run without --since")
     found = nights(site, since)
     if not found:
         raise UsageError(f"there are no captures since {since}", remedy="check captures.root and pattern, or the cameras")

@@ -28,7 +28,9 @@ class Executor(Protocol):
         """Stop, whatever is still at work."""
 
 
-def executor(options: Options, cache: Cache, warn: Callable[[str, Task], None]) -> Executor:
+def executor(
+    options: Options, cache: Cache, warn: Callable[[str, Task], None], begun: Callable[[Task], None] = lambda task: None
+) -> Executor:
     """An executor as a run asks for it.
 
     Parameters
@@ -39,6 +41,8 @@ def executor(options: Options, cache: Cache, warn: Callable[[str, Task], None]) 
         Where results go.
     warn : callable
         Told of what was survived, and of which task it happened to.
+    begun : callable
+        Told of each task that a worker process takes in hand.
 
     Raises
     ------
@@ -55,4 +59,4 @@ def executor(options: Options, cache: Cache, warn: Callable[[str, Task], None]) 
         return Cluster(options.scheduler or "", cache)
     memory = options.memory or machine.memory()
     limits = Limits(memory, options.time_limit, read_past(cache.work), options.stop_at)
-    return Supervisor(options.jobs, cache, limits, warn)
+    return Supervisor(options.jobs, cache, limits, warn, begun)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..config.site import Site, SiteCamera
 from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
-from ..store.cache import Cache
+from ..store.cache import Cache, Receipt
 from ..task import Subject, Task
 from .captures import CaptureFile
 from .obstacles import Impossible, Waiting, because
@@ -35,6 +35,8 @@ class Inputs:
     states: dict[Task, State]
     """Settled tasks: the plan's own, which it changes."""
     pinned: Pinned
+    _resolved: dict[tuple[Task, Part | None], tuple[Receipt, Stored]] = field(default_factory=dict, repr=False)
+    """Inputs that were found before, and the receipts that they are of: a frame is an input of many tasks."""
 
     def of(self, stage: Stage, task: Task, needs: Mapping[str, Need], among: set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.
@@ -133,7 +135,14 @@ class Inputs:
             if need.optional:
                 return Absent()
             raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
-        return Stored(upstream, part).resolved(self.cache, state.receipt)
+        return self._found(upstream, part, state.receipt)
+
+    def _found(self, upstream: Task, part: Part | None, receipt: Receipt) -> Stored:
+        known = self._resolved.get((upstream, part))
+        if known is None or known[0] is not receipt:
+            known = receipt, Stored(upstream, part).resolved(self.cache, receipt)
+            self._resolved[upstream, part] = known
+        return known[1]
 
     def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
         if origin not in self.stages and need.optional:
@@ -144,15 +153,19 @@ class Inputs:
             return self._entries(origin, need, task)
         items: dict[Subject, Value | Stored] = {}
         faults: list[Impossible] = []
+        joined = self.subjects.joined(origin, need, task)
+        for upstream in reversed(joined):  # most are settled in order: who waits for the last one is not asked for each
+            if upstream not in self.states:
+                raise Waiting(upstream)
         useless = self.pinned.useless() if stage_named(task.stage).role is not Role.HEALTH else frozenset()
-        for upstream in self.subjects.joined(origin, need, task):
+        for upstream in joined:
             state = self.states.get(upstream)
             if state is None:
                 raise Waiting(upstream)
             if useless & set(upstream.subject):
                 faults.append(self.pinned.unfit(upstream.subject))
             elif state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):
-                items[upstream.subject] = Stored(upstream, need.part).resolved(self.cache, state.receipt)
+                items[upstream.subject] = self._found(upstream, need.part, state.receipt)
             else:
                 faults.append(because(upstream, state))
         if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):

@@ -8,9 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from ..store.cache import Damage
-from ..store.events import Event, Listener, TaskEvent, WarningEvent, now
+from ..store.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
+from ..store.past import Past, read_past
 from ..store.record import Seconds, StageSeconds
 from ..task import Task
+from .outlook import anything_left, outlook
 from .plan import Plan
 from .state import State
 from .worker import Done
@@ -21,16 +23,34 @@ class Journal:
     """Everything that happened in a run so far: each event is kept for the log, and the listener is told of it."""
 
     listen: Listener
+    watch: Watcher | None = None
+    """Is told of what is planned and begun."""
+    workers: int = 1
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
     """Damage on disk that was found and put right, in words."""
     _told: set[Task] = field(default_factory=set)
+    _past: Past | None = None
+    """Read when there is something to do."""
 
     def tell(self, plan: Plan) -> None:
         """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache."""
         self._damaged(plan.cache.damages())
-        for task, state in plan.states.items():
+        for task, state in plan.news():
             self.finished(task, state)
+
+    def planned(self, plan: Plan) -> None:
+        """Tell who watches what there is to do; a night that finds everything in the cache has nothing to tell."""
+        if self.watch is None or (self._past is None and not anything_left(plan)):
+            return
+        if self._past is None:
+            self._past = read_past(plan.cache.work)
+        self.watch(PlannedEvent(outlook(plan, self._past), self.workers, now()))
+
+    def begun(self, task: Task) -> None:
+        """Tell who watches that a worker has a task in hand."""
+        if self.watch:
+            self.watch(StartedEvent(task, now()))
 
     def finished(self, task: Task, state: State, done: Done | None = None) -> None:
         """Tell of a task, unless it has been told of.  done: what the worker said that has just finished it."""

@@ -58,6 +58,16 @@ class Pattern:
             if found := moment(name):
                 yield found.date()
 
+    def cameras(self) -> set[str]:
+        """Names for which there are files, of whatever night, where the pattern's `{camera}` stands."""
+        if "{camera}" not in self.text:
+            return set()
+        text = self._filled(self.text, None).replace("{camera}", "*")
+        first, *rest = self._expression("\0").split("\0")
+        expression = re.compile(first + "(?P<camera>[^/]+?)" + "(?P=camera)".join(rest))
+        found = (expression.fullmatch(name) for name in find_outside(str(Path(glob.escape(str(self.root))) / text)))
+        return {match["camera"] for match in found if match}
+
     def expected(self, camera: str, date: datetime.date) -> str:
         """What a camera's captures of a night would be called, for messages."""
         return str(self.root / self._filled(self.text, date).replace("{camera}", camera))

@@ -42,6 +42,7 @@ class Night:
     def look_again(self, path: Path) -> None:
         """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
         self.digests.forget(path)
+        self.plan.look_again()
         for files in self.captures.values():
             files[:] = [_now(file, self.digests) if file.path == path else file for file in files]
         for camera, file in self.plan.masks.items():

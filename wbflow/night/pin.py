@@ -9,7 +9,7 @@ from ..graph.pipeline import STAGES
 from ..store.cache import Cache, Receipt
 from ..store.layout import WorkFolder
 from ..store.record import RunRecord
-from ..store.reference import PinnedArtifact, Reference, restore, write_reference
+from ..store.reference import PinnedArtifact, Reference, mend_record, restore, write_reference
 from ..store.run_folder import NoSuchRun, RunFolder
 from .journal import Journal
 from .night import Night
@@ -82,12 +82,22 @@ def fit_to_pin(record: RunRecord) -> bool:
 
 def prepare(night: Night, journal: Journal) -> None:
     """Have at hand what the reference holds, and tell where it cannot be used.  The caller holds the lock."""
-    plan = night.plan
-    if plan.misfit:
+    plan, work = night.plan, night.plan.cache.work
+    fault = mend_record(work) if night.site.pin != "none" else None
+    if fault:
+        journal.repaired(fault)
+    if plan.misfit and not fault:
         what = f"the reference is not used: {plan.misfit}"
         journal.warn(what, remedy="this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference")
-    for lost in restore(plan.cache.work, plan.reference) if plan.reference else ():
-        journal.warn(lost, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
+    if plan.reference is None:
+        return
+    restored = restore(work, plan.reference)
+    for tasks, how in ((restored.to_cache, "put back from the reference"), (restored.copied, "copied to the reference again")):
+        if tasks:
+            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
+    for task in restored.lost:
+        what = f"'{task}' of the reference is damaged, or gone"
+        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
 
 
 def _receipts(work: WorkFolder, run: RunFolder) -> list[Receipt]:

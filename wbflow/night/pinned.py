@@ -15,7 +15,7 @@ from ..graph.pipeline import ancestors, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.record import Health
-from ..store.reference import Reference
+from ..store.reference import Reference, put_back
 from ..task import Subject, Task
 from .obstacles import Impossible, Waiting, because
 from .past import Past
@@ -50,6 +50,12 @@ class Pinned:
     """What is wrong with cameras by what is known of their captures."""
     frame_keys: dict[Subject, str] = field(default_factory=dict)
     """Keys of tonight's frames by camera, as far as they are known."""
+    _force: bool | None = field(default=None, repr=False)
+    """Do enough cameras stand where they did, once the health of all is known?"""
+    _all_own: bool | None = field(default=None, repr=False)
+    """Are all frames those of the reference itself, by the keys that are known?"""
+    _judged: dict[str, tuple[State | None, Health | None]] = field(default_factory=dict, repr=False)
+    """What was read from the health of a camera, and of which state of its task."""
 
     def input(self, need: FromReference, stage: Stage, task: Task) -> Input:
         """An input that the reference holds.  Raises Waiting."""
@@ -104,14 +110,20 @@ class Pinned:
         if not state.usable:
             frame = self.states.get(Task(stage_with(Role.FRAME).name, (camera,)))
             return "ok" if frame and frame.usable else "blind"
-        health = judged(state)
+        health = self._read(camera, state)
         return health.state if health else "ok"
 
     def health(self, camera: str) -> Health | None:
         """What is known of a camera's health; None where nobody has looked."""
         if camera in self.known:
             return self.known[camera]
-        return judged(self.states.get(Task(stage_with(Role.HEALTH).name, (camera,))))
+        return self._read(camera, self.states.get(Task(stage_with(Role.HEALTH).name, (camera,))))
+
+    def _read(self, camera: str, state: State | None) -> Health | None:
+        known = self._judged.get(camera)
+        if known is None or known[0] is not state:
+            known = self._judged[camera] = state, judged(state)
+        return known[1]
 
     def useless(self) -> frozenset[str]:
         """The cameras of which it is known that they show nothing of the site tonight."""
@@ -127,14 +139,23 @@ class Pinned:
         frame = Task(stage_with(Role.FRAME).name, (camera,))
         return because(frame, self.states[frame])
 
+    def note_frame(self, subject: Subject, key: str) -> None:
+        """The key of tonight's frame of a camera."""
+        self.frame_keys[subject], self._all_own = key, None
+
     def lose(self, task: Task) -> None:
-        """An artifact was found damaged: where it was the reference's, that has it no longer."""
+        """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
+        self._force = self._all_own = None
         if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
+            if put_back(self.cache.work, pinned):
+                return
             left = {t: p for t, p in self.reference.artifacts.items() if t != task}
             self.reference = dataclasses.replace(self.reference, artifacts=left)
 
     def _place(self, held: Held, subject: Subject) -> Any:
-        if self._own_night(tuple(self.cameras)):
+        if self._all_own is None:
+            self._all_own = self._own_night(tuple(self.cameras))
+        if self._all_own:
             return "kept"
         cameras = subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
         standing = {self._standing(c) for c in cameras}
@@ -155,7 +176,9 @@ class Pinned:
 
     def _in_force(self) -> bool:
         """Do enough cameras stand where they did?  Raises Waiting."""
-        return sum(self._standing(camera) != _LOST for camera in self.cameras) >= FEWEST
+        if self._force is None:
+            self._force = sum(self._standing(camera) != _LOST for camera in self.cameras) >= FEWEST
+        return self._force
 
     def _own_night(self, cameras: Subject) -> bool:
         """Are the frames of these cameras those of the reference itself?"""

@@ -14,13 +14,14 @@ from typing import Any
 
 from ..config.site import Site
 from ..graph.binding import Binding, bind
-from ..graph.pipeline import STAGES, ancestors, stage_named
+from ..graph.pipeline import STAGES, ancestors, stage_named, stage_with
 from ..graph.rows import Rework, Role, Stage
 from ..store.cache import Cache, Receipt
 from ..store.pictures import is_drawn
 from ..store.record import Health
 from ..store.reference import Reference
 from ..task import Task, component_name
+from .agenda import Agenda
 from .captures import CaptureFile
 from .fit import misfit
 from .inputs import Inputs
@@ -60,6 +61,7 @@ class Plan:
     """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
     stale: dict[str, Health] = field(default_factory=dict)
     """Cameras whose captures are not of tonight."""
+    _agenda: Agenda = field(default_factory=Agenda)
     _bindings: dict[str, Binding] = field(default_factory=dict)
     _stages: list[Stage] = field(default_factory=list)
 
@@ -67,6 +69,7 @@ class Plan:
         wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
         settings = self.site.stages
         self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
+        self._folder = self.site.file.resolve().parent
         off = {name for name, stage in settings.items() if not stage.enabled}
         off |= {stage.name for stage in STAGES if stage.optional and off & stage.needed()}
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
@@ -82,22 +85,50 @@ class Plan:
         self._from = Inputs(*known, self._subjects, self._stages, self.states, self._pinned)
 
     def refresh(self) -> None:
-        """Settle what the cache has, and find what is ready."""
-        self.ready, self.waiting = {}, {}
-        for stage in self._stages:
-            for task in self._subjects.tasks(stage):
-                if task not in self.states and task not in self.busy:
-                    self._settle(stage, task)
+        """Settle what the cache has, and find what is ready.  Only what may have changed since the last time is looked at."""
+        while True:
+            if self._agenda.all_anew:
+                self._list()
+            task = self._agenda.next()
+            if task is None:
+                return
+            if not (task in self.states or task in self.busy or task in self.ready):
+                self._settle(stage_named(task.stage), task)
 
     def settle(self, task: Task, state: State) -> None:
         """Record how a task of this run ended."""
         self.states[task] = state
+        self.ready.pop(task, None)
+        self.waiting.pop(task, None)
         self.undrawn.pop(task, None)
+        self._agenda.settled(task)
 
     def forget(self, task: Task) -> None:
         """Take a settled task back (its artifact turned out damaged)."""
         self.states.pop(task, None)
         self._pinned.lose(task)
+        self._agenda.all_anew = True
+
+    def look_again(self) -> None:
+        """What the plan rests on has changed: whatever is not settled is derived anew."""
+        self._agenda.all_anew = True
+
+    def hand_out(self, lanes: list[list[TaskSpec]]) -> None:
+        """Workers have these in hand."""
+        for spec in (spec for lane in lanes for spec in lane):
+            self.busy.add(spec.task)
+            self.ready.pop(spec.task, None)
+            self.waiting.pop(spec.task, None)
+
+    def take_back(self, lane: list[TaskSpec] | None = None) -> None:
+        """A lane has come to an end: what it has not settled is to be looked at again.  None: whatever workers have in hand."""
+        for task in [spec.task for spec in lane] if lane is not None else list(self.busy):
+            self.busy.discard(task)
+            self._agenda.add(task)
+
+    def news(self) -> list[tuple[Task, State]]:
+        """The tasks that have been settled since somebody asked last."""
+        return [(task, state) for task in self._agenda.news() if (state := self.states.get(task))]
 
     def lanes(self) -> Iterator[list[TaskSpec]]:
         """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call; when there are none,
@@ -122,6 +153,32 @@ class Plan:
         """Is the pair graph there (so that every pair's tasks are listed)?"""
         return self._subjects.pairs() is not None
 
+    def tasks(self, stage: Stage) -> list[Task]:
+        """The tasks of a stage, as far as they are listed yet."""
+        return self._subjects.tasks(stage)
+
+    def spec_of(self, task: Task) -> TaskSpec:
+        """How a task would be done, whether it has been or not.
+
+        Raises
+        ------
+        Waiting, Impossible
+            Its inputs are not there yet, or will not come.
+        """
+        stage = stage_named(task.stage)
+        instead = self._pinned.instead(stage, task)
+        return self._spec(stage, task, rework=None if isinstance(instead, Receipt) else instead)
+
+    def likely_pairs(self) -> int | None:
+        """About how many pairs the pair graph will have; None where it is there."""
+        if self.pairs_known():
+            return None
+        stage = stage_with(Role.PAIR_GRAPH)
+        count = len(self.site.cameras)
+        wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")
+        most = count * (count - 1) // 2
+        return min(most, count * wanted // 2) if isinstance(wanted, int) else most
+
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         return self._from.upstreams(task, self._bound(stage_named(task.stage)).needs)
@@ -134,30 +191,42 @@ class Plan:
         """The stages that take part tonight."""
         return list(self._stages)
 
+    def _list(self) -> None:
+        """List every task that is known of, to be looked at in the order of the table."""
+        self.ready, self.waiting = {}, {}
+        self._agenda.begin(task for stage in self._stages for task in self._subjects.tasks(stage))
+
     def _settle(self, stage: Stage, task: Task) -> None:
+        self.waiting.pop(task, None)
         try:
             instead = self._pinned.instead(stage, task)
             if isinstance(instead, Receipt):
-                self.states[task] = cached_state(instead)
+                self._found(task, cached_state(instead))
                 return
             spec = self._spec(stage, task, rework=instead)
         except Waiting as waiting:
             self.waiting[task] = waiting.task
+            self._agenda.wait(task, waiting.task)
             return
         except Impossible as impossible:
-            self.states[task] = State(stage.missing, str(impossible), impossible.code)
+            self._found(task, State(stage.missing, str(impossible), impossible.code))
             return
         preimage = spec.preimage()
+        key = preimage.key()
         if stage.role is Role.FRAME:
-            self._pinned.frame_keys[task.subject] = preimage.key()
-        receipt = None if spec.force else self.cache.find(preimage, preimage.key())
+            self._pinned.note_frame(task.subject, key)
+        receipt = None if spec.force else self.cache.find(preimage, key)
         if receipt is None:
             self.ready[task] = spec
             return
-        self.states[task] = cached_state(receipt)
+        self._found(task, cached_state(receipt))
         picture = spec.picture if receipt.file else None
         if picture and not is_drawn(self.cache, task, receipt.key, picture.digest(receipt.key)):
             self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
+
+    def _found(self, task: Task, state: State) -> None:
+        self.states[task] = state
+        self._agenda.settled(task)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, rework: Rework | None = None) -> TaskSpec:
         """The spec of a task; inputs made by tasks `among` may still be unresolved.  rework: what takes the function's place."""
@@ -175,7 +244,7 @@ class Plan:
             self._picture(stage, task, inputs, among or set()),
             bool(self.force & {task.stage, str(task)}),
             {name: text for name, text in bound.left_to_function().items() if name not in stated},
-            folder=self.site.file.resolve().parent,
+            folder=self._folder,
         )
 
     def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
@@ -210,8 +279,9 @@ class Plan:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
         values: dict[str, Any] = dict(getattr(self.site, stage.section)) if stage.section else {}
         values |= {name: getattr(self.site, name) for name in stage.site_parameters}
-        numbers = range(1, self._subjects.components())
-        values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+        if stage.component_parameter:
+            numbers = range(1, self._subjects.components())
+            values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
         known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})

@@ -108,7 +108,8 @@ class _Hands:
         if self._executor is None:
             from .executor import executor  # here: a night with nothing to do has no use for it
 
-            self._executor = executor(self._options, self._cache, lambda what, task: self._journal.warn(what, task=task))
+            journal = self._journal
+            self._executor = executor(self._options, self._cache, lambda what, task: journal.warn(what, task=task), journal.begun)
         self._executor.submit(lanes)
 
     def drop(self) -> None:
@@ -147,10 +148,11 @@ def _until_settled(
             if not deadline.struck:
                 deadline.struck = True
                 hands.drop()
-                plan.busy.clear()
+                plan.take_back()
             if deadline.settle(plan):
                 continue
         journal.tell(plan)
+        journal.planned(plan)
         mine = map(deadline.shortened, plan.lanes())
         lanes = [free for lane in mine if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
         if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):
@@ -158,7 +160,7 @@ def _until_settled(
             for first, *_ in lanes:
                 plan.settle(first.task, plan.states[first.task] if first.redraw else full)
         elif lanes:
-            plan.busy |= {spec.task for lane in lanes for spec in lane}
+            plan.hand_out(lanes)
             hands.submit(lanes)
         elif not plan.busy:
             try:
@@ -168,7 +170,7 @@ def _until_settled(
                 continue
         for report in hands.reports():
             if report.done is None:
-                plan.busy -= {spec.task for spec in report.lane}
+                plan.take_back(report.lane)
             elif report.done.changed is not None:
                 changes.look_again(report.done)
             else:

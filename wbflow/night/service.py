@@ -32,14 +32,14 @@ def serve(descriptor: int, parent: int) -> None:
     _end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides what becomes of its workers
     offer_first()
-    from .worker import do_lane
+    from .worker import Kept, do_lane
 
-    pipe = Connection(descriptor)
+    pipe, kept = Connection(descriptor), Kept()
     try:
         pipe.send(None)
         while True:
             lane, receipts, cache = pipe.recv()
-            for done in do_lane(lane, cache, receipts):
+            for done in do_lane(lane, cache, receipts, kept):
                 pipe.send(done)
             pipe.send(None)
             del lane, receipts, done

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..config.site import Site, SiteCamera
+from ..store.artifact import digest
 from ..store.digests import Digests
 from ..store.record import Health
 from ..store.seen import Seen
@@ -23,6 +24,8 @@ NIGHT_HOURS = 36.0
 """A capture that was taken further than this from noon of the night's date is of another night."""
 SAME_PIXELS = 0.98
 """Two pictures of a live sensor never agree in so many pixels to the last grey level."""
+_OF_NOTHING = digest(b"")
+"""Of an empty file: that two cameras or nights have one does not say that a picture is frozen."""
 _REMEDY = "restart the camera or what fetches its pictures; it is used again by itself as soon as its captures are new"
 _CLOCK = "set the camera's clock, or look at what fetches and names its pictures"
 
@@ -101,19 +104,19 @@ def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], 
     delivered : Delivered
         Where captures are left out, and notes are added.
     """
-    readable = [file for file in files if file.digest]
+    readable = [file for file in files if file.digest not in {"", _OF_NOTHING}]
     if not readable:
         return None
     different = {file.digest: file for file in reversed(readable)}
-    old = [digest for digest in different if digest in earlier]
+    old = [found for found in different if found in earlier]
     figures = {"captures": len(readable), "different": len(different), "earlier": len(old)}
     kept = [file for file in readable if different[file.digest] is file and file.digest not in earlier]
     if not kept:
-        when = max(earlier[digest] for digest in old)
+        when = max(earlier[found] for found in old)
         delivered.captures[camera] = [file for file in readable if different[file.digest] is file]
         text = f"it delivers again what it delivered on {when}: the picture is frozen"
         return Health("stale", text, figures, {"earlier": 0}, _REMEDY)
-    delivered.captures[camera] = [file for file in files if not file.digest or file in kept]
+    delivered.captures[camera] = [file for file in files if file not in readable or file in kept]
     if len(different) == 1 and len(readable) > 1:
         text = f"all {len(readable)} captures of the night are the same picture: it is frozen"
         return Health("stale", text, figures, {"different": len(readable)}, _REMEDY)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from ..config.site import Site, SiteCamera
@@ -19,6 +20,8 @@ class Subjects:
     site: Site
     states: dict[Task, State]
     """Settled tasks: the plan's own, which it changes."""
+    _graph: _Graph | None = field(default=None, repr=False)
+    _groups: tuple[State, int] | None = field(default=None, repr=False)
 
     def tasks(self, stage: Stage) -> list[Task]:
         """The tasks of a stage."""
@@ -32,17 +35,23 @@ class Subjects:
 
     def pairs(self) -> list[tuple[str, str]] | None:
         """The pairs of the pair graph; None while it is not there."""
-        listed = self._listed(Role.PAIR_GRAPH)
-        return None if listed is None else [tuple(pair) for pair in listed]
+        graph = self._known_graph()
+        return None if graph is None else graph.pairs
 
     def components(self) -> int:
         """Into how many worlds of at least two cameras the site falls, as far as is known."""
-        return sum(len(group) > 1 for group in self._listed(Role.WORLD) or ())
+        state = self.states.get(_WORLD)
+        if state is None:
+            return 0
+        if self._groups is None or self._groups[0] is not state:
+            self._groups = state, sum(len(group) > 1 for group in _listed(Role.WORLD, state))
+        return self._groups[1]
 
     def around(self, camera: str) -> list[str]:
         """The cameras that one makes pairs with, in the order of the site file."""
-        around = {c for pair in self.pairs() or () if camera in pair for c in pair} - {camera}
-        return [c.id for c in self.site.cameras if c.id in around]
+        graph = self._known_graph()
+        around = {c for pair in graph.of.get(camera, ()) for c in pair} - {camera} if graph else set()
+        return sorted(around, key=self._position.__getitem__)
 
     def joined(self, origin: Stage, need: FromStage, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
@@ -50,17 +59,46 @@ class Subjects:
             return self.tasks(origin)
         camera = task.subject[0]
         if origin.scope == "pair":
-            return [t for t in self.tasks(origin) if camera in t.subject]
+            graph = self._known_graph()
+            return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
         return [Task(origin.name, (c,)) for c in self.around(camera)]
 
     def camera(self, camera: str) -> SiteCamera:
         """What the site file says of a camera."""
-        return next(c for c in self.site.cameras if c.id == camera)
+        return self.site.cameras[self._position[camera]]
 
-    def _listed(self, role: Role) -> list[Any] | None:
-        """What a site-wide stage lists (see `Stage.lists`); None where its task is not settled yet."""
-        stage = stage_with(role)
-        state = self.states.get(Task(stage.name))
+    @cached_property
+    def _position(self) -> dict[str, int]:
+        """Of each camera in the site file."""
+        return {camera.id: k for k, camera in enumerate(self.site.cameras)}
+
+    def _known_graph(self) -> _Graph | None:
+        """The pair graph, indexed once for each result of its task; None while that is not settled."""
+        state = self.states.get(_PAIR_GRAPH)
         if state is None:
             return None
-        return list(state.receipt.figures.get(stage.lists, ())) if state.usable and state.receipt else []
+        if self._graph is None or self._graph.state is not state:
+            self._graph = _Graph(state, [tuple(pair) for pair in _listed(Role.PAIR_GRAPH, state)])
+            for pair in self._graph.pairs:
+                for camera in pair:
+                    self._graph.of.setdefault(camera, []).append(pair)
+        return self._graph
+
+
+@dataclass
+class _Graph:
+    """The pair graph of a night."""
+
+    state: State
+    """Of its task."""
+    pairs: list[tuple[str, str]]
+    of: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    """The pairs of each camera."""
+
+
+_PAIR_GRAPH, _WORLD = Task(stage_with(Role.PAIR_GRAPH).name), Task(stage_with(Role.WORLD).name)
+
+
+def _listed(role: Role, state: State) -> list[Any]:
+    """What a site-wide stage lists (see `Stage.lists`)."""
+    return list(state.receipt.figures.get(stage_with(role).lists, ())) if state.usable and state.receipt else []

@@ -8,6 +8,9 @@ done again, alone.  One that took too long is not: it has had its time.
 from __future__ import annotations
 
 import datetime
+import heapq
+import itertools
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
@@ -53,6 +56,10 @@ class _Lane:
     def at_work(self) -> TaskSpec:
         return self.specs[min(self.finished, len(self.specs) - 1)]
 
+    def goes_on(self, done: Done) -> bool:
+        """Does a task follow the one that has just ended?"""
+        return self.finished < len(self.specs) and done.receipt is not None and done.outcome != "rejected"
+
     def count(self, done: Done) -> None:
         self.finished, self.losses = self.finished + 1, 0
         if done.receipt:
@@ -62,22 +69,32 @@ class _Lane:
 class Supervisor:
     """Does lanes in worker processes of its own; see `executor.Executor`."""
 
-    def __init__(self, jobs: int, cache: Cache, limits: Limits, warn: Callable[[str, Task], None]) -> None:
+    def __init__(
+        self,
+        jobs: int,
+        cache: Cache,
+        limits: Limits,
+        warn: Callable[[str, Task], None],
+        begun: Callable[[Task], None] = lambda task: None,
+    ) -> None:
+        self._begun = begun
         self._jobs = jobs
         self._cache = cache
         self._limits = limits
         self._warn = warn
-        self._queue: list[_Lane] = []
+        self._queue: list[tuple[float, int, _Lane]] = []
+        self._numbers = itertools.count()
         self._alone: list[_Lane] = []  # that have lost a worker, and wait until nothing else is at work
         self._idle: list[Hand] = []
         self._busy: dict[Hand, _Lane] = {}
         self._kills = machine.kills_for_memory()
         self._until = limits.until
+        self._look = 0.0  # when memory is looked at next
 
     def submit(self, lanes: list[list[TaskSpec]]) -> None:
-        """Lanes to be done, longest expected first."""
-        self._queue += map(_Lane, lanes)
-        self._queue.sort(key=self._expected, reverse=True)
+        """Lanes to be done, longest expected first, else in their order."""
+        for lane in map(_Lane, lanes):
+            heapq.heappush(self._queue, (-self._expected(lane), next(self._numbers), lane))
 
     def reports(self) -> Iterator[Report]:
         """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it, and once when the
@@ -104,15 +121,14 @@ class Supervisor:
 
     def _assign(self) -> None:
         """Give work to who has none, and start workers for what is left."""
-        if self._queue:
-            waiting, room = self._queue, self._jobs if not any(lane.losses for lane in self._busy.values()) else 0
-        else:
-            waiting, room = self._alone, 1
-        while waiting and len(self._busy) < room:
-            lane = waiting.pop(0)
+        first = bool(self._queue)
+        room = 1 if not first else self._jobs if not any(lane.losses for lane in self._busy.values()) else 0
+        while (self._queue if first else self._alone) and len(self._busy) < room:
+            lane = heapq.heappop(self._queue)[2] if first else self._alone.pop(0)
             hand = self._idle.pop() if self._idle else Hand()
             hand.give(lane.specs[lane.finished :], lane.receipts, self._cache)
             self._busy[hand] = lane
+            self._begun(lane.at_work.task)
 
     def _listen(self) -> Iterator[Report]:
         wait([hand.pipe for hand in self._busy], LOOK_SECONDS)
@@ -125,6 +141,8 @@ class Supervisor:
                 elif done is not None:
                     lane.count(done)
                     yield Report(lane.specs, done)
+                    if lane.goes_on(done):
+                        self._begun(lane.at_work.task)
                 else:
                     self._idle.append(hand)
                     del self._busy[hand]
@@ -143,6 +161,9 @@ class Supervisor:
 
     def _above_memory(self) -> Hand | None:
         """Who has to go because all workers together hold too much: those without work at once, else the fullest."""
+        if time.monotonic() < self._look:
+            return None
+        self._look = time.monotonic() + LOOK_SECONDS
         held = {hand: hand.holds() for hand in [*self._busy, *self._idle]}
         if not self._limits.memory or sum(held.values()) <= self._limits.memory:
             return None

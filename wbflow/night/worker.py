@@ -15,6 +15,7 @@ from typing import Any
 from ..errors import LONGEST_TRACE, printable
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
+from ..graph.rows import PointTable
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
@@ -51,22 +52,52 @@ class Done:
 
 
 @dataclass
+class Kept:
+    """What a worker keeps from lane to lane: artifacts of the whole site of which lanes need parts, read and checked once."""
+
+    opened: dict[str, artifact.Opened] = field(default_factory=dict)
+    """By digest, the one that was asked for last at the end."""
+
+    def of(self, digest: str, read: Callable[[], bytes]) -> artifact.Opened:
+        """An artifact; `read` gives its bytes."""
+        found = self.opened.pop(digest, None) or artifact.Opened(read())
+        self.opened[digest] = found
+        while len(self.opened) > MOST_KEPT:
+            del self.opened[next(iter(self.opened))]
+        return found
+
+
+MOST_KEPT = 4
+"""So many artifacts of the whole site are kept from lane to lane."""
+
+
+@dataclass
 class _Lane:
     """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
 
     cache: Cache
+    kept: Kept
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
     """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
 
 
-def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt]) -> Iterator[Done]:
+def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt], kept: Kept) -> Iterator[Done]:
     """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
 
-    receipts: of earlier tasks of the lane, where it goes on after a worker was lost.
+    Parameters
+    ----------
+    specs : list of TaskSpec
+        The lane.
+    cache : Cache
+        Where results go.
+    receipts : mapping of Task to Receipt
+        Of earlier tasks of the lane, where it goes on after a worker was lost.
+    kept : Kept
+        What the worker keeps from lane to lane.
     """
     offer(specs[0].folder)
-    lane = _Lane(cache, dict(receipts))
+    lane = _Lane(cache, kept, dict(receipts))
     for spec in specs:
         done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
         yield done
@@ -77,7 +108,20 @@ def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt
 
 def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
     """The same, all at once."""
-    return list(do_lane(specs, cache, {}))
+    return list(do_lane(specs, cache, {}, Kept()))
+
+
+def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
+    """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
+    lane = _Lane(cache, Kept())
+    return {name: _load(value, lane) for name, value in spec.inputs.items()}
+
+
+def result_bytes(result: Any, table: PointTable | None) -> bytes | bytearray:
+    """A result as the cache keeps it."""
+    if table:
+        return ply_bytes(load(table.columns)(result), comments=("made by wbflow",))
+    return artifact.encode(result)
 
 
 def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
@@ -122,7 +166,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
     result = load(spec.function)(**arguments, **spec.parameters)
     nothing: Any = load(REJECTED)
     rejected = isinstance(result, nothing)
-    data = None if rejected else _bytes(spec, result)
+    data = None if rejected else result_bytes(result, spec.table)
     warnings = () if rejected else _draw(spec, key, result, lane, arguments)
     receipt = Receipt(
         task=str(spec.task),
@@ -150,12 +194,6 @@ def _code(rejection: Any) -> str | None:
     """The reason as one word, where a function gives one."""
     code = getattr(rejection, "code", None)
     return None if code is None else str(code)
-
-
-def _bytes(spec: TaskSpec, result: Any) -> bytes | bytearray:
-    if spec.table:
-        return ply_bytes(load(spec.table.columns)(result), comments=("made by wbflow",))
-    return artifact.encode(result)
 
 
 def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
@@ -234,13 +272,20 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
     result = lane.results.get(value.file_digest)
+    if result is None and value.part and not value.task.subject:
+        opened = lane.kept.of(value.file_digest, lambda: _bytes_of(value, lane))
+        return opened.part(value.part.field, value.part.entry)
     if result is None:
-        assert value.path is not None
-        data, table = lane.cache.read(value.task, value.path, value.file_digest), stage_named(value.task.stage).table
+        data, table = _bytes_of(value, lane), stage_named(value.task.stage).table
         result = load(table.restore)(columns_of(data)) if table else artifact.decode(data)
         if keep:
             lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
+
+
+def _bytes_of(value: Stored, lane: _Lane) -> bytes:
+    assert value.path is not None
+    return lane.cache.read(value.task, value.path, value.file_digest)
 
 
 def _from_plain(value: Value) -> Any:

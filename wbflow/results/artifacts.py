@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..errors import WbflowError
-from ..graph.pipeline import stage_named, stage_with
+from ..errors import UsageError, WbflowError
+from ..graph.pipeline import STAGES, stage_named, stage_with
 from ..graph.rows import Role
 from ..store.cache import Cache, Receipt
 from ..store.events import TaskEvent
@@ -121,6 +121,14 @@ class _OfSubjects(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._tasks)
+
+
+def task_named(name: str) -> Task:
+    """A task as it is written: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
+    stage, _, subject = name.partition(" ")
+    if stage not in {row.name for row in STAGES}:
+        raise UsageError(f"{name!r}: there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+    return Task(stage, tuple(subject.split("--")) if subject else ())
 
 
 def function(dotted: str) -> Any:

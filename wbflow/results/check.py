@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import difflib
 import importlib
 import re
 import shutil
@@ -10,12 +11,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from ..config.site import Site
-from ..errors import ExitCode
+from ..config.site import Site, SiteCamera
+from ..errors import ExitCode, printable
 from ..graph.exports import DECODE
 from ..graph.pipeline import SITE_TYPES
 from ..graph.rows import SiteValue
-from ..night.captures import CaptureFile, expected
+from ..night.captures import CaptureFile, expected, pattern_of
 from ..night.night import Night, open_night
 from ..store.layout import WorkFolder
 from ..store.outside import read_outside
@@ -67,13 +68,16 @@ def exit_code(findings: Iterable[Finding]) -> ExitCode:
 def check_captures(site: Site, night: Night) -> list[Finding]:
     """Is every capture there, whole, and of the size that its intrinsics are for?"""
     found = []
+    if len(site.cameras) < 2:
+        what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
+        found.append(Finding("error", what, "list the others under cameras:", ExitCode.FAILED))
     for camera in site.cameras:
         place = site.document.problem(camera.place, "")
         where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
         files = night.captures[camera.id]
         if not files:
             what = f"{where}: there is no capture {expected(site, camera, night.date)}"
-            found.append(Finding("error", what, "check captures.root and pattern, or the camera itself", ExitCode.DEGRADED))
+            found.append(Finding("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
         for file in files:
             size, problem = _look_at(file)
             stated = (camera.lens.width, camera.lens.height)
@@ -83,6 +87,15 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
                 what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
                 found.append(Finding("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
     return found
+
+
+def _remedy_of_missing(site: Site, camera: SiteCamera) -> str:
+    """What to do about a camera without captures: its name may be written otherwise than the files'."""
+    there = pattern_of(site).cameras() - {other.id for other in site.cameras} if camera.images is None else set()
+    close = difflib.get_close_matches(camera.id, there, 1)
+    if close:
+        return f"did you mean {printable(close[0])!r}? There are captures of it"
+    return "check captures.root and pattern, or the camera itself"
 
 
 def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:

@@ -51,3 +51,20 @@ def _entry(work: WorkFolder, run: LedgerRun) -> Entry:
         return Entry(run, folder.record().verdict, cleaned=False)
     except NoSuchRun:
         return Entry(run, None, cleaned=not folder.paths.record.exists())
+
+
+def places(work: WorkFolder) -> list[dict[str, Any]]:
+    """Where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
+    return [_place(work, entry) for entry in history(work)] if work.root.exists() else []
+
+
+def _place(work: WorkFolder, entry: Entry) -> dict[str, Any]:
+    run, paths = entry.run, work.run(entry.run.run)
+    level = entry.verdict.level if entry.verdict else None
+    told = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
+    there = {
+        "folder": None if entry.cleaned else paths.folder,
+        "cloud": paths.cloud if paths.cloud.is_file() else None,
+        "report": paths.report if paths.report.is_file() else None,
+    }
+    return told | {name: str(path) if path else None for name, path in there.items()}

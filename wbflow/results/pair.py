@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from importlib.resources import files
+from mimetypes import guess_type
 from pathlib import Path
+from typing import Any
 
 from ..config.load import load_site
 from ..config.site import Site
@@ -39,7 +42,7 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
     """
     for path in (left, right):
         if not path.is_file():
-            raise UsageError(f"{path}: there is no such file")
+            raise UsageError(f"{path}: there is no such file", remedy="wbflow pair LEFT.jpg RIGHT.jpg --out DIR")
     out.mkdir(parents=True, exist_ok=True)
     cameras = [{"id": name, "images": [str(path.resolve())]} for name, path in zip(PAIR, (left, right), strict=True)]
     description = {
@@ -61,11 +64,24 @@ def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
     results = {name: run.by_role(role, PAIR) for name, role in PAIR_RESULTS.items()}
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
-    files, summary = function(PAIR_FILES)(left, right, **results)
-    files["pair.json"] = json.dumps(run.record.pairs[0].to_json() | summary, indent=1).encode()
-    for name, data in files.items():
+    made, summary = function(PAIR_FILES)(left, right, **results)
+    told = run.record.pairs[0].to_json() | summary
+    made["index.html"] = _page(list(made), told).encode()
+    made["pair.json"] = json.dumps(told, indent=1).encode()
+    for name, data in made.items():
         write_atomic(out / name, data)
-    return tuple(out / name for name in files)
+    return tuple(out / name for name in made)
+
+
+def _page(names: list[str], told: dict[str, Any]) -> str:
+    """A page of the pictures, as large as they are, with the figures behind them and links to the files."""
+    from jinja2 import Environment, StrictUndefined
+
+    words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = words.from_string((files(__package__) / "report" / "assets" / "pair.html").read_text(encoding="utf-8"))
+    pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
+    rows = [(name.replace("_", " "), value) for name, value in told.items() if isinstance(value, str | int | float)]
+    return template.render(pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
 
 
 def failure(run: FinishedRun) -> str | None:

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 from ..config.site import Measure, Site
 from ..graph.binding import bind
@@ -57,14 +58,19 @@ class Past:
 
     def camera(self, name: str) -> tuple[str, CameraRecord] | None:
         """The last night that a camera took part in, and its record."""
-        found = ((record.date, camera) for record in self.runs for camera in record.cameras if camera.id == name)
-        return next(found, None)
+        return self._cameras.get(name)
+
+    @cached_property
+    def _cameras(self) -> dict[str, tuple[str, CameraRecord]]:
+        newest_last = reversed(self.runs)
+        return {camera.id: (record.date, camera) for record in newest_last for camera in record.cameras}
 
 
 def usual_of(records: Sequence[RunRecord]) -> Usual:
     """The medians of some nights."""
     cameras = list(dict.fromkeys(camera.id for record in records for camera in record.cameras))
-    looks = {name: [looks_of(record, name) for record in records] for name in cameras}
+    of_records = [looks_of(record) for record in records]
+    looks = {name: [of.get(name, {}) for of in of_records] for name in cameras}
     return Usual(
         len(records),
         _medians([figures_of(record) for record in records]),
@@ -110,17 +116,25 @@ def figures_of(record: RunRecord) -> dict[str, float]:
     return found
 
 
-def looks_of(record: RunRecord, name: str) -> dict[str, float]:
-    """What is compared of a camera, by name: how its picture looks, and the share of its pairs that found common points."""
-    camera = next((camera for camera in record.cameras if camera.id == name), None)
-    if camera is None or not camera.ok:
-        return {}
-    figures = stage_with(Role.FRAME).reports
-    names = figures.fields if figures else ()
-    found = {figure: float(value) for figure in names if isinstance(value := camera.figures.get(figure), int | float)}
-    matched = [pair.figures.get("matched") for pair in record.pairs if name in (pair.left, pair.right)]
-    told = [bool(entry) for entry in matched if entry is not None]
-    return {**found, "matched_share": sum(told) / len(told)} if told else found
+def looks_of(record: RunRecord) -> dict[str, dict[str, float]]:
+    """What is compared of each camera that is well, by id and name: how its picture looks, and the share of its pairs that found
+    common points."""
+    reports = stage_with(Role.FRAME).reports
+    names = reports.fields if reports else ()
+    matched: dict[str, list[bool]] = {}
+    well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one
+    for pair in record.pairs:
+        if {pair.left, pair.right} <= well and (told := pair.figures.get("matched")) is not None:
+            for name in (pair.left, pair.right):
+                matched.setdefault(name, []).append(bool(told))
+    found = {}
+    for camera in record.cameras:
+        if camera.ok and camera.id not in found:
+            looks = {name: float(value) for name in names if isinstance(value := camera.figures.get(name), int | float)}
+            if shares := matched.get(camera.id):
+                looks["matched_share"] = sum(shares) / len(shares)
+            found[camera.id] = looks
+    return found
 
 
 def settings_of(site: Site) -> str:

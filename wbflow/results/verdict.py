@@ -92,7 +92,10 @@ def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> Ru
         What the site file says of good nights.
     """
     night = _shares(record)
-    cameras = tuple(_with_health(camera, record, night, expected) for camera in record.cameras)
+    looks, known = looks_of(record), record.usual.cameras if record.usual else {}
+    cameras = tuple(
+        _with_health(camera, looks.get(camera.id, {}), known.get(camera.id, {}), night, expected) for camera in record.cameras
+    )
     record = replace(record, cameras=cameras)
     cameras = tuple(_with_down(camera, record, past) for camera in cameras)
     record = replace(record, cameras=cameras)
@@ -134,7 +137,7 @@ def _of_cameras(record: RunRecord) -> Iterator[Finding]:
 
 def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
     """What is wrong with a camera tonight: the first thing that is."""
-    subject, pairs = (camera.id,), [pair for pair in record.pairs if camera.id in (pair.left, pair.right)]
+    subject, pairs = (camera.id,), record.pairs_of(camera.id)
     if (health := camera.health) and not health.ok:
         text = health.text if camera.ok else f"{shortened(health.text)}; left out tonight"
         remedy = health.remedy or _remedy_of_lost(camera)
@@ -222,20 +225,34 @@ def _tolerated(finding: Finding, record: RunRecord, expected: Expected) -> bool:
 def _shares(record: RunRecord) -> dict[str, float]:
     """How the pictures of most cameras look, as shares of what is usual: what they have in common is the night's, not theirs."""
     shares: dict[str, list[float]] = {}
+    of_cameras = looks_of(record)
     for camera in record.cameras:
-        looks, usual = looks_of(record, camera.id), record.usual.cameras.get(camera.id, {}) if record.usual else {}
+        looks, usual = of_cameras.get(camera.id, {}), record.usual.cameras.get(camera.id, {}) if record.usual else {}
         for name in looks.keys() & usual.keys():
             if usual[name] > 0:
                 shares.setdefault(name, []).append(looks[name] / usual[name])
     return {name: min(median(found), 1.0) for name, found in shares.items()}
 
 
-def _with_health(camera: CameraRecord, record: RunRecord, night: Mapping[str, float], expected: Expected) -> CameraRecord:
-    """Its looks compared with the usual, where nobody who looked more closely has found anything."""
-    usual = record.usual.cameras.get(camera.id, {}) if record.usual else {}
+def _with_health(
+    camera: CameraRecord, looks: Mapping[str, float], usual: Mapping[str, float], night: Mapping[str, float], expected: Expected
+) -> CameraRecord:
+    """Its looks compared with the usual, where nobody who looked more closely has found anything.
+
+    Parameters
+    ----------
+    camera : CameraRecord
+        Whose.
+    looks, usual : mapping
+        Figures of its picture, tonight's and the usual ones.
+    night : mapping
+        The share of the usual that most cameras have tonight.
+    expected : Expected
+        What the site file says of good nights.
+    """
     if not camera.ok or not usual or (camera.health and not camera.health.ok):
         return camera
-    health = _health(looks_of(record, camera.id), usual, night, expected)
+    health = _health(looks, usual, night, expected)
     return camera if camera.health and health.ok else replace(camera, health=health)
 
 

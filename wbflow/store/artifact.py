@@ -48,14 +48,58 @@ def decode(data: bytes) -> Any:
     ArtifactError
         The bytes are cut short or not an artifact.
     """
+    tree, end = _header(data)
+    return _untree(tree, _Frames(memoryview(data), end))
+
+
+@dataclasses.dataclass
+class Opened:
+    """The bytes of an artifact of which parts are wanted, again and again: each is rebuilt on its own, for its caller."""
+
+    data: bytes
+    _places: dict[tuple[str, str | None], tuple[Any, int]] = dataclasses.field(default_factory=dict)
+    """Header and first frame of each field, and of each entry of a field that is a mapping."""
+
+    def __post_init__(self) -> None:
+        tree, end = _header(self.data)
+        position = end
+        for name, node in tree["fields"].items():
+            self._places[name, None] = node, position
+            start = position
+            for key, entry in node["map"] if isinstance(node, dict) and "map" in node else ():
+                if isinstance(key, str):
+                    self._places[name, key] = entry, start
+                start += _frame_bytes(entry)
+            position += _frame_bytes(node)
+
+    def part(self, field: str, entry: str | None) -> Any:
+        """A field, or an entry of one that is a mapping.  Raises ArtifactError, KeyError."""
+        node, position = self._places[field, entry]
+        return _untree(node, _Frames(memoryview(self.data), position))
+
+
+def _frame_bytes(node: Any) -> int:
+    """Bytes of all array frames below a node of the header."""
+    if isinstance(node, list):
+        return sum(map(_frame_bytes, node))
+    if not isinstance(node, dict):
+        return 0
+    if "array" in node:
+        return int(node["bytes"])
+    if "map" in node:
+        return sum(_frame_bytes(entry) for _, entry in node["map"])
+    return _frame_bytes(node["tuple"]) if "tuple" in node else sum(map(_frame_bytes, node["fields"].values()))
+
+
+def _header(data: bytes) -> tuple[Any, int]:
+    """The header of an artifact, and where its frames begin.  Raises ArtifactError."""
     if data[:4] != MAGIC or len(data) < 8:
         raise ArtifactError("not a wbflow artifact")
     end = 8 + int.from_bytes(data[4:8], "little")
     try:
-        tree = json.loads(data[8:end])
+        return json.loads(data[8:end]), end
     except ValueError as error:
         raise ArtifactError(f"unreadable header: {error}") from error
-    return _untree(tree, _Frames(memoryview(data), end))
 
 
 def digest(data: bytes | bytearray | memoryview) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import uuid
 from pathlib import Path
 
@@ -37,18 +38,24 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) ->
         sync_folder(path.parent)
 
 
-def link_atomic(path: Path, name: Path) -> None:
-    """Give a file a second name, in the place of what bears it; a copy, where the file system has no links.  Raises OSError."""
-    if name.exists() and name.samefile(path):
-        return
+def copy_atomic(path: Path, name: Path) -> None:
+    """Put a copy of a file in the place of what bears a name: what happens to one does not happen to the other.
+
+    Raises
+    ------
+    OSError
+        One of a full disk says how much was needed, and how much is free.
+    """
     name.parent.mkdir(parents=True, exist_ok=True)
     temporary = name.with_name(f".{name.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
     try:
-        os.link(path, temporary)
-    except OSError:
-        write_atomic(name, path.read_bytes())
-        return
-    temporary.replace(name)
+        shutil.copyfile(path, temporary)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.replace(name)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise told_full(error, name, path.stat().st_size) from None
 
 
 def sync_folder(folder: Path) -> None:

@@ -63,7 +63,13 @@ class Preimage:
 
     def key(self) -> str:
         """32 hexadecimal digits.  The function counts by its code, not by its name."""
-        determines = {name: value for name, value in asdict(self).items() if name != "function"}
+        determines = {
+            "stage": self.stage,
+            "subject": self.subject,
+            "code": self.code,
+            "parameters": self.parameters,
+            "inputs": self.inputs,
+        }
         return artifact.digest(json.dumps(determines, sort_keys=True, separators=(",", ":")).encode())
 
 
@@ -179,7 +185,7 @@ class Cache:
             path.replace(target)
 
     def _beside(self, receipt: Receipt, name: str) -> Path:
-        return self.work.task(receipt.preimage.task) / name
+        return self.work.artifact_file(receipt.preimage.task, name)
 
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""

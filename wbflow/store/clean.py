@@ -125,7 +125,7 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) ->
 
 
 def _pinned_keys(work: WorkFolder) -> set[str]:
-    """Keys of what the reference links to: it would take the same room on the disk without them."""
+    """Keys of what the reference holds: nights read them here, and each copy heals the other."""
     try:
         reference = read_reference(work)
     except BadReference:

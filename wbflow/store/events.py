@@ -89,10 +89,52 @@ class WarningEvent:
         return {"event": "warning", "at": self.at, **subject, **told}
 
 
+@dataclass(frozen=True)
+class StageOutlook:
+    """What is to be done of a stage, as far as is known."""
+
+    stage: str
+    tasks: int
+    """In all: those that are known of, or, before the pair graph is there, about so many."""
+    settled: int
+    seconds: float
+    """What one of the tasks to come takes by the clock: by the last runs, else roughly."""
+    known: bool
+    """Is that what the last runs took?"""
+
+
+@dataclass(frozen=True)
+class PlannedEvent:
+    """What is to be done was looked at anew; for whoever watches, and in no log."""
+
+    stages: tuple[StageOutlook, ...]
+    """In the order of the pipeline."""
+    workers: int
+    """Tasks that are done at once."""
+    at: str
+    """When, ISO 8601, UTC."""
+
+
+@dataclass(frozen=True)
+class StartedEvent:
+    """A worker has a task in hand; for whoever watches, and in no log."""
+
+    task: Task
+    at: str
+    """When, ISO 8601, UTC."""
+
+
 Event = TaskEvent | WarningEvent
+"""What a log keeps."""
+
+Signal = PlannedEvent | StartedEvent
+"""What is only told while a run works."""
 
 Listener = Callable[[Event], None]
 """Told of every event as it happens."""
+
+Watcher = Callable[[Signal], None]
+"""Told of what is planned and begun, too."""
 
 
 def event_from_json(line: Mapping[str, Any]) -> Event | None:

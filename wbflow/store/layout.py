@@ -4,7 +4,7 @@ cache/<stage>/<subject>/<key>.*      artifacts, their receipts and pictures
 runs/<run id>/                       what a night left for people and programs
 runs/latest                          link to the newest run, whatever came of it
 runs/latest-good                     link to the newest run with a cloud whose verdict is good or degraded
-reference/                           what nights are compared with: reference.json, and links to its artifacts
+reference/                           what nights are compared with: reference.json (twice), and copies of its artifacts
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
 notified.json                        what somebody was told last
@@ -17,6 +17,7 @@ import datetime
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from ..task import Task
@@ -101,18 +102,25 @@ class WorkFolder:
         """The work folder that a run's folder stands in."""
         return WorkFolder(run.folder.parent.parent)
 
-    @property
+    @cached_property
     def cache(self) -> Path:
         """The folder of all artifacts."""
         return self.root / "cache"
 
     def task(self, task: Task) -> Path:
         """Where the artifacts of a task lie, whatever their key."""
-        return self.cache / task.stage / ("--".join(task.subject) or "site")
+        return Path(self._of(task))
+
+    def _of(self, task: Task) -> str:
+        return f"{self.cache}/{task.stage}/{'--'.join(task.subject) or 'site'}"  # one path is made, not four: hot
+
+    def artifact_file(self, task: Task, name: str) -> Path:
+        """A file beside a task's receipts, by its name."""
+        return Path(f"{self._of(task)}/{name}")
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
-        return self.task(task) / f"{key}{suffix}"
+        return Path(f"{self._of(task)}/{key}{suffix}")
 
     def picture(self, task: Task, key: str) -> Path:
         """A picture of an artifact, for the report."""
@@ -244,6 +252,11 @@ class WorkFolder:
         """What is pinned; without it nothing is (see `store.reference`)."""
         return self.reference / "reference.json"
 
+    @property
+    def reference_twin(self) -> Path:
+        """The same again: it takes the place of a record that is damaged."""
+        return self.reference / "reference-twin.json"
+
     def pinned(self, path: Path) -> Path:
         """Where the reference keeps a file of the cache."""
         return self.reference / path.relative_to(self.cache)
@@ -277,7 +290,8 @@ class WorkFolder:
             for folder in (self.cache, self.reference):
                 for path in folder.rglob(f".*{_UNFINISHED}"):
                     path.unlink(missing_ok=True)
-            for path in [*self.runs.glob(f".*{_UNFINISHED}"), *self.runs.glob(f"*/.*{_UNFINISHED}")]:
+            beside = f".*{_UNFINISHED}"
+            for path in [*self.root.glob(beside), *self.runs.glob(beside), *self.runs.glob(f"*/{beside}")]:
                 if path.is_dir() and not path.is_symlink():  # never through a link: behind it stands a run that is published
                     shutil.rmtree(path)
                 else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from .findings import Down as Down
@@ -222,6 +223,18 @@ class RunRecord:
     """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
     """What site-wide stages report, by stage; and keys of a later version."""
+
+    def pairs_of(self, camera: str) -> list[PairRecord]:
+        """The pairs that a camera is one of."""
+        return self._pairs_of.get(camera, [])
+
+    @cached_property
+    def _pairs_of(self) -> dict[str, list[PairRecord]]:
+        found: dict[str, list[PairRecord]] = {}
+        for pair in self.pairs:
+            for camera in dict.fromkeys((pair.left, pair.right)):
+                found.setdefault(camera, []).append(pair)
+        return found
 
     def __repr__(self) -> str:
         points = f"{self.cloud.points:,} points" if self.cloud else f"no cloud ({self.reason or 'not asked for'})"

@@ -1,12 +1,14 @@
 """The pinned reference of a work folder: which results of which run later nights are compared with, and copies of them.
 
-`reference.json` says what is pinned, for people and programs; beside it lie the artifacts, as hard links to those of the cache,
-so that nothing that happens to the cache takes them away.  The record is written last, by rename: at any moment there is the old
-reference or the new one.  No night writes here.
+`reference.json` says what is pinned, for people and programs; beside it lie copies of the artifacts, so that nothing that happens
+to the cache takes them away.  The record is written last, by rename: at any moment there is the old reference or the new one.
+All of it is there twice, the record as its twin, the artifacts in the cache: what one has lost is put back from the other.
+No night changes what is pinned.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,12 +18,15 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Subject, Task
 from .artifact import file_digest
-from .atomic import link_atomic, sync_folder, write_atomic
+from .atomic import copy_atomic, sync_folder, write_atomic
 from .cache import Cache, Receipt
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, signed
 
 _OF = "reference"
+
+
+_ANEW = "wbflow pin SITE.yaml  makes it anew, from the last good run; so does the next good night"
 
 
 class BadReference(WbflowError):
@@ -107,16 +112,54 @@ def read_reference(work: WorkFolder) -> Reference | None:
     Raises
     ------
     BadReference
-        Its record is damaged.
+        Its record is damaged, and so is the record's twin.
     """
     try:
-        told = read_signed(work.reference_record, _OF)
+        return _read(work.reference_record) or _read(work.reference_twin)
+    except BadReference:
+        if twin := _read(work.reference_twin):
+            return twin
+        raise
+
+
+def _read(path: Path) -> Reference | None:
+    try:
+        told = read_signed(path, _OF)
         return Reference.from_json(told) if told else None
     except Damaged as damage:
-        raise BadReference(damage.what, remedy="wbflow pin SITE.yaml  makes it anew, from the last good run") from None
+        raise BadReference(damage.what, remedy=_ANEW) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        what = f"{work.reference_record} cannot be read: {type(error).__name__}: {error}"
-        raise BadReference(what, remedy="wbflow pin SITE.yaml  makes it anew, from the last good run") from None
+        raise BadReference(f"{path} cannot be read: {type(error).__name__}: {error}", remedy=_ANEW) from None
+
+
+def mend_record(work: WorkFolder) -> str | None:
+    """Make the record and its twin the same again, from the one that is whole; returns what was wrong, in words.
+
+    Where neither is, both are taken out of use, so that the next good night is pinned.  The caller holds the lock.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    record, twin = work.reference_record, work.reference_twin
+    whole, fault = None, None
+    for path in (record, twin):
+        try:
+            whole = whole or (path if _read(path) else None)
+        except BadReference as bad:
+            fault = bad.what
+    if whole is None:
+        for path in (record, twin):
+            _clear(path)
+        return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
+    other, data = (twin if whole is record else record), whole.read_bytes()
+    if not _differ(whole, other) and other.read_bytes() == data:
+        return None
+    fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
+    _clear(other)
+    write_atomic(other, data)
+    return f"{fault}: taken from {whole.name}"
 
 
 def write_reference(work: WorkFolder, reference: Reference, receipts: Iterable[Receipt]) -> None:
@@ -136,15 +179,15 @@ def write_reference(work: WorkFolder, reference: Reference, receipts: Iterable[R
     OSError
         The disk is full, or there is no right to write.
     """
-    kept = {work.reference_record}
+    kept = {work.reference_record, work.reference_twin}
     for receipt in receipts:
         for path in _files(work, receipt):
-            copy = work.pinned(path)
-            link_atomic(path, copy)
-            kept.add(copy)
+            copy_atomic(path, work.pinned(path))
+            kept.add(work.pinned(path))
     for folder in {path.parent for path in kept if path.parent.is_dir()}:
         sync_folder(folder)
-    write_atomic(work.reference_record, signed(_OF, reference.to_json(), indent=1))
+    for path in (work.reference_twin, work.reference_record):
+        write_atomic(path, signed(_OF, reference.to_json(), indent=1))
     for path in work.reference.rglob("*"):
         if path.is_file() and path not in kept:
             path.unlink()
@@ -153,29 +196,88 @@ def write_reference(work: WorkFolder, reference: Reference, receipts: Iterable[R
 
 def drop_reference(work: WorkFolder) -> bool:
     """Forget the reference; False where there is none.  The caller holds the lock."""
-    there = work.reference_record.exists()
-    work.reference_record.unlink(missing_ok=True)
+    there = work.reference_record.exists() or work.reference_twin.exists()
+    for path in (work.reference_twin, work.reference_record):
+        path.unlink(missing_ok=True)
     if work.reference.exists():
         shutil.rmtree(work.reference)
     return there
 
 
-def restore(work: WorkFolder, reference: Reference) -> list[str]:
-    """Put back into the cache what it has lost of the reference; returns what cannot be, in words.  The caller holds the lock."""
+@dataclass(frozen=True)
+class Restored:
+    """What was done for the results of a reference that somewhere were missing."""
+
+    to_cache: tuple[Task, ...] = ()
+    """Put back from the reference's copies."""
+    copied: tuple[Task, ...] = ()
+    """Copied anew from the cache."""
+    lost: tuple[Task, ...] = ()
+    """They are nowhere."""
+
+
+def restore(work: WorkFolder, reference: Reference) -> Restored:
+    """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
     cache = Cache(work)
-    lost = []
+    to_cache: list[Task] = []
+    copied: list[Task] = []
+    lost: list[Task] = []
     for task, pinned in reference.artifacts.items():
-        if cache.by_key(task, pinned.key):
-            continue
-        receipt = work.receipt(task, pinned.key)
-        copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
-        artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
-        if not work.pinned(receipt).is_file() or (pinned.digest and [file_digest(copy) for copy in artifacts] != [pinned.digest]):
-            lost.append(f"'{task}' of the reference is damaged, or gone")
-            continue
-        for copy in copies:  # the receipt last
-            link_atomic(copy, receipt.with_suffix(copy.suffix))
-    return lost
+        receipt = cache.by_key(task, pinned.key)
+        if receipt is None:
+            (to_cache if put_back(work, pinned) else lost).append(task)
+        elif any(_differ(path, work.pinned(path)) for path in _files(work, receipt)) and _is_whole(cache, receipt):
+            for path in _files(work, receipt):
+                _clear(work.pinned(path))
+                copy_atomic(path, work.pinned(path))
+            copied.append(task)
+    return Restored(tuple(to_cache), tuple(copied), tuple(lost))
+
+
+def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
+    """Put a result of the reference back into the cache; False where the reference's own copy is damaged or gone.
+
+    The caller holds the lock.  Raises OSError.
+    """
+    receipt = work.receipt(pinned.task, pinned.key)
+    copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
+    artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
+    try:
+        whole = read_signed(work.pinned(receipt), work.place(receipt)) is not None
+    except Damaged:
+        whole = False
+    if not whole or (pinned.digest and [file_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
+        return False
+    for copy in copies:  # the receipt last
+        copy_atomic(copy, receipt.with_suffix(copy.suffix))
+    return True
+
+
+def _is_whole(cache: Cache, receipt: Receipt) -> bool:
+    """Are the bytes of a cached artifact those that its receipt promises?"""
+    return receipt.file is None or file_digest(cache.path(receipt)) == receipt.digest
+
+
+def _clear(path: Path) -> None:
+    """Whatever bears a name goes."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _differ(path: Path, copy: Path) -> bool:
+    """At first sight: is the copy gone, or of another size?"""
+    try:
+        return path.stat().st_size != copy.stat().st_size or not copy.is_file()
+    except OSError:
+        return True
 
 
 def _files(work: WorkFolder, receipt: Receipt) -> list[Path]:

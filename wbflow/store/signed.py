@@ -8,6 +8,7 @@ two files exchanged), not malice: whoever may write to the work folder is truste
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 from ..errors import WbflowError
 from .artifact import digest
 from .atomic import write_atomic
+from .outside import Unreadable, read_outside
 
 _HEAD, _TAIL, _LENGTH = b'{"signed":"', b'",', 32
 _BODY = len(_HEAD) + _LENGTH + len(_TAIL)
@@ -97,10 +99,12 @@ def read_signed(path: Path, of: str) -> dict[str, Any] | None:
         Its checksum is wrong, it belongs to something else, or it cannot be read; the message names the file.
     """
     try:
-        return unsigned(path.read_bytes(), of)
-    except (FileNotFoundError, Unsigned):
+        return unsigned(read_outside(path), of)
+    except Unsigned:
         return None
-    except OSError as error:
-        raise Damaged(f"{path} cannot be read: {error.strerror or error}") from None
+    except Unreadable as error:
+        if not os.path.lexists(path):
+            return None
+        raise Damaged(f"{path} {error.what}") from None
     except Damaged as error:
         raise Damaged(f"{path} {error}") from None

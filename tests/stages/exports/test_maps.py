@@ -63,6 +63,9 @@ def test_png_and_pfm_tell_the_same_heights() -> None:
     assert np.array_equal(known, np.isfinite(values))
     read = (png[known] - 1.0) / told["png_steps_per_unit"] + told["png_lowest"]
     assert np.abs(read - values[known]).max() <= 0.51 / told["png_steps_per_unit"]
+    a, d, b, e, x, y = map(float, files["heights.pgw"].split())
+    assert (a, d, b, e) == (0.5, 0.0, 0.0, -0.5)
+    assert (x, y) == (told["left"] + 0.25, told["top"] - 0.25), "the middle of the first cell"
 
 
 @pytest.mark.parametrize("span", [1e-3, 0.7, 65.0, 66.0, 12_345.0])

@@ -13,7 +13,7 @@ def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01) ->
     one = np.ones(n, np.float32)
     up = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
     colors = np.full((n, 3), 100, np.float32)
-    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one)
+    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one, one / weight)
 
 
 def merged(*parts: Samples, neighbours: int = 0, edge: float = 0.1) -> Samples:

@@ -196,6 +196,15 @@ def test_who_was_shifted_in_a_chain_cannot_be_told_from_who_was_not() -> None:
     assert "contradict each other: which is wrong cannot be told" in poses.notes[0]
 
 
+def test_the_camera_that_all_contradictions_have_in_common_is_named_though_they_agree_on_no_other_pose() -> None:
+    site = make_pair_site(3, noise_px=0.2)
+    pairs = {("c0", "c1"): site.geometries["c0", "c1"], ("c1", "c2"): turned_wrong(site, ("c1", "c2"), 8)}
+    chain = replace(site, geometries=pairs)
+    poses = solve(chain, placements(chain, c1=moved(chain, "c1", (0, 3, 0), (0.5, 0, 0))))
+    assert not poses.suspects and poses.sources["c1"] == "stated"
+    assert "have c1 in common. It is the likeliest to be wrong" in poses.notes[0]
+
+
 def test_a_calibration_that_fits_nowhere_accuses_no_single_camera() -> None:
     site = make_pair_site(5, noise_px=0.2)
     rng = np.random.default_rng(0)

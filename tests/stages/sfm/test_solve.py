@@ -312,6 +312,16 @@ def test_cameras_on_one_mast_tell_no_depth_and_the_reason_names_the_baseline() -
     assert "the cameras are at most 0.52 m apart and the scene some 30" in known.reason
 
 
+def test_cameras_on_one_mast_are_known_by_matches_that_agree_though_no_pose_is_believed() -> None:
+    site = on_one_mast(make_pair_site(4))
+    doubted = {pair: replace(g, good_probability=0.001, agreement=0.95) for pair, g in site.geometries.items()}
+    found = solve_poses(site.views, {}, doubted)
+    assert isinstance(found, Rejected) and found.code == "no-usable-baseline"
+    apart = {pair: replace(g, agreement=0.3) for pair, g in doubted.items()}
+    other = solve_poses(site.views, {}, apart)
+    assert isinstance(other, Rejected) and other.code != "no-usable-baseline"
+
+
 def test_one_pair_with_a_baseline_is_enough() -> None:
     site = on_one_mast(make_pair_site(4))
     pair = ("c0", "c3")

@@ -272,9 +272,10 @@ def test_noisy_pictures_are_smoothed_before_they_are_matched_and_others_left_alo
 def test_what_lies_behind_the_floor_is_not_believed(floor: float, found: float) -> None:
     """The images match at no disparity at all, and nowhere else; the ground would be at 20."""
     left = texture(100, 160)
-    layers = [np.full(left.shape, disparity, np.float32) for disparity in (20.0, 20.0, floor, floor)]
-    pair = pair_of(left, left, -5, 30)
-    names = ("prior_left", "prior_right", "floor_left", "floor_right")
-    matches = match_patchmatch(dataclasses.replace(pair, **dict(zip(names, layers, strict=True))))
+    ground, floors = (np.full(left.shape, disparity, np.float32) for disparity in (20.0, floor))
+    pair = dataclasses.replace(
+        pair_of(left, left, -5, 30), prior_left=ground, prior_right=ground, floor_left=floors, floor_right=floors
+    )
+    matches = match_patchmatch(pair)
     on = np.abs(matches.left - found) < 1
     assert on.mean() > 0.8 or (floor > 0 and not (np.abs(matches.left) < 1).any())

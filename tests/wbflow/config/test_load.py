@@ -300,3 +300,32 @@ def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
     ):
         for key in model.model_fields:
             assert f"{key}:" in text, key
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("site: s\ncaptures:\n\troot: .\n", "indent with spaces: YAML allows no tabs there"),
+        ("site: s\ncaptures: {root: ., pattern: {camera}.jpg}\n", "pattern: '{camera}.jpg'"),
+        ("site: s\ncaptures:\n  pattern: {camera}/{date}.jpg\n", "pattern: '{camera}.jpg'"),
+        ("site: s\ncaptures: {pattern: {camera}}\ncameras: [a, b]\n", "put it in quotes: pattern: '{camera}.jpg'"),
+        ("site: s\ncaptures: {pattern: x}\ncameras: [a: b\n", "check indentation, colons and quotes"),
+    ],
+)
+def test_what_people_often_write_wrong_is_told_with_what_to_write(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "site.yaml").write_text(text)
+    with pytest.raises(SiteError) as error:
+        load_site(tmp_path)
+    assert said in str(error.value)
+
+
+def test_a_folder_of_captures_that_is_called_nearly_so_is_named(tmp_path: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    (tmp_path / "site.yaml").write_text("site: s\ncaptures: {root: captrues, pattern: '{camera}.jpg'}\ncameras: [a, b]\n")
+    with pytest.raises(SiteError, match=r"there is no folder .*captrues\s+did you mean 'captures'"):
+        load_site(tmp_path)
+
+
+def test_a_folder_without_a_site_file_is_told_how_to_get_one(tmp_path: Path) -> None:
+    with pytest.raises(SiteError, match=f"wbflow init {tmp_path}"):
+        load_site(tmp_path)

@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow.graph.pairs import PairGraph, select_pairs
+from wbflow.graph.pairs import MOST_AT_A_CAMERA, PairGraph, select_pairs
 from wbflow_stages.types import Overlap
 
 
@@ -77,3 +77,14 @@ def test_degree_bounds_what_is_added_beyond_the_tree() -> None:
     needed = nx.Graph([(e.left, e.right) for e in result.edges if e.kept and ("tree" in e.reason or "weak cut" in e.reason)])
     assert all(d <= max(4, needed.degree[c]) for c, d in dict(graph(result).degree).items())
     assert any("have better pairs" in e.reason for e in result.edges if not e.kept)
+
+
+def test_a_hub_gets_no_more_pairs_than_a_view_takes_and_says_what_is_left_out() -> None:
+    """Sixty cameras that share something with one only, and `degree: 40` where all share something."""
+    hub = select_pairs(overlap(61, {(0, k): 0.5 for k in range(1, 61)}), degree=40)
+    assert len(hub.pairs) == MOST_AT_A_CAMERA
+    assert any("no view takes more" in edge.reason for edge in hub.edges if not edge.kept)
+    crowd = select_pairs(overlap(45, dict.fromkeys(combinations(range(45), 2), 0.5)), degree=40)
+    assert max(dict(graph(crowd).degree).values()) == MOST_AT_A_CAMERA
+    assert len(crowd.components) == 1
+    assert crowd.untold + len(crowd.edges) == 45 * 44 // 2

@@ -15,6 +15,14 @@ from wbflow.results.check import check_published
 from wbflow.store.layout import WorkFolder
 
 
+@pytest.fixture
+def toy(toy: ToySite) -> ToySite:
+    """Without a reference, which would put back what it holds itself (see test_reference.py)."""
+    toy.keys["pin"] = "none"
+    toy.write()
+    return toy
+
+
 def damaged(path: Path, before: bytes, after: bytes) -> None:
     """Change some bytes of a file, as a failing disk or an editor would."""
     data = path.read_bytes()

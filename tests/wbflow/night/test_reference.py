@@ -263,7 +263,7 @@ def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySi
     old = reference.read_reference(work)
     steps = iter(range(1000))
     for last in range(40):
-        monkeypatch.setattr(reference, "link_atomic", _dying(atomic.link_atomic, steps := iter(range(1000)), last))
+        monkeypatch.setattr(reference, "copy_atomic", _dying(atomic.copy_atomic, steps := iter(range(1000)), last))
         monkeypatch.setattr(reference, "write_atomic", _dying(atomic.write_atomic, steps, last))
         try:
             pin(work, good_run(work, second))
@@ -277,7 +277,7 @@ def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySi
     assert now is not None
     assert now.run == second
     files = [path for path in work.reference.rglob("*") if path.is_file()]
-    assert len(files) == 1 + sum(2 if pinned.digest else 1 for pinned in now.artifacts.values())
+    assert len(files) == 2 + sum(2 if pinned.digest else 1 for pinned in now.artifacts.values())
 
 
 def _dying(function: Any, steps: Any, last: int) -> Any:
@@ -287,3 +287,31 @@ def _dying(function: Any, steps: Any, last: int) -> Any:
         return function(*arguments, **options)
 
     return do
+
+
+@pytest.mark.parametrize("victim", ["reference.json", "reference-twin.json", "a pinned result", "the same in the cache"])
+def test_what_is_damaged_of_the_reference_heals_by_itself(toy: ToySite, victim: str) -> None:
+    work = WorkFolder(toy.work)
+    pinned = _artifacts(toy)[Task("features", ("a",))]
+    in_cache = work.artifact(pinned.task, pinned.key, ".wbf")
+    names = {"a pinned result": work.pinned(in_cache), "the same in the cache": in_cache}
+    file = names.get(victim, work.reference / victim)
+    before = {path: path.read_bytes() for path in (file, work.reference_record)}
+    toy.night(SECOND)
+    file.write_bytes(before[file][:-1])
+    record = toy.run("--date", SECOND)
+    assert ran(toy) == set(), "the reference answers for the geometry as if nothing had been"
+    assert record["repaired"]
+    assert {path: path.read_bytes() for path in before} == before
+    assert not toy.run("--date", SECOND)["repaired"]
+
+
+def test_a_reference_whose_record_is_lost_altogether_is_pinned_anew_without_anybody_s_help(toy: ToySite) -> None:
+    work = WorkFolder(toy.work)
+    for path in (work.reference_record, work.reference_twin):
+        path.write_bytes(path.read_bytes().replace(b"2026", b"2025", 1))
+    toy.night(SECOND)
+    record = toy.run("--date", SECOND)
+    assert "the next good night becomes the reference" in " ".join(record["repaired"])
+    now = reference.read_reference(work)
+    assert now is not None and now.run == record["run"]

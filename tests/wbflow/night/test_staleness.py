@@ -73,6 +73,17 @@ def test_repeated_captures_count_once_and_only_nothing_else_is_stale(tmp_path: P
     assert "same picture" in found.stale["roof"].text
 
 
+def test_empty_files_are_no_frozen_picture(tmp_path: Path) -> None:
+    site, folder = a_site(tmp_path), tmp_path / "in"
+    for date in (NIGHT - DAY, NIGHT):
+        deliver(folder, date, gate=["140000", "140100"], roof=["140000"], mast=["140000"])
+        for file in folder.rglob(f"gate/{date}_*"):
+            file.write_bytes(b"")
+    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    assert not found.stale
+    assert len(found.captures["gate"]) == 2, "whoever reads them says that they are empty"
+
+
 def test_a_clock_that_is_hours_off_is_named_whatever_midnight_does(tmp_path: Path) -> None:
     site, folder = a_site(tmp_path), tmp_path / "in"
     deliver(folder, NIGHT, gate=["235800"], roof=["000300"], mast=["235900"])

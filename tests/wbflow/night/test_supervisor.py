@@ -111,6 +111,7 @@ def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+    assert not [path for path in Path("/dev/shm").glob("*") if str(process.pid) in path.name.replace("_", "-").split("-")]
 
 
 def workers_of(parent: int) -> list[int]:

@@ -45,6 +45,10 @@ def test_two_photographs_give_matches_geometry_rectified_images_and_disparity(
     assert np.array_equal(known, np.isfinite(values))
     steps, offset = summary["png_steps_per_px"], summary["png_offset_px"]
     assert np.abs((png[known] - 1.0) / steps + offset - values[known]).max() <= 0.5 / steps
+    page = (tmp_path / "index.html").read_text()
+    for picture in ("1-matches.jpg", "2-inliers.jpg", "3-rectified.jpg", "4-disparity.jpg"):
+        assert f'src="{picture}"' in page
+    assert read_image(tmp_path / "1-matches.jpg").shape[1] == 2 * 320 + 4, "as large as the frames"
     shapes = {read_image(tmp_path / f"{name}-rectified.png").shape[0] for name in ("left", "right")}
     assert shapes == {height}, "the same rows in both"
 

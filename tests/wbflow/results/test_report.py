@@ -8,6 +8,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,7 @@ def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
 def test_colours_switch_and_have_a_scale(browser: Any) -> None:
     looks = set()
     for button in browser.find_elements("css selector", "[data-mode]"):
-        looks.add(settled(browser, lambda button=button: browser.execute_script("arguments[0].click()", button)))
+        looks.add(settled(browser, partial(browser.execute_script, "arguments[0].click()", button)))
         assert (button.get_attribute("data-mode") == "photograph") != browser.find_element(
             "css selector", ".legend"
         ).is_displayed()
@@ -189,7 +190,9 @@ def test_a_hundred_cameras_have_room(tmp_path: Path) -> None:
 
 def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(3), cloud=None, pairs=(), verdict=None, exit_code=1)
-    told = made_up_run.page(tmp_path, night, nights=0).read_text()
+    told = made_up_run.page(tmp_path, night, nights=1).read_text()
+    assert told.count('<g class="dot') == 3
+    assert "stood here on 2026-11-01" in told
     assert "No cloud this night" in told
     assert "No two cameras were matched." in told
     assert '<script type="application/octet-stream"' not in told

@@ -10,7 +10,7 @@ import pytest
 from wbflow.config.site import Expected
 from wbflow.errors import ExitCode
 from wbflow.night.state import Cause, State
-from wbflow.results.past import Past, usual_of
+from wbflow.results.past import Past, looks_of, usual_of
 from wbflow.results.verdict import Facts, judge
 from wbflow.store.record import (
     CameraRecord,
@@ -201,6 +201,14 @@ def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_o
     finding = only(record)
     assert (finding.kind, finding.subject) == ("camera-foreign", ("crane",))
     assert finding.text.startswith("0 % of its pairs find common points, usually 100 % do")
+
+
+def test_a_camera_is_not_blamed_for_its_partners_that_are_down() -> None:
+    pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
+    cameras = [camera("crane"), *(lost(name) for name in NAMES if name != "crane")]
+    assert "matched_share" not in looks_of(night(cameras=cameras, pairs=pairs))["crane"]
+    others = [camera("crane"), lost("roof"), *(camera(name) for name in NAMES if name not in {"crane", "roof"})]
+    assert looks_of(night(cameras=others, pairs=pairs))["crane"]["matched_share"] == 0
 
 
 def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:

@@ -102,6 +102,18 @@ def test_a_kill_before_the_link_was_turned_is_mended_and_costs_no_published_file
     assert {link.resolve().name for link in (work.latest, work.latest_good)} == {"20261121T031500Z"}
 
 
+def test_what_a_kill_left_half_written_is_cleared_away_wherever_it_lies(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    work.start_writing()
+    folders = (work.root, work.cache / "frames", work.reference, work.runs, work.run("20261120T031500Z").folder)
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".delivered.json.1.ab.tmp").write_bytes(b"half")
+    assert work.start_writing(), "somebody was killed"
+    assert not [path for folder in folders for path in folder.glob(".*.tmp")]
+
+
 def test_a_link_that_leads_nowhere_is_turned_to_the_newest_run(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")

@@ -9,13 +9,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...graph.pipeline import stage_with
-from ...graph.rows import Role
+from ...graph.rows import FromSite, Role, SiteValue
+from ...store.cache import Cache
 from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task
 from .sources import Sources
 
 ROOM = 6_500_000
 """Bytes of pictures that a page holds at most: what it is all about are points and words."""
+
+_PRIVATE = FromSite(SiteValue.PRIVACY, optional=True)
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,22 @@ class Album:
             event = RunFolder.of(self.sources.work, good.run).tasks().get(task)
         except NoSuchRun:
             return None
-        path = self.sources.work.picture(task, event.key) if event and event.key else None
-        return self.of_file(path, f"{camera} on {good.date}, when all was well") if path else None
+        if event is None or not event.key or not self._may_be_seen(task, event.key):
+            return None
+        return self.of_file(self.sources.work.picture(task, event.key), f"{camera} on {good.date}, when all was well")
+
+    def _may_be_seen(self, task: Task, key: str) -> bool:
+        """Was an earlier picture made with what is private now left out?"""
+        stated = next((camera for camera in self.sources.site.cameras if (camera.id,) == task.subject), None)
+        if stated is None or not stated.privacy.counts:
+            return True
+        cache, tonight = Cache(self.sources.work), self.sources.tasks.get(task)
+        then = cache.by_key(task, key)
+        now = cache.by_key(task, tonight.key) if tonight and tonight.key else None
+        private = [name for name, need in stage_with(Role.FRAME).needs.items() if need == _PRIVATE]
+        if then is None or now is None:
+            return False
+        return all(then.preimage.inputs.get(name) == now.preimage.inputs.get(name) for name in private)
 
     def of_product(self, name: str, alt: str) -> Shown | None:
         """A picture that the run publishes."""

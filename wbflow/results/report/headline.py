@@ -90,7 +90,8 @@ def _facts(record: RunRecord) -> list[Fact]:
     found = [Fact(f"{well} of {len(record.cameras)}", "cameras", grade="" if well == len(record.cameras) else "bad")]
     good = sum(pair.ok for pair in record.pairs)
     most = max(len(record.pairs), round(usual.get(Measure.PAIRS, 0)))
-    found.append(Fact(f"{good} of {most}", "pairs", grade=_grade(good, usual.get(Measure.PAIRS))))
+    if most:
+        found.append(Fact(f"{good} of {most}", "pairs of cameras", grade=_grade(good, usual.get(Measure.PAIRS))))
     if record.cloud:
         base = usual.get(Measure.POINTS)
         words = f"{whose}: {base:,.0f}" if base else ""
@@ -104,7 +105,12 @@ def _facts(record: RunRecord) -> list[Fact]:
         if isinstance(told, dict) and told.get("compared") and isinstance(told.get("count"), int):
             found.append(Fact(str(told["count"]), f"change{'s' * (told['count'] != 1)} since the reference"))
     seconds = record.seconds.wall
-    found.append(Fact(f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s", "from captures to cloud"))
+    found.append(
+        Fact(
+            f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s",
+            "from captures to cloud" if record.cloud else "until it was clear",
+        )
+    )
     return found
 
 
@@ -130,7 +136,7 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
                 pictures = [(tonight, f"this night, {record.date}"), *([(then, then.alt)] if then else [])]
         elif len(finding.subject) == 2:
             shown = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
-            pictures = [(picture, name) for picture in shown if picture][:2]
+            pictures.extend([(picture, name) for picture in shown if picture][:2])
         number = numbers.get(name, 0)
         found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures)))
     return found

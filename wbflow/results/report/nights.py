@@ -82,7 +82,7 @@ def spark(sources: Sources, camera: str) -> list[Bar]:
     for night in sources.nights[-SPARK:]:
         entry = next((c for c in night.cameras if c.id == camera), None)
         if entry is not None:
-            share = looks_of(night, camera).get("matched_share", 1.0 if entry.ok else 0.0)
+            share = looks_of(night).get(camera, {}).get("matched_share", 1.0 if entry.ok else 0.0)
             state = state_of(entry, night)
             bars.append(Bar(night.date, state, max(0.12, share), f"{night.date}: {_words(entry, share)}"))
     return bars

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...config.site import Site
 from ...graph.pipeline import STAGES, stage_with
@@ -24,6 +25,9 @@ from .points import Points, points_of
 from .sources import NIGHTS, Sources
 from .tables import camera_cards, cell, pair_columns, pair_pictures, pair_rows, parts, settings
 from .times import stage_times, timetable
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 _ASSETS = files(__package__) / "assets"
 _SCRIPTS = ("points.js", "view.js", "page.js")
@@ -54,11 +58,19 @@ def build_report(
     products : Path
         The folder in which the run's products lie now.
     """
-    from jinja2 import Environment, StrictUndefined  # here: it takes time, and is needed for pages alone
+    return _template().render(**_content(Sources(work, record, tuple(events), cameras, products, site)))
 
-    sources = Sources(work, record, tuple(events), cameras, products, site)
-    words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return words.from_string(_asset("page.html")).render(**_content(sources))
+
+def _template() -> Template:
+    """The page without its content; compiled once a machine, not once a night."""
+    from jinja2 import DictLoader, Environment, FileSystemBytecodeCache, StrictUndefined  # here: only pages need it
+
+    compiled = None
+    with suppress(OSError, RuntimeError):  # no folder for temporary files, or not this user's
+        compiled = FileSystemBytecodeCache()
+    page = DictLoader({"page": _asset("page.html")})
+    words = Environment(loader=page, autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True)
+    return words.get_template("page")
 
 
 def _asset(name: str) -> str:
@@ -67,6 +79,8 @@ def _asset(name: str) -> str:
 
 def _content(sources: Sources) -> dict[str, Any]:
     from markupsafe import Markup
+    from rcssmin import cssmin
+    from rjsmin import jsmin
 
     record, album = sources.record, Album(sources)
     keys = {task: event.key for task, event in sources.tasks.items() if event.usable and event.key}
@@ -75,8 +89,8 @@ def _content(sources: Sources) -> dict[str, Any]:
     charts = trends(sources)
     return {
         "record": record,
-        "style": Markup(_asset("style.css")),
-        "script": Markup("\n".join(map(_asset, _SCRIPTS))),
+        "style": Markup(cssmin(_asset("style.css"))),
+        "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
         "headline": headline(record),
         "findings": findings(sources, album),
         "layout": layout,
@@ -87,7 +101,7 @@ def _content(sources: Sources) -> dict[str, Any]:
         "told": [(str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in _warnings(sources)],
         "cameras": camera_cards(sources, album),
         "columns": [cell(name, None) for name in pair_columns(sources)],
-        "pairs": pair_rows(sources),
+        "pair_rows": pair_rows(sources),
         "pairs_words": _pairs_words(record),
         "parts": parts(sources, album),
         "pair_pictures": pair_pictures(sources, album),
@@ -97,8 +111,8 @@ def _content(sources: Sources) -> dict[str, Any]:
         "timetable": timetable(sources),
         "time_words": _time_words(record),
         "settings": settings(sources),
-        "notes": record.poses.notes + record.poses.joins if record.poses else (),
-        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources))},
+        "notes": list(_of_the_world(record)),
+        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources)), "cloud": _last_cloud(sources)},
     }
 
 
@@ -147,6 +161,26 @@ def _other_nights(sources: Sources) -> Iterator[dict[str, str]]:
     later = [run for run in sources.work.run_ids() if run > sources.record.run]
     if later:
         yield {"href": _report_of(sources, later[-1]), "text": "newest run →"}
+
+
+def _of_the_world(record: RunRecord) -> Iterator[str]:
+    """How the cameras were placed, and what there is to say of it: residuals of distances and control points among others."""
+    if record.poses is None:
+        return
+    plain = {name: value for name, value in record.poses.figures.items() if isinstance(value, str | int | float) and value != ""}
+    told = (
+        f"{name.replace('_', ' ')} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in plain.items()
+    )
+    yield f"The cameras' places: {', '.join(told)}."
+    yield from record.poses.notes
+    yield from record.poses.joins
+
+
+def _last_cloud(sources: Sources) -> dict[str, str] | None:
+    """Where the last cloud before this night is shown."""
+    earlier = next((night for night in sources.before if night.cloud), None)
+    return {"href": _report_of(sources, earlier.run), "text": f"the last one is of {earlier.date}"} if earlier else None
 
 
 def _report_of(sources: Sources, run: str) -> str:

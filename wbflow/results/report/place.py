@@ -15,8 +15,9 @@ Rows = tuple[Vector, Vector, Vector]
 
 _UPRIGHT = 0.5
 """The world's z is up where it is so for every camera, by so much."""
-_TRIMMED = 0.03
-"""Share of the points at each end that the extent leaves out."""
+_TRIMMED, _GROWN = 0.1, 0.13
+"""Share of the points at each end that the extent leaves out, and how much it is widened again, as if all points lay evenly: what
+stands far behind the site does not make it small."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,8 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
     cameras = tuple(_standing(sources, camera, stood[camera.id], rows, origin) for camera in record.cameras if camera.id in stood)
     marks = tuple(_marks(record.later, rows, origin))
     near = [_turned(rows, _less(p, origin)) for p in sample]
-    box = _box(near, _TRIMMED) if near else _box([c.at for c in cameras], 0.0)
-    middle = tuple((a + b) / 2 for a, b in zip(*box, strict=True))
+    box = _grown(_box(near, _TRIMMED)) if near else _box([c.at for c in cameras], 0.0)
+    middle = _between(*box)
     radius = max(math.dist(*box) / 2, 1e-6)
     low, high = _box([*box, *(c.at for c in cameras), *(m.at for m in marks)], 0.0)
     unit = "m" if not record.poses or record.poses.metric else ""
@@ -178,6 +179,10 @@ def _less(a: Sequence[float], b: Sequence[float]) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
+def _between(a: Vector, b: Vector) -> Vector:
+    return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2
+
+
 def _unit(a: Sequence[float]) -> Vector:
     length = math.hypot(*a) or 1.0
     return a[0] / length, a[1] / length, a[2] / length
@@ -186,6 +191,12 @@ def _unit(a: Sequence[float]) -> Vector:
 def _median(points: Sequence[Vector]) -> Vector:
     x, y, z = (sorted(p[k] for p in points)[len(points) // 2] for k in range(3))
     return x, y, z
+
+
+def _grown(box: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
+    low, high = box
+    margin = tuple(_GROWN * (b - a) for a, b in zip(low, high, strict=True))
+    return _less(low, margin), _less(high, tuple(-m for m in margin))
 
 
 def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:

@@ -66,6 +66,17 @@ class Sources:
         except BadReference:
             return None
 
+    @cached_property
+    def earlier(self) -> tuple[str, Mapping[str, Any]]:
+        """The last earlier night whose cameras were placed, and these."""
+        for record in self.before:
+            try:
+                if cameras := RunFolder.of(self.work, record.run).cameras():
+                    return record.date, cameras
+            except NoSuchRun:
+                continue
+        return "", {}
+
     def last_good(self, camera: str) -> RunRecord | None:
         """The last earlier night in which a camera was as it should be."""
         for record in self.before:
@@ -74,11 +85,14 @@ class Sources:
         return None
 
     def stood(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
-        """A camera in the form of a calibration, and how that is known: from tonight, the reference, or the site file."""
+        """A camera in the form of a calibration, and how that is known: from tonight, the reference, an earlier night, or the
+        site file."""
         if (entry := self.cameras.get(camera)) and entry.get("C"):
             return entry, ""
         if self.reference and (entry := self.reference.cameras.get(camera)) and entry.get("C"):
             return entry, f"stood here on {self.reference.date}"
+        if (entry := self.earlier[1].get(camera)) and entry.get("C"):
+            return entry, f"stood here on {self.earlier[0]}"
         stated = next((c for c in self.site.cameras if c.id == camera), None)
         if stated and stated.placement.C is not None:
             lens = {"K": stated.lens.K, "width": stated.lens.width, "height": stated.lens.height}

@@ -119,7 +119,7 @@ def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
         numbers = {name: value for name, value in camera.figures.items() if isinstance(value, int | float)}
         figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool))
         pairs = [pair for pair in sources.record.pairs if camera.id in (pair.left, pair.right)]
-        used = Cell("pairs", "of its pairs, those that were matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
+        used = Cell("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
         picture = album.of_frame(camera.id, camera.id)
         bars = tuple(spark(sources, camera.id))

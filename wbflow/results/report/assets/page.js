@@ -11,7 +11,7 @@
   for (const head of $$("table.sortable thead th")) head.firstElementChild.addEventListener("click", () => {
     const table = head.closest("table"), column = [...head.parentNode.children].indexOf(head);
     const down = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
-    const key = row => row.children[column].dataset.value, rows = [...table.tBodies[0].rows];
+    const key = row => row.children[column].dataset.value ?? row.children[column].textContent, rows = [...table.tBodies[0].rows];
     const numbers = rows.every(r => key(r) === "" || !isNaN(key(r)));
     rows.sort((a, b) => {
       if (key(a) === "" || key(b) === "") return (key(a) === "") - (key(b) === ""); // what is not known comes last
@@ -20,6 +20,12 @@
     for (const other of head.parentNode.children) other.setAttribute("aria-sort", "none");
     head.setAttribute("aria-sort", down > 0 ? "ascending" : "descending");
     table.tBodies[0].append(...rows);
+  });
+
+  for (const table of $$(".scroll table")) for (const row of table.tBodies[0].rows) $$("th", table).forEach((head, column) => {
+    const cell = row.children[column], words = head.firstElementChild?.title; // a figure is named and explained as its column is
+    cell.dataset.label = head.textContent;
+    if (words) cell.title = words;
   });
 
   const large = $("#large");

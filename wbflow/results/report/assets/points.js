@@ -30,7 +30,8 @@ async function unpackPoints(base64, axes) {
   const low = heights[Math.floor(0.01 * heights.length)] || 0, high = heights[Math.floor(0.99 * heights.length)] || 1;
   const height = new Uint8ClampedArray(n), share = 255 / Math.max(high - low, 1e-9);
   for (let i = 0; i < n; i++) height[i] = share * (at[3 * i + 2] - low);
-  layers.height = {name: "height", low, high, unit: axes.unit, of: height};
+  const level = cx * axes.origin[0] + cy * axes.origin[1] + cz * axes.origin[2]; // heights as the world counts them
+  layers.height = {name: "height", low: low + level, high: high + level, unit: axes.unit, of: height};
   return {n, at, rgb, layers, voxel: head.voxel, total: head.total};
 }
 

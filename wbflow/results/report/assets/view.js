@@ -92,12 +92,14 @@ class CloudView {
     const ink = this.ink, style = getComputedStyle(this.root), colour = name => style.getPropertyValue(name).trim();
     ink.setTransform(this.ratio, 0, 0, this.ratio, 0, 0); ink.clearRect(0, 0, ...this.size);
     ink.font = "600 12px system-ui, sans-serif"; ink.textAlign = "center"; ink.lineJoin = "round";
-    this.spots = [];
+    this.spots = []; this.words = [];
+    const many = Math.min(1, Math.sqrt(20 / Math.max(1, this.scene.cameras.length))), rank = {bad: 0, warn: 1, good: 2};
     const close = this.flown && Math.hypot(...plus(camera.eye, this.flown.C, -1)) < 0.05 * this.scene.radius;
-    if (this.showCameras) for (const cam of this.scene.cameras) {
+    const order = [...this.scene.cameras].sort((a, b) => (b === this.chosen) - (a === this.chosen) || rank[a.state] - rank[b.state]);
+    if (this.showCameras) for (const cam of order) { // what needs somebody keeps its name where there is no room for all
       if (close && cam === this.flown) continue;
       const tip = this.project(cam.C, camera);
-      const far = 0.055 * this.scene.radius, corners = cam.rays.map(ray => this.project(plus(cam.C, ray, far), camera));
+      const far = 0.055 * many * this.scene.radius, corners = cam.rays.map(ray => this.project(plus(cam.C, ray, far), camera));
       if (!tip) continue;
       ink.globalAlpha = this.hidden(tip) ? 0.4 : 1; ink.strokeStyle = ink.fillStyle = colour(`--${cam.state}`); ink.lineWidth = cam === this.chosen ? 3 : 1.6;
       ink.beginPath();
@@ -105,7 +107,7 @@ class CloudView {
         corners.forEach((c, k) => { ink.moveTo(tip[0], tip[1]); ink.lineTo(c[0], c[1]); const next = corners[(k + 1) % 4]; ink.lineTo(next[0], next[1]); });
         ink.stroke(); ink.globalAlpha *= 0.18; ink.fill(); ink.globalAlpha /= 0.18;
       }
-      ink.beginPath(); ink.arc(tip[0], tip[1], 4, 0, 7); ink.fill();
+      ink.beginPath(); ink.arc(tip[0], tip[1], 2 + 2 * many, 0, 7); ink.fill();
       if (cam.state === "bad") { ink.beginPath(); ink.moveTo(tip[0] - 6, tip[1] - 6); ink.lineTo(tip[0] + 6, tip[1] + 6); ink.moveTo(tip[0] + 6, tip[1] - 6); ink.lineTo(tip[0] - 6, tip[1] + 6); ink.stroke(); }
       this.word(cam.id, tip[0], tip[1] - 10);
       this.spots.push({x: tip[0], y: tip[1], w: tip[2], cam});
@@ -121,7 +123,9 @@ class CloudView {
     this.compass(ink, camera);
   }
   word(text, x, y) {
-    const ink = this.ink; ink.save(); ink.strokeStyle = "#000c"; ink.lineWidth = 3.5; ink.strokeText(text, x, y);
+    const ink = this.ink, half = ink.measureText(text).width / 2;
+    if (this.words.some(w => Math.abs(w.x - x) < w.half + half && Math.abs(w.y - y) < 13)) return;
+    this.words.push({x, y, half}); ink.save(); ink.strokeStyle = "#000c"; ink.lineWidth = 3.5; ink.strokeText(text, x, y);
     ink.fillStyle = "#fff"; ink.fillText(text, x, y); ink.restore();
   }
   compass(ink, camera) { // where north (or the world's y) is

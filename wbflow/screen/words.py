@@ -1,55 +1,23 @@
-"""What the command line says while a run works, and at its end."""
+"""Words on the terminal: what a run came to, and how anything is said."""
 
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from .errors import ExitCode, printable
+from ..errors import ExitCode, printable
 
 LONGEST_WORDS = 100_000_000
 """Characters that are said at once: run.json as a whole is."""
 
 if TYPE_CHECKING:
-    from .api import Run
-    from .config.site import Site
-    from .store.events import Event, Listener
-    from .store.record import RunRecord
-
-
-def listener(site: Site, verbose: bool, quiet: bool) -> Listener:
-    """What is said of events: failures, rejections and warnings, everything with -v; a counter where somebody watches.
-
-    quiet: warnings only; what failed is among the findings, at the end.
-    """
-    from .store.events import WarningEvent
-
-    watched = sys.stderr.isatty() and not quiet
-    count = 0
-
-    def listen(event: Event) -> None:
-        nonlocal count
-        if watched:
-            _echo("\r\x1b[K", nl=False, err=True)
-        if isinstance(event, WarningEvent):
-            say(f"warning: {event}", err=True)
-        else:
-            count += 1
-            failed = event.outcome == "failed"
-            if verbose or ((failed or event.outcome == "rejected") and not quiet):
-                subject = "--".join(event.task.subject) or site.name
-                line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or ''}"
-                say(line.rstrip(), err=failed)
-        if event.trace and verbose:
-            say(event.trace, err=True)
-        if watched:
-            say(f"{count} tasks, last {event.task}", nl=False, err=True)
-
-    return listen
+    from ..api import Run
+    from ..store.record import RunRecord
 
 
 LEVELS = {
@@ -58,6 +26,9 @@ LEVELS = {
     "failed": "failed",
 }
 """The verdict's levels in words."""
+
+PUZZLING = {"fault", "too-slow", "worker-lost", "out-of-memory"}
+"""Why tasks fail whose inputs are worth a look (see `night.state.Cause`)."""
 
 MOST_FINDINGS = 20
 """So many are said; the report has all."""
@@ -79,10 +50,10 @@ def findings(record: RunRecord) -> None:
 
 
 def summary(finished: Run) -> None:
-    """What a run came to, in three lines."""
+    """What a run came to: verdict, figures, and where its files are."""
     record, paths = finished.record, finished.finished.folder.paths
-    if sys.stderr.isatty():
-        _echo("\r\x1b[K", nl=False, err=True)
+    if record.verdict and record.verdict.good and not record.verdict.findings:
+        say(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
     tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
     say(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
     if record.cloud:
@@ -90,13 +61,27 @@ def summary(finished: Run) -> None:
     say(f"report  {paths.report}")
 
 
+def next_command(finished: Run, site: Path) -> str:
+    """What somebody would type next, after a run of a site file."""
+    record, file = finished.record, shlex.quote(str(site))
+    if record.exit_code == ExitCode.INTERRUPTED:
+        return f"wbflow run {file}"
+    puzzling = [event.task for event in finished.finished.tasks.values() if event.outcome == "failed" and event.code in PUZZLING]
+    if puzzling:
+        return f"wbflow debug {file} {shlex.quote(str(puzzling[0]))} --out debug"
+    if record.exit_code:
+        return f"wbflow check {file}"
+    return f"wbflow compare {file}" if len(finished.finished.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
+
+
 def say(text: object, nl: bool = True, err: bool = False) -> None:
     """Print, without what a terminal would obey; a reader that went away (`wbflow run ... | head -1`) costs the words, not the
     night's work."""
-    _echo(printable(text, LONGEST_WORDS), nl, err)
+    echo(printable(text, LONGEST_WORDS), nl, err)
 
 
-def _echo(text: str, nl: bool = True, err: bool = False) -> None:
+def echo(text: str, nl: bool = True, err: bool = False) -> None:
+    """Print as it is, what a terminal obeys too."""
     try:
         click.echo(text, nl=nl, err=err)
     except BrokenPipeError:

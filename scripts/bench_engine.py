@@ -1,0 +1,256 @@
+"""What the engine itself costs: toy stages that take no time, beside Snakemake on the same graph.
+
+    scripts/bench_engine.py [--cameras 20 100 300 1000] [--snakemake PYTHON] [--json FILE]
+
+For each number of cameras a full run, one with nothing to do, one after a capture has changed, and one after a run was killed
+half way; CPU seconds of the whole process tree and seconds by the clock.  The stages of wbflow are those of its tests.  Snakemake
+gets a workflow of as many jobs with the same dependencies, each of which writes a file (`--snakemake` names a Python that has it,
+so that it can have an environment of its own).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench_files import write_rows
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+from tests.helpers.toy_site import ToySite  # noqa: E402
+
+KEYS = ("system", "cameras", "what", "tasks", "cpu_s", "wall_s")
+ONE_JOB = ("--jobs", "1")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement."""
+
+    system: str
+    cameras: int
+    what: str
+    """full, noop, change or resume."""
+    tasks: int
+    """That there are, whether they ran or not."""
+    cpu_s: float
+    """Of the process and all that it has started."""
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A workflow that can be run."""
+
+    system: str
+    cameras: int
+    command: Sequence[str]
+    environment: dict[str, str]
+    folder: Path
+    capture: Path
+    """That changes."""
+    left: Callable[[], int]
+    """How many tasks have left something."""
+
+    def run(self) -> tuple[float, float]:
+        """CPU seconds and seconds by the clock."""
+        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        with (self.folder / "words.txt").open("w") as words:
+            done = subprocess.run(self.command, env=self.environment, cwd=self.folder, stdout=words, stderr=words, check=False)
+        wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        if done.returncode:
+            raise SystemExit(f"{' '.join(self.command)} ended with {done.returncode}; see {self.folder / 'words.txt'}")
+        return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall
+
+    def kill_half_way(self, tasks: int) -> None:
+        """Start it, and kill all of it when half of its tasks are done."""
+        process = subprocess.Popen(
+            self.command,
+            env=self.environment,
+            cwd=self.folder,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        while process.poll() is None and self.left() < tasks / 2:
+            time.sleep(0.05)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def toy(cameras: int, folder: Path) -> Subject:
+    """wbflow on a toy site."""
+    site = ToySite(folder / "toy", [f"c{k:04d}" for k in range(cameras)])
+    command = [sys.executable, "-m", "wbflow", "run", str(site.file), "-q", *ONE_JOB]
+    return Subject("wbflow", cameras, command, site.env(), folder, site.capture("c0001"), lambda: _receipts(site.work))
+
+
+def _receipts(work: Path) -> int:
+    return sum(name.endswith(".json") for _, _, names in os.walk(work / "cache") for name in names)
+
+
+def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folder: Path) -> Subject:
+    """Snakemake on the same graph: a rule for each stage, each job writes what it has read.
+
+    Parameters
+    ----------
+    cameras : int
+        How many.
+    pairs : sequence of (str, str)
+        Those that wbflow has chosen.
+    python : str
+        A Python that has Snakemake.
+    folder : Path
+        Where it works.
+    """
+    names = [f"c{k:04d}" for k in range(cameras)]
+    (folder / "captures").mkdir(parents=True)
+    for name in names:
+        (folder / "captures" / f"{name}.txt").write_text(f"a view from {name}")
+    (folder / "Snakefile").write_text(_SNAKEFILE.format(names=names, pairs=[f"{a}--{b}" for a, b in pairs]))
+    command = [python, "-m", "snakemake", "--cores", "1", "--quiet", "all", "--rerun-incomplete", "--nolock"]
+
+    def left() -> int:
+        return sum(len(names) for _, _, names in os.walk(folder / "made"))
+
+    return Subject("snakemake", cameras, command, dict(os.environ), folder, folder / "captures" / "c0001.txt", left)
+
+
+_SNAKEFILE = """
+CAMERAS = {names}
+PAIRS = {pairs}
+SIDES = dict((p, p.split("--")) for p in PAIRS)
+AROUND = dict((c, []) for c in CAMERAS)
+for p in PAIRS:
+    for c in SIDES[p]:
+        AROUND[c].append(p)
+def write(inputs, output):
+    import hashlib
+    digest = hashlib.sha256()
+    for name in inputs:
+        digest.update(open(name, "rb").read())
+    open(output, "w").write(digest.hexdigest())
+def sides(stage):
+    return lambda w: [f"made/{{stage}}/{{c}}" for c in SIDES[w.pair]]
+wildcard_constraints: camera="c[0-9]+", pair="c[0-9]+--c[0-9]+"
+rule all:
+    input: "made/fuse"
+rule frames:
+    input: "captures/{{camera}}.txt"
+    output: "made/frames/{{camera}}"
+    run: write(input, output[0])
+rule features:
+    input: "made/frames/{{camera}}"
+    output: "made/features/{{camera}}"
+    run: write(input, output[0])
+rule overlap:
+    input: [f"made/features/{{c}}" for c in CAMERAS]
+    output: "made/overlap"
+    run: write(input, output[0])
+rule pairs:
+    input: "made/overlap"
+    output: "made/pairs"
+    run: write(input, output[0])
+rule matches:
+    input: sides("features"), "made/pairs"
+    output: "made/matches/{{pair}}"
+    run: write(input, output[0])
+rule geometry:
+    input: sides("features"), "made/matches/{{pair}}"
+    output: "made/geometry/{{pair}}"
+    run: write(input, output[0])
+rule poses:
+    input: [f"made/geometry/{{p}}" for p in PAIRS]
+    output: "made/poses"
+    run: write(input, output[0])
+rule rectify:
+    input: "made/poses", "made/geometry/{{pair}}"
+    output: "made/rectify/{{pair}}"
+    run: write(input, output[0])
+rule disparity:
+    input: sides("frames"), "made/rectify/{{pair}}"
+    output: "made/disparity/{{pair}}"
+    run: write(input, output[0])
+rule depth:
+    input: lambda w: ["made/poses"] + [f"made/disparity/{{p}}" for p in AROUND[w.camera]]
+    output: "made/depth/{{camera}}"
+    run: write(input, output[0])
+rule fuse:
+    input: "made/poses", [f"made/frames/{{c}}" for c in CAMERAS], [f"made/depth/{{c}}" for c in CAMERAS]
+    output: "made/fuse"
+    run: write(input, output[0])
+"""
+
+
+def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int]) -> None:
+    """Add a workflow's rows.
+
+    Parameters
+    ----------
+    subject : Subject
+        Runs in full, with nothing to do, and after one capture has changed.
+    fresh : Subject
+        The same again, not run yet: is killed and goes on.
+    rows : list of Row
+        To which they are added.
+    count : callable
+        How many tasks it has, once it has run.
+    """
+
+    def add(what: str, of: Subject, tasks: int) -> None:
+        cpu, wall = of.run()
+        rows.append(Row(of.system, of.cameras, what, tasks or count(), round(cpu, 3), round(wall, 3)))
+        print(
+            f"{of.system:10} {of.cameras:5} cameras  {what:7}{rows[-1].tasks:6} tasks {cpu:8.2f} CPU s {wall:8.2f} s", flush=True
+        )
+
+    add("full", subject, 0)
+    tasks = rows[-1].tasks
+    add("noop", subject, tasks)
+    subject.capture.write_text("another view")
+    add("change", subject, tasks)
+    fresh.kill_half_way(tasks)
+    add("resume", fresh, tasks)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cameras", type=int, nargs="+", default=[20, 100, 300, 1000])
+    parser.add_argument("--snakemake", metavar="PYTHON", help="a Python that has Snakemake; without it wbflow stands alone")
+    parser.add_argument("--most", type=int, default=300, help="cameras up to which Snakemake takes part")
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    rows: list[Row] = []
+    for cameras in asked.cameras:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            for part in ("full", "killed"):
+                (folder / part).mkdir()
+            subject, fresh = toy(cameras, folder / "full"), toy(cameras, folder / "killed")
+            measured(subject, fresh, rows, subject.left)
+            if asked.snakemake and cameras <= asked.most:
+                pairs = _pairs(folder / "full" / "toy" / ".wbflow" / "toy")
+                rivals = (snakemake(cameras, pairs, asked.snakemake, folder / f"snakemake-{k}") for k in range(2))
+                rival, again = rivals
+                measured(rival, again, rows, rival.left)
+        if asked.json:
+            write_rows(rows, KEYS, asked.json)
+
+
+def _pairs(work: Path) -> list[tuple[str, str]]:
+    names = sorted(path.name for path in (work / "cache" / "matches").iterdir())
+    return [(left, right) for left, _, right in (name.partition("--") for name in names)]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""Processes of the campaign: forked from one that has everything imported, or started anew as cron does."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from hostile_inputs import patience
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a process ended."""
+
+    code: int
+    """Negative: the signal that killed it."""
+    said: str
+    hung: bool = False
+
+
+class Started:
+    """A command on its way, in a session of its own, whose words go to a file."""
+
+    def __init__(self, pid: int, output: Path) -> None:
+        self.pid = pid
+        self._output = output
+
+    def send(self, signum: int) -> None:
+        """A signal for the process alone."""
+        os.kill(self.pid, signum)
+
+    def kill_all(self) -> None:
+        """All of its group."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+
+    def wait(self) -> Ended:
+        """How it ends; one that hangs is killed."""
+        began, pause = time.monotonic(), 0.002
+        while time.monotonic() - began < patience():
+            done, status = os.waitpid(self.pid, os.WNOHANG)
+            if done:
+                self.kill_all()
+                return self._ended(os.waitstatus_to_exitcode(status))
+            time.sleep(pause)
+            pause = min(pause * 1.5, 0.02)
+        self.kill_all()
+        os.waitpid(self.pid, 0)
+        return self._ended(-9, hung=True)
+
+    def _ended(self, code: int, hung: bool = False) -> Ended:
+        said = self._output.read_text(errors="replace")
+        self._output.unlink()
+        return Ended(code, said, hung)
+
+
+def started_anew(command: list[str], environment: dict[str, str], output: Path) -> Started:
+    """A process that imports everything itself."""
+    pid = os.fork()
+    if pid == 0:
+        _speak_to(output)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.execvpe(command[0], command, environment)
+    return Started(pid, output)
+
+
+def forked(work: Callable[[], object], output: Path) -> Started:
+    """A child of this process that does some work, and ends as the interpreter would."""
+    pid = os.fork()
+    if pid == 0:
+        _speak_to(output)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _end_with(work)
+    return Started(pid, output)
+
+
+def fork_workers() -> None:
+    """From now on, worker processes of runs in this process are forked, not started anew: a third of a second less for each."""
+    from wbflow.night import hand
+
+    vars(hand)["subprocess"] = _Forks
+
+
+class _Forks:
+    """What `night/hand.py` uses of `subprocess`."""
+
+    DEVNULL = subprocess.DEVNULL
+    TimeoutExpired = subprocess.TimeoutExpired
+
+    class Popen:
+        """A forked worker."""
+
+        def __init__(self, command: list[str], *, pass_fds: tuple[int], **rest: Any) -> None:
+            self._code: int | None = None
+            parent = os.getpid()
+            self.pid = os.fork()
+            if self.pid == 0:
+                _serve(pass_fds[0], parent)
+            with contextlib.suppress(OSError):  # the child may have been quicker
+                os.setpgid(self.pid, self.pid)
+
+        def poll(self) -> int | None:
+            if self._code is None:
+                done, status = os.waitpid(self.pid, os.WNOHANG)
+                self._code = os.waitstatus_to_exitcode(status) if done else None
+            return self._code
+
+        def wait(self, timeout: float | None = None) -> int:
+            end = time.monotonic() + (timeout or 3600)
+            while (code := self.poll()) is None:
+                if time.monotonic() > end:
+                    raise subprocess.TimeoutExpired("worker", timeout or 0)
+                time.sleep(0.005)
+            return code
+
+
+def _serve(descriptor: int, parent: int) -> NoReturn:
+    """In the worker: what a process that is started anew would not have is closed."""
+    os.setpgid(0, 0)
+    os.closerange(3, descriptor)
+    os.closerange(descriptor + 1, 1024)
+    for heeded in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(heeded, signal.SIG_DFL)
+    from wbflow.night.service import serve
+
+    _end_with(lambda: serve(descriptor, parent))
+
+
+def _end_with(work: Callable[[], object]) -> NoReturn:
+    code = 70
+    try:
+        work()
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    except BaseException as error:  # as the interpreter would end
+        os.write(2, f"Traceback: {type(error).__name__}: {error}".encode())
+        code = 1
+    finally:
+        with contextlib.suppress(Exception):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def _speak_to(output: Path) -> None:
+    os.setsid()
+    descriptor = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)

@@ -1,0 +1,155 @@
+"""Any dataclass of arrays as ordinary files, and back to the bit: images as PNG, tables as CSV, other arrays as npy, the rest as
+JSON, which says where everything is."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..types import Capture
+
+MOST_INLINE = 64
+"""Numbers of an array that stand in the JSON itself."""
+MOST_COLUMNS = 16
+MOST_ROWS = 20_000
+"""Of a table that people may want to read; larger ones are npy."""
+_FORMATS = {"f8": "%.17g", "f4": "%.9g"}
+"""Digits that tell every number of a type from its neighbours."""
+
+Array = npt.NDArray[Any]
+
+
+def write(value: Any, folder: Path, stem: str) -> Any:
+    """Write a value.
+
+    Parameters
+    ----------
+    value : object
+        A dataclass, an array, a mapping or sequence of such, a number, a word, or None.
+    folder : Path
+        Where the files go; it is made.
+    stem : str
+        How their names begin: fields and entries are added with dots.
+
+    Returns
+    -------
+    JSON data
+        For `read`.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray | np.generic):
+        return _write_array(np.asarray(value), folder, stem)
+    if isinstance(value, Capture):
+        file = f"{stem}.{Path(value.name).name}"
+        (folder / file).write_bytes(value.data.tobytes())
+        return {"capture": value.name, "file": file}
+    if dataclasses.is_dataclass(value):
+        kind = type(value)
+        kept = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # those are found again
+        fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in kept}
+        return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
+    if isinstance(value, Mapping):
+        items = [[_key(key), write(value[key], folder, f"{stem}.{_words(key)}")] for key in value]
+        return {"map": items}
+    if isinstance(value, tuple | list):
+        return {type(value).__name__: [write(item, folder, f"{stem}.{i}") for i, item in enumerate(value)]}
+    raise TypeError(f"{type(value).__name__} cannot be written as files")
+
+
+def read(node: Any, folder: Path) -> Any:
+    """The value that `write` was given.  Entries of a mapping are read when they are asked for."""
+    if not isinstance(node, dict):
+        return node
+    if "dtype" in node:
+        return _read_array(node, folder)
+    if "capture" in node:
+        return Capture(node["capture"], np.fromfile(folder / node["file"], dtype=np.uint8))
+    if "map" in node:
+        return _OnDemand({tuple(key) if isinstance(key, list) else key: entry for key, entry in node["map"]}, folder)
+    if "tuple" in node:
+        return tuple(read(item, folder) for item in node["tuple"])
+    if "list" in node:
+        return [read(item, folder) for item in node["list"]]
+    module, _, name = node["type"].partition(":")
+    kind: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return kind(**{field: read(entry, folder) for field, entry in node["fields"].items()})
+
+
+class _OnDemand(Mapping[Any, Any]):
+    """A mapping whose values are read when they are asked for: a night need not be in memory at once."""
+
+    def __init__(self, nodes: dict[Any, Any], folder: Path) -> None:
+        self._nodes = nodes
+        self._folder = folder
+
+    def __getitem__(self, key: Any) -> Any:
+        return read(self._nodes[key], self._folder)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._nodes  # without reading it
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._nodes)
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+
+def _write_array(array: Array, folder: Path, stem: str) -> dict[str, Any]:
+    kind = {"dtype": array.dtype.str, "shape": list(array.shape)}
+    if array.size <= MOST_INLINE:
+        return kind | {"values": array.ravel().tolist()}
+    picture = _picture(array)
+    if picture is not None:
+        file = f"{stem}.png"
+        (folder / file).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    elif array.ndim <= 2 and array.dtype.kind in "fiub" and len(array) <= MOST_ROWS and array.size <= MOST_COLUMNS * len(array):
+        file = f"{stem}.csv"
+        np.savetxt(folder / file, array, _FORMATS.get(array.dtype.str[1:], "%d"), ",")
+    else:
+        file = f"{stem}.npy"
+        np.save(folder / file, array, allow_pickle=False)
+    return kind | {"file": file}
+
+
+def _read_array(node: dict[str, Any], folder: Path) -> Array:
+    dtype, shape = np.dtype(node["dtype"]), tuple(node["shape"])
+    if "values" in node:
+        return np.array(node["values"], dtype=dtype).reshape(shape)
+    path = folder / node["file"]
+    if path.suffix == ".png":
+        data: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        return np.ascontiguousarray(data[..., ::-1] if len(shape) == 3 else data).astype(dtype).reshape(shape)
+    if path.suffix == ".csv":
+        between = np.float64 if dtype.kind == "f" else np.int64
+        return np.loadtxt(path, dtype=between, delimiter=",", ndmin=1).astype(dtype).reshape(shape)
+    loaded: Array = np.load(path, allow_pickle=False)
+    return loaded
+
+
+def _picture(array: Array) -> Any:
+    """An array as OpenCV writes it, where it is a picture that a PNG holds as it is."""
+    if array.ndim == 3 and array.shape[2] == 3 and array.dtype == np.uint8:
+        return array[..., ::-1]
+    if array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
+        if array.dtype == bool:
+            return array.astype(np.uint8) * 255
+        if array.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)}:
+            return array
+    return None
+
+
+def _key(key: Any) -> Any:
+    return list(key) if isinstance(key, tuple) else key
+
+
+def _words(key: Any) -> str:
+    return "--".join(map(str, key)) if isinstance(key, tuple) else str(key)

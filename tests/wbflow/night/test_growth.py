@@ -1,0 +1,65 @@
+"""The engine's own work grows with the number of tasks, not with its square: operations are counted, not seconds."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+
+FEW, MANY = 8, 24
+STEEPEST = 1.1
+
+
+class Counted:
+    """Counts what the thread of the run does: function calls, and files that are made to last."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.calls = self.syncs = 0
+        sync = os.fsync
+
+        def counted(descriptor: int) -> None:
+            self.syncs += 1
+            sync(descriptor)
+
+        monkeypatch.setattr(os, "fsync", counted)
+
+    def run(self, toy: ToySite) -> tuple[int, int, int]:
+        """Calls, syncs and tasks of a run, in threads of this process."""
+
+        def note(frame: Any, event: str, argument: Any) -> None:
+            self.calls += event in {"call", "c_call"}
+
+        self.calls = self.syncs = 0
+        sys.setprofile(note)
+        try:
+            record = toy.run("--backend", "threading")
+        finally:
+            sys.setprofile(None)
+        return self.calls, self.syncs, sum(record["tasks"].values())
+
+
+def exponent(few: tuple[int, int], many: tuple[int, int]) -> float:
+    """How steeply something (first) grows with the number of tasks (second)."""
+    return math.log(many[0] / few[0]) / math.log(many[1] / few[1])
+
+
+def test_what_the_engine_does_grows_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted, found = Counted(monkeypatch), []
+    for cameras in (FEW, MANY):
+        toy = ToySite(tmp_path / str(cameras), [f"c{k}" for k in range(cameras)], keys={"pin": "none"})
+        toy.run("--until", "frames", "--backend", "threading")  # what is imported and read once
+        full, idle = counted.run(toy), counted.run(toy)
+        (toy.folder / "captures" / "c1.txt").write_text("another view")
+        found.append((full, idle, counted.run(toy)))
+    for few, many in zip(*found, strict=True):
+        calls, syncs, tasks = zip(few, many, strict=True)
+        assert exponent(calls, tasks) < STEEPEST
+        assert exponent(syncs, tasks) < STEEPEST
+    idle = found[1][1]
+    assert idle[1] < 30, "a night with nothing to do syncs no file for its tasks"

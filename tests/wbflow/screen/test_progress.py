@@ -1,0 +1,120 @@
+"""How long a run still takes, told by its events alone."""
+
+from __future__ import annotations
+
+import datetime
+import heapq
+
+import pytest
+
+from wbflow.screen.progress import Progress, in_words
+from wbflow.store.events import Event, PlannedEvent, Signal, StageOutlook, StartedEvent, TaskEvent
+from wbflow.task import Task
+
+START = datetime.datetime(2026, 11, 20, 3, 30, tzinfo=datetime.UTC)
+COSTS = {"frames": (8, 2.0), "matches": (20, 1.5), "disparity": (20, 9.0), "refine": (8, 14.0), "fuse": (1, 25.0)}
+"""Tasks of each stage, and seconds that each takes."""
+
+
+def at(seconds: float) -> str:
+    return (START + datetime.timedelta(seconds=seconds)).isoformat()
+
+
+def night(workers: int, expected: dict[str, float], known: bool) -> list[tuple[float, Event | Signal]]:
+    """The events of a night whose stages follow each other, with their times; a stage's tasks take from 0.7 to 1.3 of COSTS."""
+    told: list[tuple[float, Event | Signal]] = []
+    now, settled = 0.0, dict.fromkeys(COSTS, 0)
+
+    def plan(moment: float) -> None:
+        rows = [StageOutlook(name, n, settled[name], expected[name], known) for name, (n, _) in COSTS.items()]
+        told.append((moment, PlannedEvent(tuple(rows), workers, at(moment))))
+
+    for name, (count, seconds) in COSTS.items():
+        plan(now)
+        free = [now] * workers
+        for k in range(count):
+            begin = heapq.heappop(free)
+            end = begin + seconds * (0.7 + 0.6 * k / max(1, count - 1) if count > 1 else 1.0)
+            heapq.heappush(free, end)
+            task = Task(name, (f"camera-{k}",))
+            told.append((begin, StartedEvent(task, at(begin))))
+            told.append((end, TaskEvent(task, "ran", at(end), fresh=True, cpu=end - begin)))
+        now = max(free)
+        settled[name] = count
+    plan(now)
+    return sorted(told, key=lambda pair: pair[0])
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+@pytest.mark.parametrize("slower", [0.6, 1.0, 1.8])
+def test_from_a_third_of_the_run_on_the_time_left_is_right_within_30_percent_of_the_run(workers: int, slower: float) -> None:
+    """Whether the machine is as quick as in earlier runs, or not."""
+    told = night(workers, {name: seconds / slower for name, (_, seconds) in COSTS.items()}, known=True)
+    end = told[-1][0]
+    progress = Progress()
+    looked = 0
+    for moment, event in told:
+        progress.add(event)
+        if end / 3 <= moment < end:
+            left = progress.seconds_left((START + datetime.timedelta(seconds=moment)).timestamp())
+            assert left is not None
+            assert abs(moment + left - end) < 0.3 * end
+            looked += 1
+    assert looked > 10
+
+
+def test_a_first_run_learns_from_its_own_tasks() -> None:
+    """On a machine ten times slower than the rough figures: once two stages are through, the rest is expected to be slow, too."""
+    told = night(2, {name: seconds / 10 for name, (_, seconds) in COSTS.items()}, known=False)
+    end = told[-1][0]
+    progress = Progress()
+    through = next(moment for moment, event in told if isinstance(event, StartedEvent) and event.task.stage == "disparity")
+    for moment, event in told:
+        if moment <= through:
+            progress.add(event)
+    left = progress.seconds_left((START + datetime.timedelta(seconds=through)).timestamp())
+    assert left is not None
+    assert 0.6 < left / (end - through) < 1.5
+
+
+def test_nothing_is_said_before_it_is_known_what_there_is_to_do() -> None:
+    progress = Progress()
+    assert progress.seconds_left(0.0) is None
+    progress.add(TaskEvent(Task("frames", ("gate",)), "cached", at(0)))
+    assert progress.seconds_left(0.0) is None
+
+
+def test_a_stage_is_told_of_once_when_it_and_those_before_it_have_ended() -> None:
+    progress = Progress()
+    ended = [stage.name for _, event in night(2, dict.fromkeys(COSTS, 1.0), True) for stage in progress.add(event)]
+    assert ended == list(COSTS)
+    assert progress.stages["matches"].counts() == "20 ran"
+    assert progress.totals == (57, 57)
+
+
+def test_what_comes_from_the_cache_is_counted_and_no_stage_is_told_of_for_it() -> None:
+    progress = Progress()
+    tasks = [Task("frames", (name,)) for name in ("gate", "roof")]
+    for task in tasks:
+        progress.add(TaskEvent(task, "cached", at(0)))
+    assert progress.add(PlannedEvent((StageOutlook("frames", 2, 2, 1.0, True),), 2, at(0))) == []
+    assert progress.totals == (2, 2)
+    assert progress.seconds_left(0.0) == 0.0
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(4.4, "4 s"), (89, "89 s"), (200, "3 min"), (7900, "2 h 12 min")])
+def test_spans_are_said_as_people_say_them(seconds: float, words: str) -> None:
+    assert in_words(seconds) == words
+
+
+def test_what_is_compiled_once_is_not_expected_of_every_task() -> None:
+    """Of a first run: each worker's first task of a stage takes a minute longer."""
+    progress = Progress(workers=2)
+    progress.add(PlannedEvent((StageOutlook("disparity", 10, 0, 3.0, False),), 2, at(0)))
+    for k, (begin, end) in enumerate([(0, 63), (0, 64), (63, 66), (64, 67)]):
+        task = Task("disparity", (f"camera-{k}", "roof"))
+        progress.add(StartedEvent(task, at(begin)))
+        progress.add(TaskEvent(task, "ran", at(end), fresh=True))
+    left = progress.seconds_left((START + datetime.timedelta(seconds=67)).timestamp())
+    assert left is not None
+    assert 6 < left < 12
