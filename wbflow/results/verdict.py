@@ -20,7 +20,7 @@ from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
 from ..task import Task
-from .past import Past, all_looks, figures_of, median, pinned_usual, settings_of
+from .past import Past, looks_of, figures_of, median, pinned_usual, settings_of
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
@@ -92,7 +92,7 @@ def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> Ru
         What the site file says of good nights.
     """
     night = _shares(record)
-    looks, known = all_looks(record), record.usual.cameras if record.usual else {}
+    looks, known = looks_of(record), record.usual.cameras if record.usual else {}
     cameras = tuple(
         _with_health(camera, looks.get(camera.id, {}), known.get(camera.id, {}), night, expected) for camera in record.cameras
     )
@@ -225,7 +225,7 @@ def _tolerated(finding: Finding, record: RunRecord, expected: Expected) -> bool:
 def _shares(record: RunRecord) -> dict[str, float]:
     """How the pictures of most cameras look, as shares of what is usual: what they have in common is the night's, not theirs."""
     shares: dict[str, list[float]] = {}
-    of_cameras = all_looks(record)
+    of_cameras = looks_of(record)
     for camera in record.cameras:
         looks, usual = of_cameras.get(camera.id, {}), record.usual.cameras.get(camera.id, {}) if record.usual else {}
         for name in looks.keys() & usual.keys():
