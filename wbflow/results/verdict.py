@@ -20,7 +20,7 @@ from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
 from ..task import Task
-from .past import Past, looks_of, figures_of, median, pinned_usual, settings_of
+from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
