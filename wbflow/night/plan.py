@@ -86,6 +86,7 @@ class Plan:
 
     def refresh(self) -> None:
         """Settle what the cache has, and find what is ready.  Only what may have changed since the last time is looked at."""
+        named = {stage.name: stage for stage in self._stages}
         while True:
             if self._agenda.all_anew:
                 self._list()
@@ -93,7 +94,7 @@ class Plan:
             if task is None:
                 return
             if not (task in self.states or task in self.busy or task in self.ready):
-                self._settle(stage_named(task.stage), task)
+                self._settle(named[task.stage], task)
 
     def settle(self, task: Task, state: State) -> None:
         """Record how a task of this run ended."""
