@@ -44,9 +44,9 @@ class Counted:
         return self.calls, self.syncs, sum(record["tasks"].values())
 
 
-def exponent(few: tuple[int, int], many: tuple[int, int]) -> float:
-    """How steeply something (first) grows with the number of tasks (second)."""
-    return math.log(many[0] / few[0]) / math.log(many[1] / few[1])
+def exponent(counts: tuple[int, int], tasks: tuple[int, int]) -> float:
+    """How steeply something grows with the number of tasks; both on a small site and on a large one."""
+    return math.log(counts[1] / counts[0]) / math.log(tasks[1] / tasks[0])
 
 
 def test_what_the_engine_does_grows_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
