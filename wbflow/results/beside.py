@@ -98,4 +98,11 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _number(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else f"{value:,}"
+    return number(value) if isinstance(value, float) else f"{value:,}"
+
+
+def number(value: float) -> str:
+    """As people read it: three digits that count, thousands apart."""
+    if value == 0 or abs(value) >= 100:
+        return f"{value:,.0f}"
+    return f"{value:.3g}"

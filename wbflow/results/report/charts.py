@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..beside import number
+
 WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0
 
 
@@ -78,13 +80,6 @@ def chart(title: str, values: Sequence[Value], unit: str = "") -> Chart | None:
     last = values[-1].value
     now = "–" if last is None else f"{number(last)} {unit}".strip()
     return Chart(title, now, f"{number(middle)} {unit}".strip(), points, path, number(low), number(high), y(middle))
-
-
-def number(value: float) -> str:
-    """As people read it: three digits that count, thousands apart."""
-    if value == 0 or abs(value) >= 100:
-        return f"{value:,.0f}"
-    return f"{value:.3g}"
 
 
 def size(count: float) -> str:

@@ -16,6 +16,7 @@ from ...store.events import Event, WarningEvent
 from ...store.layout import WorkFolder
 from ...store.record import RunRecord
 from ...store.run_folder import RunFolder
+from ..beside import number
 from .album import Album
 from .headline import findings, headline
 from .nights import trends
@@ -168,10 +169,7 @@ def _of_the_world(record: RunRecord) -> Iterator[str]:
     if record.poses is None:
         return
     plain = {name: value for name, value in record.poses.figures.items() if isinstance(value, str | int | float) and value != ""}
-    told = (
-        f"{name.replace('_', ' ')} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in plain.items()
-    )
+    told = (f"{name.replace('_', ' ')} {number(value) if isinstance(value, float) else value}" for name, value in plain.items())
     yield f"The cameras' places: {', '.join(told)}."
     yield from record.poses.notes
     yield from record.poses.joins
