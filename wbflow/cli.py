@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 
 import click
@@ -18,9 +17,11 @@ class _Plain(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that is named first; one that there is not is told with the nearest that there is."""
-        close = difflib.get_close_matches(args[0], self.commands, 1)
-        if args[0] not in self.commands and close:
-            ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {close[0]}?")
+        if args[0] not in self.commands:
+            import difflib
+
+            if close := difflib.get_close_matches(args[0], self.commands, 1):
+                ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {close[0]}?")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:

@@ -104,3 +104,10 @@ def place_of(site: Site) -> WorkFolder:
     from ..store.layout import WorkFolder
 
     return WorkFolder(site.work)
+
+
+def say_json(told: Any) -> None:
+    """Print for programs."""
+    import json
+
+    say(json.dumps(told, indent=1))

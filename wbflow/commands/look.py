@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ import click
 
 from ..errors import UsageError
 from ..screen import say
-from .common import PATH, date_option, json_option, load, place_of, work_option
+from .common import PATH, date_option, json_option, load, place_of, say_json, work_option
 
 if TYPE_CHECKING:
     import datetime
@@ -62,7 +61,7 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 
     found = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(place_of(site))]
     if as_json:
-        say(json.dumps([{"site": site.name, **entry} for site, entry in found], indent=1))
+        say_json([{"site": site.name, **entry} for site, entry in found])
         return
     for site, entry in found:
         points = f"{entry['points']:,}" if entry["points"] else "-"

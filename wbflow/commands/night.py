@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ExitCode, UsageError, worst
-from ..screen import findings, next_command, say, summary, watching
+from ..screen import findings, next_command, say, summary
 from .common import (
     BACKENDS,
     Clock,
@@ -20,6 +19,7 @@ from .common import (
     jobs_option,
     json_option,
     load,
+    say_json,
     site_argument,
     until_option,
     verbose_option,
@@ -78,7 +78,10 @@ def run(
         for day in _nights(loaded, date, since):
             _explain(loaded, day, asked["until"], asked["force"])
         return
+    import json
+
     from ..api import run as work_through
+    from ..screen.watch import watching
 
     codes: list[int] = []
     records = []
@@ -104,7 +107,7 @@ def run(
     if not (quiet or as_json):
         say(f"next    {next_command(finished, site)}")
     if as_json:
-        say(json.dumps(records if since else records[0], indent=1))
+        say_json(records if since else records[0])
     sys.exit(worst(codes))
 
 
@@ -168,7 +171,7 @@ def _explain(site: Site, date: datetime.date | None, until: str | None, force: t
     if as_json:
         tasks = [asdict(line) for line in lines]
         known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
-        say(json.dumps({"site": site.name, "night": plan.night, **known}, indent=1))
+        say_json({"site": site.name, "night": plan.night, **known})
         return
     if plan.misfit:
         say(f"the reference is not used: {plan.misfit}", err=True)

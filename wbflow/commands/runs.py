@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ import click
 
 from ..errors import ExitCode, UsageError
 from ..screen import say, stop
-from .common import PATH, json_option, load, place_of, run_argument, site_argument, work_option
+from .common import PATH, json_option, load, place_of, run_argument, say_json, site_argument, work_option
 
 if TYPE_CHECKING:
     pass
@@ -53,7 +52,7 @@ def history(site: Path, as_json: bool, work: Path | None) -> None:
 
     runs = entries(place) if place.run_ids() else []
     if as_json:
-        say(json.dumps([entry.to_json() for entry in runs], indent=1))
+        say_json([entry.to_json() for entry in runs])
         return
     if not runs:
         stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
@@ -93,7 +92,7 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
         raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
     rows = rows_of(a.record(), b.record())
     if as_json:
-        say(json.dumps({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]}, indent=1))
+        say_json({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]})
         return
     for row in told(rows):
         say(row)

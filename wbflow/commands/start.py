@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ExitCode, UsageError
-from ..screen import say, stop, watching
+from ..screen import say, stop
 from .common import PATH, jobs_option, verbose_option
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     """
     from ..api import run as work_through
     from ..results.pair import LAST_STAGE, failure, pair_site, write_pair
+    from ..screen.watch import watching
 
     site = pair_site(left, right, out, resolution)
     with watching(site.name, verbose) as watch:

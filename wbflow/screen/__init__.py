@@ -1,6 +1,5 @@
 """What the command line says while a run works, and at its end."""
 
-from .watch import watching
 from .words import findings, next_command, say, stop, summary
 
-__all__ = ["findings", "next_command", "say", "stop", "summary", "watching"]
+__all__ = ["findings", "next_command", "say", "stop", "summary"]
