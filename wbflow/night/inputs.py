@@ -159,9 +159,7 @@ class Inputs:
                 raise Waiting(upstream)
         useless = self.pinned.useless() if stage_named(task.stage).role is not Role.HEALTH else frozenset()
         for upstream in joined:
-            state = self.states.get(upstream)
-            if state is None:
-                raise Waiting(upstream)
+            state = self.states[upstream]
             if useless & set(upstream.subject):
                 faults.append(self.pinned.unfit(upstream.subject))
             elif state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):

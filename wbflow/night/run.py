@@ -16,6 +16,7 @@ from ..graph.rows import Role
 from ..store.cache import Cache, DamagedArtifact, Receipt
 from ..store.disk import DiskFloor
 from ..store.intact import Intact
+from ..store.layout import cloud_name
 from ..store.room import REMEDY
 from ..task import Task
 from .changes import Changes
@@ -44,7 +45,7 @@ class Product:
     receipt: Receipt
     cache: Cache
     data: bytes | None = None
-    """Its bytes; None where they are as they were when an earlier run read them."""
+    """Its bytes; None where they are as they were when an earlier run read them, and what was made of them is there."""
 
     def read(self) -> bytes:
         """Its bytes.  Raises DamagedArtifact for what has gone wrong unnoticed since an earlier run."""
@@ -198,12 +199,14 @@ def _settle(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: 
 
 def _products(plan: Plan, intact: Intact) -> dict[Task, Product]:
     """What is published of a plan that is settled.  Raises DamagedArtifact."""
-    published = {stage_with(Role.WORLD).name, stage_with(Role.PRODUCT).name}
+    product = stage_with(Role.PRODUCT).name
+    published = {stage_with(Role.WORLD).name, product}
     found = {}
     for task, state in plan.states.items():
         if task.stage in published and state.usable and state.receipt:
             path, digest, data = plan.cache.path(state.receipt), state.receipt.digest, None
-            if not intact.holds(path, digest):
+            known = task.stage == product and intact.holds(path, digest) and intact.earlier(cloud_name(task.subject))
+            if not known:
                 data = plan.cache.read(task, path, digest)
                 intact.read(path, digest)
             found[task] = Product(task, state.receipt, plan.cache, data)

@@ -20,8 +20,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) ->
     OSError
         One of a full disk says how much was needed, and how much is free.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
+    temporary = _beside(path)
     try:
         with temporary.open("wb") as file:
             file.write(data)
@@ -46,8 +45,7 @@ def copy_atomic(path: Path, name: Path) -> None:
     OSError
         One of a full disk says how much was needed, and how much is free.
     """
-    name.parent.mkdir(parents=True, exist_ok=True)
-    temporary = name.with_name(f".{name.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
+    temporary = _beside(name)
     try:
         shutil.copyfile(path, temporary)
         with temporary.open("rb") as file:
@@ -65,3 +63,9 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _beside(path: Path) -> Path:
+    """A name in the same folder that nobody else has; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")

@@ -6,6 +6,7 @@ import os
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from ..errors import WbflowError
 from .artifact import file_digest
@@ -28,8 +29,15 @@ class ChangedFile(WbflowError):
         return type(self), (self.path,)
 
 
-Stamp = tuple[int, int, int, int]
-"""Size, time of the last change of content, time of the last change of anything, inode."""
+class Stamp(NamedTuple):
+    """What tells that a file has been touched."""
+
+    size: int
+    mtime_ns: int
+    """Last change of its content."""
+    ctime_ns: int
+    """Last change of anything."""
+    inode: int
 
 
 @dataclass
@@ -57,14 +65,14 @@ class Digests:
         name = str(path)
         self._asked[name] = None
         status = path.stat()
-        stamp = list(_stamp(status))
+        stamp = list(stamp_of(status))
         known = self._known.get(name)
-        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
+        settled = is_settled(status.st_mtime_ns, status.st_ctime_ns)
         if known and known[:-1] == stamp and settled:
             return str(known[-1])
         digest = file_digest(path)
         # remembered only if the file is the one that was looked at before it was read
-        if settled and list(_stamp(path.stat())) == stamp:
+        if settled and list(stamp_of(path.stat())) == stamp:
             self._known[name] = [*stamp, digest]
             self._changed = True
         return digest
@@ -82,5 +90,11 @@ class Digests:
             self._changed = False
 
 
-def _stamp(status: os.stat_result) -> Stamp:
-    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+def stamp_of(status: os.stat_result) -> Stamp:
+    """What of a file's status tells that it has been touched."""
+    return Stamp(status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
+
+
+def is_settled(*times_ns: int) -> bool:
+    """Do these times lie so far back that another change would show in them?"""
+    return time.time_ns() - max(times_ns) > _SETTLED_NS

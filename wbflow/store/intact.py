@@ -9,17 +9,39 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from .artifact import digest
+from .digests import Stamp, is_settled, stamp_of
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, write_signed
 
 _OF = "files found intact"
-_SETTLED_NS = 2_000_000_000  # a younger file may change again within its time stamp's resolution
+
+
+@dataclass(frozen=True)
+class _Product:
+    """A published file, as it was when it was read."""
+
+    size: int
+    mtime_ns: int
+    inode: int
+    """Without the time of the last change of anything: a file that is published again gets one more name."""
+    of: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Published:
+    """A file of an earlier run that is as it was when it was read."""
+
+    path: Path
+    of: str
+    """What it is made of (see `made_of`)."""
+    sha256: str
 
 
 @dataclass
@@ -28,47 +50,42 @@ class Intact:
 
     work: WorkFolder
     _artifacts: dict[str, list[int | str]] = field(default_factory=dict)
-    _products: dict[str, list[int | str]] = field(default_factory=dict)
+    """Stamp and digest by place."""
+    _products: dict[str, _Product] = field(default_factory=dict)
+    """By name."""
     _changed: bool = False
 
     def __post_init__(self) -> None:
         try:
             told = read_signed(self.work.intact_memo, _OF) or {}
-        except Damaged:  # it costs reading the files once more
-            told = {}
-        self._artifacts, self._products = told.get("artifacts", {}), told.get("products", {})
+            self._products = {name: _Product(**entry) for name, entry in told.get("products", {}).items()}
+            self._artifacts = told.get("artifacts", {})
+        except (Damaged, TypeError):  # it costs reading the files once more
+            self._products = {}
 
     def holds(self, artifact: Path, sought: str) -> bool:
         """Is an artifact known to hold the bytes of a digest?"""
-        stamp = _stamp(artifact)
+        stamp = _settled(artifact)
         return stamp is not None and self._artifacts.get(self.work.place(artifact)) == [*stamp, sought]
 
     def read(self, artifact: Path, found: str) -> None:
         """An artifact was read just now, and its bytes have this digest."""
-        if (stamp := _stamp(artifact)) is not None:
+        if (stamp := _settled(artifact)) is not None:
             self._artifacts[self.work.place(artifact)] = [*stamp, found]
             self._changed = True
 
-    def product(self, name: str, of: str, runs: Iterable[str]) -> tuple[Path, str] | None:
-        """A file of an earlier run that holds what is to be published, and its SHA-256; None where none is known to.
-
-        Parameters
-        ----------
-        name : str
-            Of the file.
-        of : str
-            What it is made of (see `made_of`).
-        runs : iterable of str
-            Where it is looked for.
-        """
-        known = self._products.get(name)
-        if not known or known[-2] != of:
-            return None
-        for run in runs:
-            path = self.work.run(run).folder / name
-            if (stamp := _stamp(path, lasting=True)) is not None and _lasting(stamp) == known[:-2]:
-                return path, str(known[-1])
+    def earlier(self, name: str) -> Published | None:
+        """The newest file of that name which is as it was when it was read; None where there is none in the last runs."""
+        if known := self._products.get(name):
+            for run in self._runs:
+                path = self.work.run(run).folder / name
+                if _product(path, known.of, known.sha256) == known:
+                    return Published(path, known.of, known.sha256)
         return None
+
+    @cached_property
+    def _runs(self) -> list[str]:
+        return self.work.newest_runs()
 
     def published(self, path: Path, of: str, sha256: str) -> None:
         """A file of an earlier run was read just now, and holds what is to be published.
@@ -82,15 +99,16 @@ class Intact:
         sha256 : str
             Of its bytes.
         """
-        if (stamp := _stamp(path, lasting=True)) is not None:
-            self._products[path.name] = [*_lasting(stamp), of, sha256]
+        if found := _product(path, of, sha256):
+            self._products[path.name] = found
             self._changed = True
 
     def save(self) -> None:
         """Keep what was learnt.  Raises OSError."""
         if self._changed:
             here = {place: entry for place, entry in self._artifacts.items() if (self.work.cache / place).exists()}
-            write_signed(self.work.intact_memo, _OF, {"artifacts": here, "products": self._products})
+            products = {name: asdict(product) for name, product in self._products.items()}
+            write_signed(self.work.intact_memo, _OF, {"artifacts": here, "products": products})
             self._changed = False
 
 
@@ -99,22 +117,19 @@ def made_of(artifact: str, comments: Iterable[str]) -> str:
     return digest(json.dumps([artifact, *comments]).encode())
 
 
-def _stamp(path: Path, lasting: bool = False) -> tuple[int, int, int, int] | None:
-    """Size, inode, time of the last change of content and of the last change of anything; None for a file that is not there, or
-    so young that it may change again within them.
-
-    lasting: only its content counts, it may have got another name just now.
-    """
+def _settled(path: Path) -> Stamp | None:
+    """The stamp of a file; None for one that is not there, or so young that it may change again within its times."""
     try:
-        status = os.stat(path)  # noqa: PTH116 (hot path)
+        stamp = stamp_of(os.stat(path))  # noqa: PTH116 (hot path)
     except OSError:
         return None
-    youngest = status.st_mtime_ns if lasting else max(status.st_mtime_ns, status.st_ctime_ns)
-    if time.time_ns() - youngest <= _SETTLED_NS:
+    return stamp if is_settled(stamp.mtime_ns, stamp.ctime_ns) else None
+
+
+def _product(path: Path, of: str, sha256: str) -> _Product | None:
+    """A file as it is now; None for one that is not there, or whose content is so young that it may change again."""
+    try:
+        stamp = stamp_of(os.stat(path))  # noqa: PTH116 (hot path)
+    except OSError:
         return None
-    return status.st_size, status.st_ino, status.st_mtime_ns, status.st_ctime_ns
-
-
-def _lasting(stamp: tuple[int, int, int, int]) -> list[int | str]:
-    """Without the time of the last change of anything: a file that is published again gets one more name."""
-    return list(stamp[:3])
+    return _Product(stamp.size, stamp.mtime_ns, stamp.inode, of, sha256) if is_settled(stamp.mtime_ns) else None

@@ -25,6 +25,7 @@ from .atomic import sync_folder
 
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
+_LOOK_BACK = 7
 
 
 def run_id(moment: datetime.datetime) -> str:
@@ -241,6 +242,10 @@ class WorkFolder:
         """Every published run, oldest first."""
         found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
         return sorted(p.name for p in found if not p.name.startswith("."))
+
+    def newest_runs(self) -> list[str]:
+        """Those in which an earlier form of a product is looked for (there are nights that make none), newest first."""
+        return self.run_ids()[: -_LOOK_BACK - 1 : -1]
 
     @property
     def reference(self) -> Path:

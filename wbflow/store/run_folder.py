@@ -22,8 +22,6 @@ from .share import share_product, write_product
 from .signed import Unsigned, signed, unsigned
 
 _OF = "run"
-_LOOK_BACK = 7
-"""In so many runs before, the newest cloud is looked for (there are nights that make none)."""
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -215,10 +213,10 @@ class UnfinishedRun:
         OSError
             The disk is full, or there is no right to write.
         """
-        found = self.intact.product(name, of, self._earlier) if self.intact else None
-        if found is None or not share_product(self.paths.folder / name, found[0]):
+        found = self.intact.earlier(name) if self.intact else None
+        if found is None or found.of != of or not share_product(self.paths.folder / name, found.path):
             return False
-        self.files[name] = found[1]
+        self.files[name] = found.sha256
         return True
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
@@ -258,7 +256,7 @@ class UnfinishedRun:
     @cached_property
     def _earlier(self) -> list[str]:
         """The newest runs, newest first."""
-        return self.work.run_ids()[: -_LOOK_BACK - 1 : -1]
+        return self.work.newest_runs()
 
 
 def turn_links(work: WorkFolder) -> None:
