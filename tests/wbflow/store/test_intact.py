@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import ToySite
+from wbflow.store.artifact import file_digest
 from wbflow.store.intact import Intact
 from wbflow.store.layout import WorkFolder
 
@@ -37,11 +38,12 @@ def flip(file: Path) -> None:
 
 def rot(toy: ToySite) -> None:
     """What a disk does unseen: bytes of the artifact change, and nothing that tells of it."""
-    flip(artifact(toy))
-    work = WorkFolder(toy.work)
-    digest = next(entry for entry in Intact(work)._artifacts.values())[-1]
+    work, file = WorkFolder(toy.work), artifact(toy)
+    digest = file_digest(file)
+    flip(file)
     known = Intact(work)
-    known.read(artifact(toy), str(digest))
+    known.read(file, digest)
+    assert known.holds(file, digest)
     known.save()
 
 
