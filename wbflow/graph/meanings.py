@@ -1,6 +1,6 @@
 """What the figures of run.json mean, for people: words for a hover, and where good ends and bad begins.
 
-The bounds are those at which the stages themselves become careful (their parameters' defaults), not new ones.
+The bounds colour figures on a page; nothing is decided by them.
 """
 
 from __future__ import annotations

@@ -13,15 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import LONGEST_TRACE, printable
+from ..graph.codec import result_bytes, result_of
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
-from ..graph.rows import PointTable
 from ..store import artifact
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
 from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
-from ..store.ply import columns_of, ply_bytes
 from ..store.room import FULL, REMEDY
 from ..task import Task
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
@@ -117,13 +116,6 @@ def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     return {name: _load(value, lane) for name, value in spec.inputs.items()}
 
 
-def result_bytes(result: Any, table: PointTable | None) -> bytes | bytearray:
-    """A result as the cache keeps it."""
-    if table:
-        return ply_bytes(load(table.columns)(result), comments=("made by wbflow",))
-    return artifact.encode(result)
-
-
 def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
     """The one broad `except`: whatever a stage does wrong costs that task only."""
     try:
@@ -204,7 +196,7 @@ def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
 def _redraw(spec: TaskSpec, receipt: Receipt, lane: _Lane) -> Done:
     """Draw the picture of a result that is in the cache."""
     data = lane.cache.read(spec.task, lane.cache.path(receipt), receipt.digest)
-    result = load(spec.table.restore)(columns_of(data)) if spec.table else artifact.decode(data)
+    result = result_of(data, spec.table)
     warnings = _draw(spec, receipt.key, result, lane, {})
     return Done(spec.task, "cached", receipt, receipt.reason, warnings=warnings)
 
@@ -276,8 +268,7 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
         opened = lane.kept.of(value.file_digest, lambda: _bytes_of(value, lane))
         return opened.part(value.part.field, value.part.entry)
     if result is None:
-        data, table = _bytes_of(value, lane), stage_named(value.task.stage).table
-        result = load(table.restore)(columns_of(data)) if table else artifact.decode(data)
+        result = result_of(_bytes_of(value, lane), stage_named(value.task.stage).table)
         if keep:
             lane.results[value.file_digest] = result
     return value.part.of(result) if value.part else result

@@ -7,11 +7,11 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ..graph.codec import result_bytes
 from ..graph.exports import FROM_PLAIN_FILES
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
 from ..night.hand import THREADS
-from ..night.worker import result_bytes
 from ..store import artifact
 from ..store.ply import columns_of
 from .artifacts import function

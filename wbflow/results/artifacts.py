@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import UsageError, WbflowError
+from ..graph.codec import result_of
 from ..graph.pipeline import STAGES, stage_named, stage_with
 from ..graph.rows import Role
 from ..store.cache import Cache, Receipt
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
-from ..store.ply import columns_of, read_ply
+from ..store.ply import read_ply
 from ..store.record import CloudRecord, RunRecord
 from ..store.run_folder import RunFolder
 from ..task import Subject, Task
@@ -63,13 +64,10 @@ class FinishedRun:
             The cache does not hold it any more, or its disk has lost something.
         """
         receipt = self.receipt(task)
-        table = stage_named(task.stage).table
         if receipt is None:
             return None
-        if table is None:
-            return Cache(self.work).load(task, receipt)
-        path = Cache(self.work).path(receipt)
-        return function(table.restore)(columns_of(Cache(self.work).read(task, path, receipt.digest)))
+        cache = Cache(self.work)
+        return result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
 
     def by_role(self, role: Role, subject: Subject = ()) -> Any:
         """What the stage with a role made of a subject, or None."""

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ...errors import WbflowError
+from ...graph.codec import result_of
 from ...graph.functions import FunctionReader
 from ...graph.pipeline import STAGES
 from ...graph.rows import Stage
 from ...store.artifact import digest
 from ...store.atomic import write_atomic
-from ...store.cache import Cache, Receipt
+from ...store.cache import Cache
 from ...store.layout import WorkFolder
-from ...store.ply import columns_of
 from ...task import Task
 from ..artifacts import function
 
@@ -69,15 +69,11 @@ def _stream(work: WorkFolder, stage: Stage, task: Task, key: str, reader: Functi
     cache = Cache(work)
     receipt = cache.by_key(task, key)
     try:
-        made = bytes(function(stage.view)(_result(cache, stage, task, receipt))) if receipt and receipt.file else None
-        if made is not None:
-            write_atomic(path, b"%s %s\n%s" % (code, digest(made).encode(), made), settle=False)
+        if receipt is None or receipt.file is None:
+            return None
+        result = result_of(cache.read(task, cache.path(receipt), receipt.digest), stage.table)
+        made = bytes(function(stage.view)(result))
+        write_atomic(path, b"%s %s\n%s" % (code, digest(made).encode(), made), settle=False)
         return made
     except (WbflowError, ValueError, LookupError, TypeError, ArithmeticError, ImportError, OSError):
         return None  # the page does without
-
-
-def _result(cache: Cache, stage: Stage, task: Task, receipt: Receipt) -> Any:
-    if stage.table is None:
-        return cache.load(task, receipt)
-    return function(stage.table.restore)(columns_of(cache.read(task, cache.path(receipt), receipt.digest)))

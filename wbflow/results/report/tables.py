@@ -118,7 +118,7 @@ def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
         state = state_of(camera, sources.record)
         numbers = {name: value for name, value in camera.figures.items() if isinstance(value, int | float)}
         figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool))
-        pairs = [pair for pair in sources.record.pairs if camera.id in (pair.left, pair.right)]
+        pairs = sources.record.pairs_of(camera.id)
         used = Cell("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
         picture = album.of_frame(camera.id, camera.id)
