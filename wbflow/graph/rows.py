@@ -303,6 +303,12 @@ class Stage:
     """Dotted function: the result -> names and bytes of files that a run publishes beside its cloud."""
     view: str = ""
     """Dotted function: the result -> its points for the report's 3-D view, as a stream of bytes."""
+    layer: str = ""
+    """Dotted function: the result -> a picture that lies on the report's map, as bytes (see `results.report.layers`)."""
+    large: str = ""
+    """Dotted function: the result of a camera -> a JPEG file's bytes, its picture as large as it is, for the report."""
+    marks: str = ""
+    """Dotted function: the result of a camera or a pair -> bytes: places in these pictures (see `results.report.seen`)."""
     title: str = ""
     """Of its part of the report, where a site-wide stage `reports`."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)

@@ -124,7 +124,8 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
         notes = tuple(_figures(state).get(reports.notes, ()))
         record = replace(record, notes=record.notes + notes, figures={**record.figures, **_told(state, reports)})
     for solved, world in _worlds(plan):
-        told = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
+        entries = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
+        told = {name: value for name, value in entries.items() if value is not None}
         note = solved.get(world.camera_notes, {}).get(camera)
         record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
         if camera in solved.get(world.lost_cameras, {}):
@@ -159,7 +160,8 @@ def _reporting(scope: str) -> list[tuple[Stage, Reports]]:
 
 def _worlds(plan: Plan) -> list[tuple[dict[str, Any], WorldReports]]:
     """Figures of site-wide results, and what they report of cameras and pairs."""
-    return [(_figures(plan.states.get(Task(s.name))), s.world_reports) for s in STAGES if s.world_reports]
+    reporting = {stage.name: stage.world_reports for stage in STAGES}
+    return [(_figures(state), world) for task, state in plan.states.items() if (world := reporting.get(task.stage))]
 
 
 def _told(state: State, reports: Reports) -> dict[str, Any]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 
 from ...store.layout import WorkFolder
+from ...store.outside import read_outside
 from ...store.run_folder import RunFolder
 
 _PICTURE = re.compile(r'<img (?:id="([^"]*)" )?src="(data:[^"]+)"[^>]*>')
-_POINTS = re.compile(r'<script type="application/octet-stream" class="points" data-of="(\w+)">([^<]+)</script>')
+_POINTS = re.compile(r'<script type="[^"]+" class="(points|seen)" data-of="(\w+)"[^>]*>([^<]+)</script>')
 
 
 def share_pictures(work: WorkFolder, run: str) -> None:
@@ -33,9 +34,9 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         return
     newest, earlier = work.run(run).report, work.run(before[0]).report
     try:
-        text = newest.read_text()
-        here = {match.group(2) for kind in (_PICTURE, _POINTS) for match in kind.finditer(text)}
-        page = earlier.read_text()
+        text = read_outside(newest).decode()
+        here = {match.group(match.lastindex or 0) for kind in (_PICTURE, _POINTS) for match in kind.finditer(text)}
+        page = read_outside(earlier).decode()
     except (OSError, ValueError):  # removed, or damaged: nothing to share
         return
     target = f"../{run}/{newest.name}"
@@ -45,8 +46,8 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         return link if match.group(2) in here else match.group()
 
     def points(match: re.Match[str]) -> str:
-        lead = f'<script type="application/json" class="points-elsewhere">"{target}"</script>'
-        return lead if match.group(2) in here else match.group()
+        lead = f'<script type="application/json" class="{match.group(1)}-elsewhere">"{target}"</script>'
+        return lead if match.group(3) in here else match.group()
 
     shared = _POINTS.sub(points, _PICTURE.sub(picture, page))
     if shared != page:

@@ -28,13 +28,6 @@
     if (words) cell.title = words;
   });
 
-  const large = $("#large");
-  for (const button of $$("[data-large]")) button.addEventListener("click", () => {
-    const image = $("img", button);
-    if (!image) return;
-    $("img", large).src = image.src; $("img", large).alt = image.alt; large.showModal();
-  });
-  large.addEventListener("click", e => { if (e.target === large || e.target.tagName === "IMG") large.close(); });
   addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
 
   const told = $("#scene"), root = $("#view");
@@ -93,7 +86,19 @@
         if (z > heights[k]) { heights[k] = z; image[k] = pixels[i]; }
       }
     }
-    canvas.getContext("2d").putImageData(data, 0, 0);
+    const pen = canvas.getContext("2d"), draw = () => {
+      pen.setTransform(1, 0, 0, 1, 0, 0); pen.globalAlpha = 1; pen.putImageData(data, 0, 0);
+      for (const button of $$("[data-on-map][aria-pressed=true]")) { // a picture of the ground over the points
+        const layer = document.getElementById(`layer-${button.dataset.onMap}`);
+        pen.setTransform(...layer.dataset.matrix.split(" ").map(Number)); pen.globalAlpha = 0.75; pen.imageSmoothingEnabled = false;
+        pen.drawImage(layer, 0, 0, 1, 1);
+      }
+    };
+    for (const button of $$("[data-on-map]")) button.addEventListener("click", () => {
+      const on = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", String(on)); $(`.legend-of[data-of="${button.dataset.onMap}"]`).hidden = !on; draw();
+    });
+    draw();
   }
   (async () => {
     const message = $(".message", root);
