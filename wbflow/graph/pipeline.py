@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from .rows import (
     Entry,
+    Expects,
     FromPast,
     FromReference,
     FromSite,
@@ -339,7 +340,7 @@ STAGES: tuple[Stage, ...] = (
                 "error_m": "median_error",
                 "lost_without": "lost_without",
             },
-            expects=("area_m2", "seen_by_two"),
+            expects=Expects(("area_m2", "seen_by_two"), unit="m²", words="seen by two cameras"),
         ),
         files="wbflow_stages.exports.ground:coverage_files",
         title="What the cameras see of the ground",

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 _ASSETS = files(__package__) / "assets"
-_SCRIPTS = ("points.js", "view.js", "page.js")
+_VIEWER = ("points.js", "view.js")
 
 
 def rebuild_report(site: Site, work: WorkFolder, folder: RunFolder) -> str:
@@ -91,7 +91,8 @@ def _content(sources: Sources) -> dict[str, Any]:
     return {
         "record": record,
         "style": Markup(cssmin(_asset("style.css"))),
-        "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
+        "viewer": Markup(jsmin("\n".join(map(_asset, _VIEWER)))),
+        "script": Markup(jsmin(_asset("page.js"))),
         "headline": headline(record),
         "findings": findings(sources, album),
         "layout": layout,

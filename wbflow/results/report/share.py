@@ -9,6 +9,8 @@ from ...store.run_folder import RunFolder
 
 _PICTURE = re.compile(r'<img (?:id="([^"]*)" )?src="(data:[^"]+)"[^>]*>')
 _POINTS = re.compile(r'<script type="application/octet-stream" class="points" data-of="(\w+)">([^<]+)</script>')
+_VIEWER = re.compile(r'<script class="viewer">.*?</script>\n', re.DOTALL)
+"""What shows points: of no use where they are elsewhere."""
 
 
 def share_pictures(work: WorkFolder, run: str) -> None:
@@ -49,5 +51,7 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         return lead if match.group(2) in here else match.group()
 
     shared = _POINTS.sub(points, _PICTURE.sub(picture, page))
+    if shared != page and not _POINTS.search(shared):
+        shared = _VIEWER.sub("", shared, count=1)
     if shared != page:
         RunFolder(work.run(before[0])).write_report(shared)
