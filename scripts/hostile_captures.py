@@ -126,6 +126,8 @@ def capture_cases() -> list[Hostile]:
         Hostile("png-too-few-rows", _bytes(png(WIDE, HIGH, 3))),
         Hostile("png-16-bit-bomb", _bytes(png(20_000, 20_000, 5, bits=16)), stated=False),
         Hostile("png-black", _bytes(png(WIDE, HIGH, HIGH)), said="black"),
+        Hostile("png-12-Mpx-of-black", _bytes(png(4000, 3000, 3000, colour=0)), said="black", stated=False),
+        Hostile("png-100-Mpx-of-10-rows", _bytes(png(10_000, 10_000, 10)), stated=False),
         Hostile("png-other-size", _bytes(encoded(".png", 2, 640, 360)), said="640 x 360"),
         Hostile("jpg-other-size", _bytes(encoded(".jpg", 2, 640, 360)), said="640 x 360"),
         Hostile("tiff-other-size", _bytes(encoded(".tif", 2, 640, 360)), said="640 x 360"),
