@@ -69,8 +69,8 @@ def check_loops(
     """Judge all pairs of a site together; for each pair whether it may enter the poses.
 
     Beliefs from the triangles of cameras (exact where pairs are few, else mean-field), then a maximum spanning tree of the
-    believed pairs: what disagrees with the rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and
-    a pair that stands in no triangle needs a score over `STANDS_ALONE`.
+    believed pairs: what disagrees with the rotations along it is dropped.  Pairs without a relative pose are judged by their
+    score alone, and a pair that stands in no triangle needs a score over `STANDS_ALONE`.
 
     unsure_deg: by how much rotations may be off besides the noise, where lenses are only guessed: a triangle that a wrong focal
     length may hold open says nothing against its pairs.
