@@ -33,6 +33,9 @@ _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
 
 
+_TOLD = 0.5
+"""What has distances for more than this share of its points is judged by them."""
+
 _CLEAR = 3.0
 """Most of a change is higher than so many standard deviations of its points."""
 
@@ -50,6 +53,8 @@ class Blob:
     """(2,) mean shares of red and green."""
     cleared: float
     """Mean share of the cameras that saw it which saw through its place on the other night."""
+    swept: float
+    """Volume between both nights' surfaces as the distances tell it; inf where most of it lies too far off for these."""
 
 
 def find_blobs(
@@ -99,8 +104,15 @@ def find_blobs(
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
             colour, cleared = shares[:2] / max(float(shares.sum()), 1.0), float(np.nanmean(side.cleared[rows]))
-            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared))
+            swept = _swept(side, rows, surface)
+            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared, swept))
     return found
+
+
+def _swept(side: Evidence, rows: Int64s, surface: float) -> float:
+    """Volume that a surface has swept along its normals: of a strip of wall less than heights over its footprint say."""
+    told = side.measured[rows]
+    return surface * float(side.distance[rows][told].mean()) if told.mean() > _TOLD else float("inf")
 
 
 def paired(blobs: list[Blob]) -> list[tuple[Blob, Blob | None]]:

@@ -148,7 +148,7 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
         earlier = UnfinishedRun(work, before.run)
-        earlier.write_products({}, cameras(ids))
+        earlier.write_cameras(cameras(ids))
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
     told = build_report(described, work, night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from .rows import (
     Entry,
+    Expects,
     FromPast,
     FromReference,
     FromSite,
@@ -338,7 +339,7 @@ STAGES: tuple[Stage, ...] = (
         needs={"poses": FromStage("poses"), **_SURFACE},
         optional=True,
         picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
-        reports=Reports(_OF_COVERAGE, expects=("area_m2", "seen_by_two")),
+        reports=Reports(_OF_COVERAGE, expects=Expects(("area_m2", "seen_by_two"), unit="m²", words="seen by two cameras")),
         files="wbflow_stages.exports.ground:coverage_files",
         layer="wbflow_stages.exports.ground:coverage_layer",
         title="What the cameras see of the ground",

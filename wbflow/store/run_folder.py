@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from ..task import Subject, Task
+from ..task import Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
 from .intact import Intact
-from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
+from .layout import RunPaths, WorkFolder, run_id, started_by
 from .outside import open_outside, read_outside
 from .record import CloudRecord, RunRecord
 from .share import share_product, write_product
@@ -170,12 +170,9 @@ class UnfinishedRun:
     intact: Intact | None = None
     """What is known of earlier runs' products, and learns of them."""
 
-    def write_products(self, clouds: Mapping[Subject, bytes], cameras: Mapping[str, Any] | None) -> None:
-        """Clouds (PLY) by component, () being the main one, and cameras in the form of a calibration.  Raises OSError."""
-        for component, data in clouds.items():
-            self.write(cloud_name(component), data)
-        if cameras is not None:
-            self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
+    def write_cameras(self, cameras: Mapping[str, Any]) -> None:
+        """The cameras in the form of a calibration.  Raises OSError."""
+        self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
     def write(self, name: str, data: bytes, of: str = "") -> None:
         """A product that is not changed after the run; what the run before has just the same takes no room.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from importlib.resources import files
@@ -35,7 +34,8 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 _ASSETS = files(__package__) / "assets"
-_SCRIPTS = ("points.js", "view.js", "seen.js", "page.js")
+_VIEWER = ("points.js", "view.js")
+_SCRIPTS = ("seen.js", "page.js")
 MOST = 14_000_000
 """Bytes of a page, about: pictures as large as they are have the room that nothing else needs."""
 _A_ROW = 4000
@@ -101,7 +101,8 @@ def _content(sources: Sources) -> dict[str, Any]:
     content = {
         "record": record,
         "style": Markup(cssmin(_asset("style.css"))),
-        "program": base64.b64encode(zlib.compress(jsmin("\n".join(map(_asset, _SCRIPTS))).encode(), 9)).decode(),
+        "viewer": Markup(jsmin("\n".join(map(_asset, _VIEWER)))),
+        "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
         "headline": headline(record),
         "findings": findings(sources, album),
         "layout": layout,

@@ -32,6 +32,13 @@
 
   const told = $("#scene"), root = $("#view");
   if (!told || !root) return;
+  const message = $(".message", root), elsewhere = $("script.points-elsewhere");
+  if (elsewhere) { // the next page has the same points, and what shows them
+    const link = document.createElement("a");
+    link.href = JSON.parse(elsewhere.textContent); link.textContent = "the same points as in the report of the next run";
+    message.replaceChildren(link); root.dataset.state = "empty";
+    return;
+  }
   const scene = JSON.parse(told.textContent), view = window.view = new CloudView(root, scene);
 
   const legend = $(".legend"), number = v => Math.abs(v) >= 100 ? v.toFixed(0) : +v.toPrecision(3);
@@ -101,7 +108,6 @@
     draw();
   }
   (async () => {
-    const message = $(".message", root);
     for (const stream of $$("script.points")) {
       try {
         const points = await unpackPoints(stream.textContent, axes);
@@ -110,12 +116,6 @@
       } catch (error) { message.textContent = `the points cannot be shown here: ${error.message}`; root.dataset.state = "failed"; return; }
     }
     root.dataset.state = view.sets.length ? "ready" : "empty";
-    const elsewhere = $("script.points-elsewhere");
-    if (!view.sets.length && elsewhere) { // the newest page has the same points
-      const link = document.createElement("a");
-      link.href = JSON.parse(elsewhere.textContent); link.textContent = "the same points as in the report of the next run";
-      message.replaceChildren(link);
-    }
     if (location.hash.startsWith("#colour=")) colour(location.hash.slice(8));
   })();
 })();
