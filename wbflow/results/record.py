@@ -10,6 +10,7 @@ from typing import Any
 
 from .. import __version__
 from ..errors import ExitCode
+from ..graph.fingerprint import installed_versions
 from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import Reports, Role, Stage, WorldReports
 from ..night.plan import Plan
@@ -59,6 +60,7 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         poses=_world(plan),
         reason=root_cause(plan, Task(product)) if main and not main.usable else None,
         code=main.code if main and not main.usable else None,
+        versions=installed_versions(),
         reference=plan.reference.run if plan.reference else None,
     )
 
