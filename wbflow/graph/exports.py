@@ -32,6 +32,7 @@ _CLOUD, _WORLD = (Role.PRODUCT,), (Role.WORLD,)
 
 EXPORTS: tuple[Export, ...] = (
     Export("laz", "wbflow_stages.exports.forms:laz", {"cloud": _CLOUD, "poses": _WORLD}, dated=True, extra="las"),
+    Export("e57", "wbflow_stages.exports.forms:e57", {"cloud": _CLOUD, "poses": _WORLD}, extra="e57"),
     Export("heights", "wbflow_stages.exports.forms:heights", {"cloud": _CLOUD, "poses": _WORLD}, extra_on_the_map="geo"),
     Export("depth", "wbflow_stages.exports.forms:depth", {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)}),
     Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD}),
