@@ -68,9 +68,9 @@ def check_loops(
 ) -> dict[Pair, LoopCheck]:
     """Judge all pairs of a site together; for each pair whether it may enter the poses.
 
-    Beliefs from the triangles of cameras (exact where pairs are few, else mean-field), then a maximum spanning tree of the believed pairs: what disagrees with the
-    rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and a pair that stands in no
-    triangle needs a score over `STANDS_ALONE`.
+    Beliefs from the triangles of cameras (exact where pairs are few, else mean-field), then a maximum spanning tree of the
+    believed pairs: what disagrees with the rotations along it is dropped.  Pairs without a relative pose are judged by their
+    score alone, and a pair that stands in no triangle needs a score over `STANDS_ALONE`.
 
     unsure_deg: by how much rotations may be off besides the noise, where lenses are only guessed: a triangle that a wrong focal
     length may hold open says nothing against its pairs.
@@ -203,8 +203,8 @@ def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
 def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
     """Log odds of each pair, over all combinations of right and wrong pairs.
 
-    Of few pairs, two wrong ones that agree with each other would talk each other up in the rounds of the approximation: views from
-    the opposite side, each turned by half a turn, close triangles with what is right.
+    Of few pairs, two wrong ones that agree with each other would talk each other up in the rounds of the approximation: views
+    from the opposite side, each turned by half a turn, close triangles with what is right.
     """
     right = (np.arange(1 << len(prior))[:, None] >> np.arange(len(prior)) & 1).astype(bool)
     likelihood = np.zeros(len(right))

@@ -10,10 +10,19 @@ from pathlib import Path
 from .room import told_full
 
 
-def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) -> None:
+def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, ours: bool = False) -> None:
     """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
 
-    settle: make the rename last, too; not needed where another file is written to the same folder right after.
+    Parameters
+    ----------
+    path : Path
+        Where.
+    data : bytes
+        What.
+    settle : bool
+        Make the rename last, too; not needed where another file is written to the same folder right after.
+    ours : bool
+        The place is one of the work folder's own: a folder that somebody has put there gives way.
 
     Raises
     ------
@@ -26,6 +35,8 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) ->
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
+        if ours and path.is_dir() and not path.is_symlink():
+            clear(path)
         temporary.replace(path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
@@ -38,7 +49,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True) ->
 
 
 def copy_atomic(path: Path, name: Path) -> None:
-    """Put a copy of a file in the place of what bears a name: what happens to one does not happen to the other.
+    """Put a copy of a file in the place of what bears a name there: what happens to one does not happen to the other.
 
     Raises
     ------
@@ -50,10 +61,20 @@ def copy_atomic(path: Path, name: Path) -> None:
         shutil.copyfile(path, temporary)
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
+        if name.is_dir() and not name.is_symlink():
+            clear(name)
         temporary.replace(name)
     except OSError as error:
         temporary.unlink(missing_ok=True)
         raise told_full(error, name, path.stat().st_size) from None
+
+
+def clear(path: Path) -> None:
+    """Whatever bears a name of the work folder goes: a file, a link (never what is behind it), a pipe, a folder."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def sync_folder(folder: Path) -> None:
