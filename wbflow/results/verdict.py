@@ -149,6 +149,9 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if record.poses and camera.id in record.poses.suspects:
         remedy = "look at it; calibrate it anew if it has been moved"
         return Finding("camera-moved", subject, record.poses.suspects[camera.id], remedy=remedy)
+    if record.poses and camera.id in record.poses.doubtful:
+        remedy = "look at it; if it has been moved, calibrate it anew or leave out its pose"
+        return Finding("camera-unverified", subject, record.poses.doubtful[camera.id], remedy=remedy)
     if record.pairs and not pairs:
         text = "no other camera seems to see enough of what it sees: it is in no pair"
         return Finding("camera-alone", subject, text, remedy="look at where it points, and at `pairs:` in the site file")

@@ -171,6 +171,12 @@ class WorldRecord:
         return suspects
 
     @property
+    def doubtful(self) -> Mapping[str, str]:
+        """Cameras in use whose known poses are likely to be wrong, and what says so."""
+        doubtful: Mapping[str, str] = self.figures.get("doubtful") or {}
+        return doubtful
+
+    @property
     def joins(self) -> tuple[str, ...]:
         """What would join the worlds that share no pair."""
         return tuple(self.figures.get("joins") or ())
