@@ -51,7 +51,8 @@ def control_landmarks(
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
     """(n, 2) pixels of the capture, moved to where a pinhole would have them in the frame."""
     if view.lens is not None:
-        rays = lens_rays(view.lens, x) @ camera.K.T
+        seen = lens_rays(view.lens, x)
+        rays = (seen if view.lens.turn is None else seen @ view.lens.turn.T) @ camera.K.T
         return np.asarray(rays[:, :2] / rays[:, 2:], dtype=np.float64)
     scale = np.array([view.width / (view.captured_width or view.width), view.height / (view.captured_height or view.height)])
     x = (x + 0.5) * scale - 0.5
