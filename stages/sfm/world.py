@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..core.cameras import same_camera
+from ..core.cameras import camera_id, same_camera
 from ..core.similarity import Similarity
 from ..types import Camera, Float64s, Placement, Survey
 from .alignment import Landmark, align, upward
@@ -119,12 +119,11 @@ def _source(trusted: tuple[str, ...], known: int) -> str:
 def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
     """Metres for each unit of the model from the known distances, and a note where they disagree."""
     ratios = []
+    placed = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
         a, b = survey.cameras[int(i)], survey.cameras[int(j)]
-        if a in graph.names and b in graph.names:
-            u, v = graph.names.index(a), graph.names.index(b)
-            if u in cameras and v in cameras:
-                ratios.append(metres / np.linalg.norm(cameras[u].C - cameras[v].C))
+        if a in placed and b in placed:
+            ratios.append(metres / np.linalg.norm(placed[a] - placed[b]))
     if not ratios:
         return None, ()
     scale = float(np.median(ratios))

@@ -9,10 +9,11 @@ import pytest
 
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, pair_geometry
 from wbflow_stages.core.cameras import project
+from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.io.cameras import calibration
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.types import Float64s, Lens, Placement, Poses
+from wbflow_stages.types import Float64s, Lens, Placement, Poses, Survey
 
 WIDE = ("c1", "c3")
 TURNS = (-18.0, 18.0)
@@ -86,6 +87,27 @@ def test_the_world_comes_from_known_poses_of_other_cameras_and_of_views() -> Non
     for name, camera in site.cameras.items():
         np.testing.assert_allclose(poses.cameras[name].C, camera.C, atol=1e-5)
         np.testing.assert_allclose(poses.cameras[name].R, camera.R, atol=1e-5)
+
+
+def test_distances_and_control_points_may_be_of_cameras_with_several_views() -> None:
+    site = with_wide_cameras()
+    truth = make_pair_site(5, points=500, focal=500.0).cameras
+    ids = tuple(truth)
+    far = float(np.linalg.norm(truth["c1"].C - truth["c3"].C))
+    found = solve_poses(site.views, {}, site.geometries, Survey(ids, np.array([[1, 3, far]])))
+    assert isinstance(found, Poses) and found.metric
+    assert np.linalg.norm(found.cameras["c0"].C - found.cameras["c4"].C) == pytest.approx(
+        np.linalg.norm(truth["c0"].C - truth["c4"].C), rel=1e-5
+    )
+    rows = []
+    for name in WIDE:
+        lens = Lens(truth[name].K, model="fisheye")
+        pixels = lens_pixels(lens, (site.X[:6] - truth[name].C) @ truth[name].R.T)
+        rows += [[point, ids.index(name), *pixels[point]] for point in range(6)]
+    found = solve_poses(site.views, {}, site.geometries, Survey(ids, points=site.X[:6], observations=np.array(rows)))
+    assert isinstance(found, Poses)
+    for name, camera in site.cameras.items():
+        np.testing.assert_allclose(found.cameras[name].C, camera.C, atol=1e-4)
 
 
 def test_one_wide_camera_alone_tells_no_scale() -> None:
