@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from .change.blobs import Blob, Over, find_blobs, over_ground, paired
 from .change.epoch import Epoch
 from .change.evidence import Evidence, gather, judged, noise_of, seen_by
-from .core.cameras import project
+from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, preferred_above, quantile_by_cell
 from .types import (
     NEW,
@@ -193,7 +193,8 @@ def _put_together(
                 blob_of[int(part.of_then)][part.rows] = k
         side = before if blob.of_then else now
         cameras = _cameras(side, blob, nights[int(blob.of_then)])
-        changes[str(k)] = replace(blob.change, cameras=",".join(cameras))
+        seen_by = dict.fromkeys(camera_id(name, nights[int(blob.of_then)].cameras[name]) for name in cameras)
+        changes[str(k)] = replace(blob.change, cameras=",".join(seen_by))
         if cameras:
             crops[str(k)] = _crop(side.core[blob.rows], cameras[0], nights)
     gone = blob_of[1] > 0

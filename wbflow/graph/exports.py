@@ -63,6 +63,9 @@ DEMO_NIGHTS = "wbflow_stages.synthetic.night_files:demo_nights"
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""
 
+VIEWS_OF_LENS = "wbflow_stages.capture.wide:views_of_lens"
+"""Of a lens that is too wide for one pinhole: what each of several views of it is."""
+
 DECODE = "wbflow_stages.capture.video:one_picture"
 """Makes pixels of a capture; a ValueError says what is wrong with it."""
 

@@ -135,7 +135,7 @@ STAGES: tuple[Stage, ...] = (
         scope="camera",
         function="wbflow_stages.features:detect",
         needs={"frame": FromStage("frames")},
-        reports=Reports({"keypoints": "xy_count"}, notes="notes"),
+        reports=Reports({"keypoints": "xy_count"}, notes="notes", sums=("keypoints",)),
         marks="wbflow_stages.exports.marks:keypoint_marks",
         renamed={
             "keypoints": Renamed("max_keypoints"),

@@ -120,9 +120,9 @@ def plan_of(sources: Sources, layout: Layout) -> Plan:
         dots = _outside(dots)
     most = max((pair.figures.get("inliers") or 0 for pair in sources.record.pairs), default=0) or 1
     lines = [
-        _line(pair, spot(standing[pair.left].at), spot(standing[pair.right].at), most)
+        _line(pair, spot(standing[pair.cameras[0]].at), spot(standing[pair.cameras[1]].at), most)
         for pair in sorted(sources.record.pairs, key=lambda pair: pair.ok)
-        if pair.left in standing and pair.right in standing
+        if standing.keys() >= {*pair.cameras}
     ]
     spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale), m.known) for m in layout.marks]
     bar = _round_length(0.2 * WIDTH / scale)
