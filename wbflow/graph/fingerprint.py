@@ -13,7 +13,6 @@ import functools
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from .modules import Modules, imported, origin_of
@@ -148,6 +147,8 @@ def _digest(text: str) -> str:
 @functools.cache
 def installed_version(library: str) -> str:
     """Major and minor version of a library of `LIBRARIES`, or "absent"."""
+    from importlib import metadata  # here: a night on which no source file has changed asks for no version but once
+
     for distribution in LIBRARIES[library]:
         try:
             return ".".join(metadata.version(distribution).split(".")[:2])

@@ -38,6 +38,7 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         page = earlier.read_text()
     except (OSError, ValueError):  # removed, or damaged: nothing to share
         return
+    alike = _alike(work, before[0])
     target = f"../{run}/{newest.name}"
 
     def picture(match: re.Match[str]) -> str:
@@ -49,5 +50,15 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         return lead if match.group(2) in here else match.group()
 
     shared = _POINTS.sub(points, _PICTURE.sub(picture, page))
-    if shared != page:
-        RunFolder(work.run(before[0])).write_report(shared)
+    for name in alike if shared != page else ():
+        RunFolder(work.run(name)).write_report(shared)
+
+
+def _alike(work: WorkFolder, run: str) -> list[str]:
+    """A run, and those before it that show the same page under another name, since nothing had changed; not what links show."""
+    shown, found = {work.led_to(link) for link in work.links()}, [run]
+    for name in reversed([name for name in work.run_ids() if name < run]):
+        if not (work.run(name).report.exists() and work.run(name).report.samefile(work.run(run).report)):
+            break
+        found.append(name)
+    return [name for name in found if name not in shown]
