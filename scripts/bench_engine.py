@@ -168,9 +168,7 @@ _RULES = (
 """Stage, of what there is one each, and what it needs: as the tests' stages."""
 
 
-def measured(
-    subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int], beyond: Callable[[float], float] | None = None
-) -> None:
+def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int], work: Path | None = None) -> None:
     """Add a workflow's rows.
 
     Parameters
@@ -183,8 +181,8 @@ def measured(
         To which they are added.
     count : callable
         How many tasks it has, once it has run.
-    beyond : callable, optional
-        What of the CPU seconds of the run in full the stages have not used.
+    work : Path, optional
+        The work folder, of wbflow: what the tasks have used themselves is told apart.
     """
 
     def add(what: str, of: Subject, tasks: int) -> None:
@@ -196,8 +194,9 @@ def measured(
 
     add("full", subject, 0)
     tasks = rows[-1].tasks
-    if beyond:
-        print(f"{subject.system:10} {subject.cameras:5} cameras  {1e3 * beyond(rows[-1].cpu_s) / tasks:.2f} ms a task of its own")
+    if work:
+        own = 1000 * (rows[-1].cpu_s - _of_stages(work)) / tasks
+        print(f"{subject.system:10} {subject.cameras:5} cameras  {own:.2f} ms a task beyond its stage")
     add("noop", subject, tasks)
     subject.capture.write_text("another view")
     add("change", subject, tasks)
@@ -220,7 +219,7 @@ def main() -> None:
                 (folder / part).mkdir()
             subject, fresh = toy(cameras, folder / "full"), toy(cameras, folder / "killed")
             work = folder / "full" / "toy" / ".wbflow" / "toy"
-            measured(subject, fresh, rows, subject.left, lambda cpu, work=work: cpu - _of_stages(work))
+            measured(subject, fresh, rows, subject.left, work)
             if asked.snakemake and cameras <= asked.most:
                 rival, again = (snakemake(cameras, _pairs(work), asked.snakemake, folder / f"snakemake-{k}") for k in range(2))
                 measured(rival, again, rows, rival.left)
@@ -241,7 +240,7 @@ def growth(rows: Sequence[Row]) -> Iterator[tuple[str, float]]:
 def _of_stages(work: Path) -> float:
     """CPU seconds that the tasks of the newest run have used themselves."""
     record = json.loads((work / "runs" / "latest" / "run.json").read_bytes())
-    return sum(row["cpu"] for row in record["seconds"]["stages"].values())
+    return float(sum(row["cpu"] for row in record["seconds"]["stages"].values()))
 
 
 def _pairs(work: Path) -> list[tuple[str, str]]:

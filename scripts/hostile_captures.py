@@ -15,6 +15,7 @@ import numpy as np
 
 WIDE, HIGH = 320, 180
 GOOD = ("good-1", "good-2")
+FORMS = ("png", "jpg", "tif", "bmp")
 STATED = {"fx": 300.0, "fy": 300.0, "cx": 159.5, "cy": 89.5, "width": WIDE, "height": HIGH}
 
 Make = Callable[[Path], None]
@@ -126,10 +127,8 @@ def capture_cases() -> list[Hostile]:
         Hostile("png-too-few-rows", _bytes(png(WIDE, HIGH, 3))),
         Hostile("png-16-bit-bomb", _bytes(png(20_000, 20_000, 5, bits=16)), stated=False),
         Hostile("png-black", _bytes(png(WIDE, HIGH, HIGH)), said="black"),
-        Hostile("png-other-size", _bytes(encoded(".png", 2, 640, 360)), said="640 x 360"),
-        Hostile("jpg-other-size", _bytes(encoded(".jpg", 2, 640, 360)), said="640 x 360"),
-        Hostile("tiff-other-size", _bytes(encoded(".tif", 2, 640, 360)), said="640 x 360"),
-        Hostile("bmp-other-size", _bytes(encoded(".bmp", 2, 640, 360)), said="640 x 360"),
+        Hostile("png-12-Mpx-of-black", _bytes(png(4000, 3000, 3000, colour=0)), said="black", stated=False),
+        *(Hostile(f"{k}-other-size", _bytes(encoded(f".{k}", 2, 640, 360)), said="640 x 360") for k in FORMS),
         Hostile("jpg-65500", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), said="65500"),
         Hostile("jpg-65500-unstated", _bytes(_jpeg_claims(good_jpg, 65_500, 65_500)), said="pixels", stated=False),
         Hostile("jpg-14000-unstated", _bytes(_jpeg_claims(good_jpg, 14_000, 14_000)), said="cannot hold", stated=False),

@@ -155,7 +155,8 @@ def _spacing(points: Float64s, sample: int = 5000) -> float:
 def _is_certain(blob: Blob, alike: float) -> bool:
     """Is the volume more than its error, do the photographs differ, and do most cameras say so that could?"""
     change = blob.change
-    return change.likeness < alike and change.volume >= _CERTAIN * change.volume_sigma and blob.cleared >= _CLEARED
+    volume = min(change.volume, blob.swept)
+    return change.likeness < alike and volume >= _CERTAIN * change.volume_sigma and blob.cleared >= _CLEARED
 
 
 def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> Blob | None:

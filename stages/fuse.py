@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -84,16 +85,22 @@ def fuse(
     edge = voxel_m or natural_voxel(cameras, small)
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
+    given: dict[str, int] = {}
     for name, camera in cameras.items():
         check = cross_check(name, near[name], cameras, depth_of)
-        grid.add(_samples(frames[name], camera, depth_of(name), check, gains[name], min_consistent_pairs))
+        samples = _samples(frames[name], camera, depth_of(name), check, gains[name], min_consistent_pairs)
+        given[name] = len(samples.points)
+        grid.add(samples)
+        del samples
     depth_of.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
     if not parts:
         figures = {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs, "neighbours": neighbours}
         return Rejected(Reason.NO_SUPPORTED_POINT, figures)
-    return Cloud(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cloud)))
+    names = [field.name for field in fields(Cloud) if field.name != "given"]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Cloud(**arrays, given=given)
 
 
 def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int) -> Samples:

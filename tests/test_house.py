@@ -255,3 +255,14 @@ def test_functions_with_more_than_three_parameters_explain_them() -> None:
             if len({*arguments} - {"self", "cls"}) > 3 and not any(d == "kernel" or d.startswith("click.") for d in decorators):
                 silent += [] if "Parameters\n" in (ast.get_docstring(node) or "") else [f"{file.relative_to(ROOT)}: {name}"]
     assert silent == []
+
+
+def test_whoever_is_told_that_something_cannot_be_meant_is_told_what_to_type() -> None:
+    raised = [
+        (file, node.lineno, {word.arg for word in node.keywords})
+        for file in ENGINE_FILES
+        for node in ast.walk(parsed(file))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in {"UsageError", "NotADemo"}
+    ]
+    assert len(raised) > 20
+    assert [(str(file.relative_to(ROOT)), line) for file, line, words in raised if "remedy" not in words] == []

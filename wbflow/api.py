@@ -125,9 +125,10 @@ class Run:
         event = self.finished.tasks.get(task)
         if event is None:
             known = ", ".join(dict.fromkeys(str(t) for t in self.finished.tasks if t.stage == task.stage)) or "none of this stage"
-            raise UsageError(f"run {self.id} had no task '{task}'; it had {known}")
+            raise UsageError(f"run {self.id} had no task '{task}'", remedy=f"it had {known}")
         if not event.usable:
-            raise UsageError(f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}")
+            what = f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}"
+            raise UsageError(what, remedy="wbflow report SITE.yaml  shows what was tried")
         return self.finished.load(task)
 
 
@@ -279,7 +280,7 @@ def _size(text: str) -> int:
     try:
         return bytes_of(text)
     except ValueError as error:
-        raise UsageError(f"--memory: {error}") from None
+        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
 
 
 def _quiet(event: Event) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,9 @@ SORTS = {
     "published": "cache/*/*/*.published",
     "captures memo": "cache/captures.json",
     "functions memo": "cache/functions.json",
+    "intact memo": "cache/intact.json",
+    "points of the view": "cache/*/*/*.view",
+    "delivered": "delivered.json",
     "ledger": "ledger.sqlite*",
     "lock": "lock",
     "run.json": "runs/*/run.json",
@@ -45,11 +49,14 @@ def damage(bench: Bench, reduced: bool) -> Row:
             files = sorted(path for path in made.work.glob(pattern) if path.is_file() and "latest" not in str(path))
             if not files:
                 continue
-            ways = list(WAYS) if sort != "lock" else ["garbage", "emptied"]
+            ways = list(WAYS) if sort != "lock" else ["garbage", "emptied", "removed", "a folder", "a pipe"]
             way = ways[(k + len(sort)) % len(ways)]
             file = bench.random.choice(files)
             what = f"{sort} {way}: {file.relative_to(made.work)}"
             twin = bench.copy(made)
+            if k % 4 > 1:  # a copy is known to nobody; once it was read, it is not read again unless it is touched
+                bench.run(twin)
+                what += ", found intact before"
             victim = twin.work / file.relative_to(made.work)
             victim.chmod(0o644)
             WAYS[way](bench, victim)
@@ -97,7 +104,8 @@ def references(bench: Bench, reduced: bool) -> Row:
         expected[date] = whole.cloud
     for k in range(2 if reduced else 60):
         files = sorted(path for path in (made.work / "reference").rglob("*") if path.is_file())
-        file = made.work / "reference" / "reference.json" if k % 4 == 0 else bench.random.choice(files)
+        records = [made.work / "reference" / f"reference{end}.json" for end in ("", "-twin")]
+        file = records[k // 2 % 2] if k % 2 == 0 else bench.random.choice(files)
         of_cache = made.work / "cache" / file.relative_to(made.work / "reference")
         file = of_cache if k % 4 == 3 and of_cache.exists() else file
         way = list(WAYS)[k % len(WAYS)]
@@ -177,7 +185,16 @@ WAYS: dict[str, Callable[[Bench, Path], None]] = {
     "garbage": lambda bench, path: _put(path, bench.random.randbytes(300)),
     "emptied": lambda bench, path: _put(path, b""),
     "removed": lambda bench, path: path.unlink(),
+    "a folder": lambda bench, path: _instead(path, lambda: path.joinpath("something").mkdir(parents=True)),
+    "a pipe": lambda bench, path: _instead(path, lambda: os.mkfifo(path)),
+    "a link to nothing": lambda bench, path: _instead(path, lambda: path.symlink_to("nothing")),
 }
+
+
+def _instead(path: Path, make: Callable[[], None]) -> None:
+    """Something that is no file takes its place."""
+    path.unlink()
+    make()
 
 
 def _put(path: Path, data: bytes) -> None:

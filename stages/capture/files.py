@@ -13,9 +13,10 @@ MOST_PIXELS = 200_000_000
 """Of an image that is decoded: 0.6 GB, and twice that while colours are put in order."""
 MOST_UNSTATED_PIXELS = 110_000_000
 """Of one whose size nobody has stated: what cameras that stand somewhere have; it takes seconds to decode."""
-MOST_PIXELS_A_BYTE = 1000
-"""Of an image of more than `FEW_PIXELS`: photographs have 5 to 100 pixels for each byte, black ones in PNG 300."""
+MOST_JPEG_PIXELS_A_BYTE = 1000
+"""Each block of 64 pixels takes a bit at least (ITU-T T.81, F.1.2); a black PNG may hold thousands of pixels in a byte."""
 FEW_PIXELS = 10_000_000
+"""Of these, no byte is counted."""
 
 
 class BadCapture(ValueError):
@@ -61,7 +62,7 @@ def decode(capture: Capture, lens: Lens | None = None) -> Uint8s:
         raise EmptyCapture(f"{capture.name} is empty (0 bytes)")
     written = data.tobytes()
     refuse_truncated(capture.name, written)
-    _refuse_size(capture.name, picture_size(written), len(written), lens)
+    _refuse_size(capture.name, written, lens)
     image = decoded(data, cv2.IMREAD_COLOR)
     if image is None:
         raise NotAnImage(f"{capture.name} is no image that can be read ({data.size:,} bytes)")
@@ -88,19 +89,19 @@ def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
     return WrongSize(f"{name} has {width} x {height} pixels, the intrinsics are for {lens.width} x {lens.height}: {remedy}")
 
 
-def _refuse_size(name: str, size: tuple[int, int] | None, written: int, lens: Lens | None) -> None:
-    """By the header alone, before memory and time are given for what it promises in so many bytes.
+def _refuse_size(name: str, data: bytes, lens: Lens | None) -> None:
+    """By the header alone, before memory and time are given for what it promises.
 
     The image may lie on its side: EXIF data turn it.
     """
-    if size is None:
+    if (size := picture_size(data)) is None:
         return
     width, height = size
     stated = bool(lens and lens.width and lens.height)
     if stated and lens and sorted(size) != sorted((lens.width, lens.height)):
         raise wrong_size(name, width, height, lens)
-    if width * height > max(FEW_PIXELS, written * MOST_PIXELS_A_BYTE):
-        raise OversizedImage(f"{name} promises {width} x {height} pixels, which {written:,} bytes cannot hold")
+    if data[:2] == b"\xff\xd8" and width * height > max(FEW_PIXELS, len(data) * MOST_JPEG_PIXELS_A_BYTE):
+        raise OversizedImage(f"{name} promises {width} x {height} pixels, which {len(data):,} bytes cannot hold")
     most = MOST_PIXELS if stated else MOST_UNSTATED_PIXELS
     if width * height > most:
         how = "" if stated else " as long as its intrinsics do not state its size"

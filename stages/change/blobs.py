@@ -26,12 +26,16 @@ _SAME_COLOUR = 0.05
 """...and its colour, as shares of red and green, within this."""
 
 
-_SOLID, _WHOLE = 0.5, 0.8
-"""What covers a share of its convex hull between these fills it: of most things only the sides that face the cameras are seen."""
+_SOLID = 0.5
+"""What covers more than this share of its convex hull fills it, but for places that are as they were: of most things only the
+sides that face the cameras are seen."""
 
 _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
 
+
+_TOLD = 0.5
+"""What has distances for more than this share of its points is judged by them."""
 
 _CLEAR = 3.0
 """Most of a change is higher than so many standard deviations of its points."""
@@ -50,6 +54,8 @@ class Blob:
     """(2,) mean shares of red and green."""
     cleared: float
     """Mean share of the cameras that saw it which saw through its place on the other night."""
+    swept: float
+    """Volume between both nights' surfaces as the distances tell it; inf where most of it lies too far off for these."""
 
 
 def find_blobs(
@@ -87,20 +93,27 @@ def find_blobs(
     closed = ndimage.binary_closing(np.pad(covered.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
     labels, count = ndimage.label(closed | covered.reshape(closed.shape), np.ones((3, 3)))
     label_of = np.where(cells >= 0, labels.ravel()[cells], 0)
-    other = _over(grid, other_points)
+    other, same = _over(grid, other_points), _unchanged(side, grid)
     found = []
     for number in range(1, count + 1):
         rows = np.flatnonzero(label_of == number)
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
-        change = _measured(side, rows, labels == number, grid, other, spacing)
+        change = _measured(side, rows, labels == number, same, grid, other, spacing)
         if change is not None:
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
             colour, cleared = shares[:2] / max(float(shares.sum()), 1.0), float(np.nanmean(side.cleared[rows]))
-            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared))
+            swept = _swept(side, rows, surface)
+            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared, swept))
     return found
+
+
+def _swept(side: Evidence, rows: Int64s, surface: float) -> float:
+    """Volume that a surface has swept along its normals: of a strip of wall less than heights over its footprint say."""
+    told = side.measured[rows]
+    return surface * float(side.distance[rows][told].mean()) if told.mean() > _TOLD else float("inf")
 
 
 def paired(blobs: list[Blob]) -> list[tuple[Blob, Blob | None]]:
@@ -146,7 +159,15 @@ def _over(grid: GroundGrid, points: Float64s) -> _Over:
     return _Over(cells[inside], points[inside] @ grid.axes[2])
 
 
-def _measured(side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, other: _Over, spacing: float) -> Change | None:
+def _unchanged(side: Evidence, grid: GroundGrid) -> Bools:
+    """(rows, columns) cells where a surface is known that has not changed."""
+    cells = cells_of(grid, side.core[side.measured & ~side.changed])
+    return np.bincount(cells[cells >= 0], minlength=grid.rows * grid.columns).reshape(grid.rows, grid.columns) > 0
+
+
+def _measured(
+    side: Evidence, rows: Int64s, footprint: Bools, same: Bools, grid: GroundGrid, other: _Over, spacing: float
+) -> Change | None:
     """Place, size and volume of what changed points make; None where nothing is known of what was below."""
     footprint = ndimage.binary_fill_holes(footprint)
     points, up = side.core[rows], grid.axes[2]
@@ -164,7 +185,7 @@ def _measured(side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, 
     typical = float(np.quantile((top - base)[footprint], 0.9))
     if typical <= _CLEAR * noise:  # a wall whose upper edge wavers
         return None
-    footprint = _filled_out(footprint & (top - base > _FOOT * typical))
+    footprint = _filled_out(footprint & (top - base > _FOOT * typical), same)
     weight = np.where(ndimage.binary_erosion(footprint), 1.0, 0.5) * footprint
     height = np.where(footprint, np.maximum(top - base, 0.0), 0.0)
     volume = float((weight * height).sum() * grid.cell**2)
@@ -197,14 +218,14 @@ def _measured(side: Evidence, rows: Int64s, footprint: Bools, grid: GroundGrid, 
     )
 
 
-def _filled_out(footprint: Bools) -> Bools:
-    """The convex hull of cells that cover much of it, but not nearly all; else the cells themselves."""
+def _filled_out(footprint: Bools, same: Bools) -> Bools:
+    """The cells, and those of their convex hull that are not known to be as they were, where they cover much of it."""
     if not footprint.any():
         return footprint
     row, column = np.nonzero(footprint)
     hull = np.zeros(footprint.shape, np.uint8)
     cv2.fillConvexPoly(hull, cv2.convexHull(np.column_stack([column, row]).astype(np.int32)), 1)
-    return np.asarray(hull > 0) if _SOLID <= footprint.sum() / hull.sum() <= _WHOLE else footprint
+    return footprint | ((hull > 0) & ~same) if footprint.sum() > _SOLID * hull.sum() else footprint
 
 
 def _filled(values: Float64s, within: Bools) -> Float64s:

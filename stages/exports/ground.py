@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Iterator, Mapping
 
 import cv2
@@ -28,6 +30,22 @@ def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
             "expected error, metres": coverage.error,
         }
         yield "coverage.tif", on_the_map(coverage.grid, coverage.heights, layers, coverage.crs)
+
+
+def coverage_layer(coverage: Coverage) -> bytes:
+    """The same for the report's map: the length of a JSON head (uint32, little-endian), the head, and a PNG, clear where nothing
+    is known.  The head holds three corners of the picture in the world, at the height of the ground, and what its colours say."""
+    grid, known = coverage.grid, np.isfinite(coverage.heights)
+    level = float(np.median(coverage.heights[known])) if known.any() else 0.0
+    wide, high = grid.columns * grid.cell, grid.rows * grid.cell
+    ends = [(grid.left, grid.top, level), (grid.left + wide, grid.top, level), (grid.left, grid.top - high, level)]
+    colours = np.array(_STEPS, np.uint8)[np.minimum(coverage.views, len(_STEPS) - 1)]
+    image = np.dstack([colours[..., ::-1], np.where(known, 255, 0).astype(np.uint8)])
+    names = [f"{k}{' or more' if k == len(_STEPS) - 1 else ''}" for k in range(len(_STEPS))]
+    legend = [[name, f"#{r:02x}{g:02x}{b:02x}"] for name, (r, g, b) in zip(names, _STEPS, strict=True)]
+    told = {"corners": (np.array(ends) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
+    head = json.dumps(told).encode()
+    return struct.pack("<I", len(head)) + head + cv2.imencode(".png", image)[1].tobytes()
 
 
 def coverage_preview(coverage: Coverage, poses: Poses | None = None, **_: object) -> Uint8s:

@@ -16,14 +16,23 @@ from ..types import Camera, Cloud, DepthMap, Disparity, Float32s, Float64s, Fram
 
 WIDTH = 480
 QUALITY = 80
+LARGE = 1600
 _LINES = 60
 _DOTS = 500_000
 
 
 def frame_preview(frame: Frame, **_: object) -> Uint8s:
     """The frame; what its mask leaves out is dimmed."""
-    shown = np.where(frame.mask[..., None], frame.image, frame.image // 4 + 32)
-    return _jpeg(_fit(shown.astype(np.uint8), WIDTH))
+    return _jpeg(_fit(_dimmed(frame), WIDTH))
+
+
+def frame_large(frame: Frame) -> Uint8s:
+    """The same as large as it is, as far as screens go."""
+    return _jpeg(_fit(_dimmed(frame), LARGE))
+
+
+def _dimmed(frame: Frame) -> Uint8s:
+    return np.where(frame.mask[..., None], frame.image, frame.image // 4 + 32).astype(np.uint8)
 
 
 def matches_preview(

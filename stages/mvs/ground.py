@@ -12,7 +12,7 @@ Collins, A space-sweep approach to true multi-image matching, CVPR 1996.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -67,7 +67,7 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     for up in _ups([camera for _, camera in views]):
         for plane in _level(views, pairs, up):
             settled = _settled(views, pairs, plane)
-            found.append((_share_alike(views, pairs, settled), settled))
+            found.append((_share_alike(_ways(views, pairs, settled[:3]), settled), settled))
     if not found:
         return None
     share, ground = max(found, key=lambda each: each[0])
@@ -76,6 +76,16 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     rivals = [s for s, plane in found if abs((plane[:3] @ centre + plane[3]) / height - 1) > _SAME_HEIGHT]
     clearer = _CLEARER if len(names) > 2 else _CLEARER_FOR_TWO
     return ground if share >= _LEAST_SHARE and share >= clearer * max(rivals, default=0.0) else None
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One view compared with another."""
+
+    one: tuple[Float32s, Camera]
+    two: tuple[Float32s, Camera]
+    patches: Float64s
+    """(n, 2) whole pixels of the first."""
 
 
 def _halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
@@ -111,7 +121,8 @@ def _level(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], u
     lowest = min(float(camera.C @ up) for _, camera in views)
     longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
     below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
-    shares = np.array([_share_alike(views, pairs, np.append(up, height - lowest)) for height in below])
+    ways = _ways(views, pairs, up)
+    shares = np.array([_share_alike(ways, np.append(up, height - lowest)) for height in below])
     planes: list[Float64s] = []
     for k in np.argsort(-shares, kind="stable"):
         apart = all(abs(below[k] / (plane[3] + lowest) - 1) > _SAME_HEIGHT for plane in planes)
@@ -120,18 +131,20 @@ def _level(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], u
     return planes
 
 
-def _share_alike(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], plane: Float64s) -> float:
+def _ways(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[_Way]:
+    ways = ((views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i)))
+    return [_Way(one, two, _patches(one[1], up)) for one, two in ways]
+
+
+def _share_alike(ways: list[_Way], plane: Float64s) -> float:
     """Share of the patches in view of two cameras that look alike to both if they lie on the plane; patches that only few of the
     pairs see count as if they did not."""
-    alike, seen, all_ = 0, 0, 0
-    for i, j in pairs:
-        for one, two in ((views[i], views[j]), (views[j], views[i])):
-            patches = _patches(one[1], plane[:3])
-            likeness = _likeness(one, two, patches, plane)
-            alike += int(np.sum(likeness > _ALIKE))
-            seen += int(np.sum(np.isfinite(likeness)))
-            all_ += len(patches)
-    return alike / max(seen, 0.2 * all_, 1.0)
+    alike, seen = 0, 0
+    for way in ways:
+        likeness = _likeness(way, plane)
+        alike += int(np.sum(likeness > _ALIKE))
+        seen += int(np.sum(np.isfinite(likeness)))
+    return alike / max(seen, 0.2 * sum(len(way.patches) for way in ways), 1.0)
 
 
 def _settled(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], plane: Float64s) -> Float64s:
@@ -141,8 +154,7 @@ def _settled(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]],
     centre = np.mean([camera.C for _, camera in views], axis=0)
     height = float(plane[:3] @ centre + plane[3])
     a = np.linalg.svd(plane[None, :3])[2][1:]
-    ways = [(views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i))]
-    patches = [(one, two, _patches(one[1], plane[:3])) for one, two in ways]
+    ways = _ways(views, pairs, plane[:3])
 
     def moved(change: Float64s) -> Float64s:
         normal = plane[:3] + a.T @ (0.02 * change[:2])
@@ -150,7 +162,8 @@ def _settled(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]],
         return np.append(normal, height * (1 + 0.02 * change[2]) - normal @ centre)
 
     def unlikeness(change: Float64s) -> float:
-        likeness = np.concatenate([_likeness(one, two, at, moved(change)) for one, two, at in patches])
+        plane = moved(change)
+        likeness = np.concatenate([_likeness(way, plane) for way in ways])
         return -float(np.nansum(np.maximum(likeness, 0.0) ** 2))
 
     simplex = np.vstack([np.zeros(3), np.eye(3)])
@@ -169,12 +182,13 @@ def _patches(camera: Camera, up: Float64s) -> Float64s:
     return np.asarray(pixels[up @ direction < -0.03 * np.linalg.norm(direction, axis=0)])
 
 
-def _likeness(one: tuple[Float32s, Camera], two: tuple[Float32s, Camera], patches: Float64s, plane: Float64s) -> Float64s:
+def _likeness(way: _Way, plane: Float64s) -> Float64s:
     """(n,) correlation of the patches of one view with what the other one shows there if they lie on the plane; nan: not seen."""
-    if plane[:3] @ one[1].C + plane[3] <= 0 or plane[:3] @ two[1].C + plane[3] <= 0:
-        return np.full(len(patches), np.nan)
-    out = np.empty(len(patches))
-    _correlate(one[0], two[0], patches, ground_homography(one[1], two[1], plane), _RADIUS, out)
+    (image1, camera1), (image2, camera2) = way.one, way.two
+    if plane[:3] @ camera1.C + plane[3] <= 0 or plane[:3] @ camera2.C + plane[3] <= 0:
+        return np.full(len(way.patches), np.nan)
+    out = np.empty(len(way.patches))
+    _correlate(image1, image2, way.patches, ground_homography(camera1, camera2, plane), _RADIUS, out)
     return out
 
 
@@ -204,32 +218,44 @@ def ground_planes(camera: Camera, plane: Float64s) -> Float32s:
 
 @kernel
 def _correlate(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, radius: int, out: Float64s) -> None:
+    for k in range(len(patches)):
+        x, y = int(patches[k, 0]), int(patches[k, 1])
+        out[k] = _correlation(image1, image2, x, y, H, radius) if _in_view(image1, image2, x, y, H, radius) else np.nan
+
+
+@kernel
+def _in_view(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s, radius: int) -> bool:
+    """Do both images show the patch?  Before the camera its image is convex: its corners tell."""
     h1, w1 = image1.shape
     h2, w2 = image2.shape
-    for k in range(len(patches)):
-        out[k] = np.nan
-        x, y = int(patches[k, 0]), int(patches[k, 1])
-        if x < radius or y < radius or x >= w1 - radius or y >= h1 - radius:
-            continue
-        s1, s2, s11, s22, s12, n = 0.0, 0.0, 0.0, 0.0, 0.0, 0
-        for j in range(y - radius, y + radius + 1):
-            for i in range(x - radius, x + radius + 1):
-                z = H[2, 0] * i + H[2, 1] * j + H[2, 2]
-                u, v = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z, (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
-                if not (z > 0 and u >= 0 and v >= 0 and u < w2 - 1 and v < h2 - 1):
-                    n = -10000
-                    continue
-                a, b = int(u), int(v)
-                f, g = u - a, v - b
-                there = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
-                there += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
-                here = image1[j, i]
-                s1 += here
-                s2 += there
-                s11 += here * here
-                s22 += there * there
-                s12 += here * there
-                n += 1
-        if n > 0:
-            spread1, spread2 = s11 / n - (s1 / n) ** 2, s22 / n - (s2 / n) ** 2
-            out[k] = (s12 / n - s1 * s2 / n / n) / np.sqrt((spread1 + 4.0) * (spread2 + 4.0))
+    if x < radius or y < radius or x >= w1 - radius or y >= h1 - radius:
+        return False
+    for j in (y - radius, y + radius):
+        for i in (x - radius, x + radius):
+            z = H[2, 0] * i + H[2, 1] * j + H[2, 2]
+            u, v = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z, (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
+            if not (z > 0 and u >= 0 and v >= 0 and u < w2 - 1 and v < h2 - 1):
+                return False
+    return True
+
+
+@kernel
+def _correlation(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s, radius: int) -> float:
+    s1, s2, s11, s22, s12 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(y - radius, y + radius + 1):
+        for i in range(x - radius, x + radius + 1):
+            z = H[2, 0] * i + H[2, 1] * j + H[2, 2]
+            u, v = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z, (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
+            a, b = int(u), int(v)
+            f, g = u - a, v - b
+            there = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
+            there += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
+            here = image1[j, i]
+            s1 += here
+            s2 += there
+            s11 += here * here
+            s22 += there * there
+            s12 += here * there
+    n = (2 * radius + 1) ** 2
+    spread1, spread2 = s11 / n - (s1 / n) ** 2, s22 / n - (s2 / n) ** 2
+    return float((s12 / n - s1 * s2 / n / n) / np.sqrt((spread1 + 4.0) * (spread2 + 4.0)))

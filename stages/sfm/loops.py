@@ -55,8 +55,11 @@ class Habits:
 
 
 USUAL = Habits(6.0, 15.0, closed_right=0.99, closed_wrong=0.05, rivals=Shares(turned=0.2, side=0.012, row=0.01))
+FEW_PAIRS = 15
+"""Of so many pairs (six cameras) all combinations of right and wrong ones are weighed."""
 LOOP_WEIGHT, LOOP_CAP = 0.5, 6.0
-"""Triangles share pairs, so each counts half; all together they move the log odds by at most 6."""
+"""Of more pairs beliefs are approximate: triangles share pairs, so each counts half; all together they move the log odds by at
+most 6."""
 PRIOR_SHIFT = 0.5
 
 
@@ -65,9 +68,9 @@ def check_loops(
 ) -> dict[Pair, LoopCheck]:
     """Judge all pairs of a site together; for each pair whether it may enter the poses.
 
-    Mean-field beliefs over the triangles of cameras, then a maximum spanning tree of the believed pairs: what disagrees with the
-    rotations along it is dropped.  Pairs without a relative pose are judged by their score alone, and a pair that stands in no
-    triangle needs a score over `STANDS_ALONE`.
+    Beliefs from the triangles of cameras (exact where pairs are few, else mean-field), then a maximum spanning tree of the
+    believed pairs: what disagrees with the rotations along it is dropped.  Pairs without a relative pose are judged by their
+    score alone, and a pair that stands in no triangle needs a score over `STANDS_ALONE`.
 
     unsure_deg: by how much rotations may be off besides the noise, where lenses are only guessed: a triangle that a wrong focal
     length may hold open says nothing against its pairs.
@@ -80,7 +83,7 @@ def check_loops(
     index = {pair: k for k, pair in enumerate(pairs)}
     members = np.array([[index[a, b], index[b, c], index[a, c]] for a, b, c in triangles], dtype=np.int64).reshape(-1, 3)
     prior = np.array([float(np.clip(geometries[pair].score, -6, 6)) - PRIOR_SHIFT for pair in pairs])
-    belief = _beliefs(prior, members, closed, usual)
+    belief = (_exact_beliefs if len(pairs) <= FEW_PAIRS else _beliefs)(prior, members, closed, usual)
     count = np.bincount(members.ravel(), minlength=len(pairs))
     closing = np.bincount(members[closed].ravel(), minlength=len(pairs))
     why = {pair: _refusal(geometries[pair], float(belief[k]), int(count[k]), int(closing[k])) for k, pair in enumerate(pairs)}
@@ -195,6 +198,25 @@ def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits
 def _pose(geometry: Geometry) -> tuple[Float64s, Float64s]:
     assert geometry.cam2_R_cam1 is not None and geometry.cam2_t_cam1 is not None
     return geometry.cam2_R_cam1, geometry.cam2_t_cam1
+
+
+def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:
+    """Log odds of each pair, over all combinations of right and wrong pairs.
+
+    Of few pairs, two wrong ones that agree with each other would talk each other up in the rounds of the approximation: views
+    from the opposite side, each turned by half a turn, close triangles with what is right.
+    """
+    right = (np.arange(1 << len(prior))[:, None] >> np.arange(len(prior)) & 1).astype(bool)
+    likelihood = np.zeros(len(right))
+    for one, odds in zip(right.T, prior.tolist(), strict=True):
+        likelihood[one] += odds
+    for sides, closes in zip(members, closed.tolist(), strict=True):
+        of_right, of_wrong = usual.closed_right, usual.closed_wrong
+        said = (of_right, of_wrong) if closes else (1 - of_right, 1 - of_wrong)
+        likelihood += np.where(right[:, sides].all(axis=1), *np.log(said))
+    weight = np.exp(likelihood - likelihood.max())
+    share = [(weight[one].sum() + 1e-12) / (weight[~one].sum() + 1e-12) for one in right.T]
+    return np.asarray(np.log(share), dtype=np.float64)
 
 
 def _beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habits) -> Float64s:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Protocol, TypeVar
 
 import cv2
@@ -30,6 +30,7 @@ class RectifiedPair:
     prior_left: Float32s | None = None
     prior_right: Float32s | None = None
     """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None where nobody knows."""
+    _: KW_ONLY
     then_left: Float32s | None = None
     then_right: Float32s | None = None
     """(h, w) disparity of another night from the same places, nan where it had none; None where there is no such night."""

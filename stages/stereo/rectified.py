@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..rectification.warping import Side, from_rectified, to_rectified, warp_with_mask
@@ -27,12 +29,15 @@ def rectified_pair(left: Frame, right: Frame, rectification: Rectification) -> R
         images.append(np.pad(grey, padding, mode="edge"))
         masks.append(np.pad(mask, padding))
     low, high = round(rectification.disparity_min_px), round(rectification.disparity_max_px)
-    surfaces: list[Float32s | None] = []
-    if (ground := rectification.ground) is not None:
-        for plane in (ground.homography, ground.beneath):
-            for side in _SIDES:
-                surfaces.append(_plane_disparity(rectification, ground, plane, side, images[0].shape))
-    return RectifiedPair(images[0], images[1], masks[0], masks[1], low, high, *surfaces)
+    pair = RectifiedPair(images[0], images[1], masks[0], masks[1], low, high)
+    if (ground := rectification.ground) is None:
+        return pair
+    shape = images[0].shape
+    prior, floor = (
+        [_plane_disparity(rectification, ground, plane, side, shape) for side in _SIDES]
+        for plane in (ground.homography, ground.beneath)
+    )
+    return replace(pair, prior_left=prior[0], prior_right=prior[1], floor_left=floor[0], floor_right=floor[1])
 
 
 def _plane_disparity(

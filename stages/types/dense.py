@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from ..core.short_repr import short_repr
 from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
@@ -156,3 +157,5 @@ class Cloud:
     """(n,) cameras that support the point."""
     sigma_mm: Float32s
     """(n,) standard deviation along the ray, millimetres."""
+    given: Mapping[str, int] = field(default_factory=dict)
+    """Samples that each camera's view has given, before they were merged; empty of a cloud that was read from its file."""

@@ -38,6 +38,8 @@ from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud
 
 RUN = "20261210T031500Z"
+KEY = "0" * 32
+"""Of every result."""
 _RADIUS = 12.0
 
 
@@ -132,23 +134,31 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     }
     shown = [(row, of) for row in STAGES if row.picture and row.scope in subjects for of in subjects[row.scope]]
     for k, (stage, subject) in enumerate(shown):
-        key = f"{k:032x}"
+        key = KEY
         path = work.picture(Task(stage.name, subject), key)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(jpeg + bytes([k % 256, k // 256]))
         events.append(TaskEvent(Task(stage.name, subject), "ran", f"{night.date}T03:16:00+00:00", key=key))
     product = stage_with(Role.PRODUCT)
     if night.cloud:
-        stream, path = cloud_view(bowl(points)), work.view(Task(product.name), "0" * 32)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        code = described.reader.read(product.view).code
-        path.write_bytes(f"{code} {digest(stream)}\n".encode() + stream)
-        events.append(TaskEvent(Task(product.name), "ran", f"{night.date}T03:20:00+00:00", key="0" * 32))
+        events += _made(described, Task(product.name), product.view, cloud_view(bowl(points)))
+    corners = b"\0\0\0\0\xff\xff\xff\xff"
+    for row in STAGES:
+        for subject in subjects.get(row.scope, ()) if row.large or row.marks else ():
+            events += _made(described, Task(row.name, subject), row.large or row.marks, jpeg if row.large else corners)
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
         earlier = UnfinishedRun(work, before.run)
-        earlier.write_products({}, cameras(ids))
+        earlier.write_cameras(cameras(ids))
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
     told = build_report(described, Cache(work), night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
     return unfinished.publish(night, events, told).paths.report
+
+
+def _made(described: Site, task: Task, dotted: str, data: bytes) -> list[Event]:
+    """Keep what a function is said to have made of a result for the page; the result itself is not there."""
+    path = WorkFolder(described.work).view(task, KEY)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(f"{described.reader.read(dotted).code} {digest(data)}\n".encode() + data)
+    return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=KEY)]

@@ -96,6 +96,13 @@ def test_a_low_step_is_told_by_distance_and_a_lower_one_is_lost_in_the_noise() -
     assert compared(night(CRATE, thin, seed=1), night(CRATE)).count == 0
 
 
+def test_a_site_most_of_which_has_moved_is_not_taken_for_a_noisy_one() -> None:
+    floor: Box = ((-6.0, -3.5, 0.0), (6.0, 4.9, 0.3))
+    change = the_only(compared(night(CRATE, floor, seed=1), night(CRATE)))
+    assert change.kind == "new"
+    assert change.height == pytest.approx(0.3, abs=0.03)
+
+
 def test_depths_that_are_wrong_on_one_night_are_overruled_by_the_pictures() -> None:
     honest, wrong = night(CRATE, seed=1), night(CRATE, NEW_BOX, seed=1)
     # the pictures of a night without the box, and its depths and cloud with it

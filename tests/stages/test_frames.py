@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 
 import cv2
@@ -116,6 +118,20 @@ def test_a_few_bytes_that_promise_gigabytes_are_not_decoded(
     bomb = good[:at] + size.to_bytes(2, "big") * 2 + good[at + 4 :] + bytes(padding)
     with pytest.raises(BadCapture, match=words):
         decode(Capture("gate.jpg", np.frombuffer(bomb, np.uint8)), lens)
+
+
+@pytest.mark.parametrize("bits", [1, 8])
+def test_a_large_picture_of_next_to_nothing_is_decoded_and_judged_by_what_it_shows(bits: int) -> None:
+    """Black packs to thousands of pixels in a byte: it is named for what it is."""
+    wide, high = 4000, 3000
+    body = zlib.compress((b"\0" + bytes(wide * bits // 8)) * high, 9)
+    header = struct.pack(">IIBBBBB", wide, high, bits, 0, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", body), (b"IEND", b"")]
+    parts = [struct.pack(">I", len(d)) + kind + d + struct.pack(">I", zlib.crc32(kind + d)) for kind, d in chunks]
+    file = np.frombuffer(b"\x89PNG\r\n\x1a\n" + b"".join(parts), np.uint8)
+    assert wide * high > 1000 * file.size
+    with pytest.raises(FeaturelessImage, match="is black"):
+        decode(Capture("gate.png", file), Lens(width=wide, height=high))
 
 
 def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image() -> None:

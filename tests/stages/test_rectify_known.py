@@ -96,6 +96,14 @@ def test_look_alikes_beneath_the_ground_do_not_widen_the_search() -> None:
     assert not low < disparity < high
 
 
+def test_what_lies_beneath_the_ground_is_a_limit_and_no_other_night() -> None:
+    pair = rectified_pair(*FRAMES, rectified(matches_at(3.5), GROUND))
+    assert pair.then_left is None and pair.then_right is None
+    assert pair.prior_left is not None and pair.floor_left is not None and pair.floor_right is not None
+    both = np.isfinite(pair.prior_left) & np.isfinite(pair.floor_left)
+    assert both.any() and len(np.unique(np.sign(pair.prior_left - pair.floor_left)[both])) == 1
+
+
 def test_there_is_no_ground_above_the_horizon() -> None:
     found = rectified(matches_at(3.5), GROUND)
     assert found.ground is not None

@@ -110,7 +110,8 @@ def load(path: Path, work: Path | None, notes: bool = True, remembered: bool = F
         return site
     except SiteError as error:
         count = len(error.problems)
-        raise UsageError(f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done") from None
+        what = f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done"
+        raise UsageError(what, remedy=f"then: wbflow check {path}") from None
 
 
 def place_of(site: Site) -> WorkFolder:

@@ -111,7 +111,8 @@ def stages(stage: str | None) -> None:
 
     chosen = [row for row in STAGES if row.name == stage]
     if stage and not chosen:
-        raise UsageError(f"there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+        remedy = f"wbflow stages  shows all; there are {', '.join(row.name for row in STAGES)}"
+        raise UsageError(f"there is no stage {stage!r}", remedy=remedy)
     reader = FunctionReader()
     rows = [describe(row, reader) for row in chosen] or describe_all(reader)
     say("\n\n".join("\n".join(lines(row)) for row in rows))

@@ -191,8 +191,11 @@ class KeepSection(Section):
             raise PydanticCustomError("keep", str(error)) from None
 
     def kept(self) -> Keep:
-        """The same for who cleans."""
-        return Keep(nights=self.nights, bytes=self.bytes, clouds=self.clouds, reports=self.reports)
+        """The same for who cleans: of what is not said to stay longer, so many `nights` stay."""
+        told = self.model_fields_set
+        clouds = self.clouds if "clouds" in told else self.nights
+        reports = self.reports if "reports" in told else self.nights
+        return Keep(nights=self.nights, bytes=self.bytes, clouds=clouds, reports=reports)
 
 
 class ExpectSection(Section):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,6 +143,12 @@ def _assigned(node: ast.stmt) -> set[str]:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def installed_versions() -> dict[str, str]:
+    """Python's version, and those of the libraries of `LIBRARIES` that are there, by name."""
+    found = {name: installed_version(name) for name in LIBRARIES}
+    return {"python": platform.python_version(), **{name: version for name, version in found.items() if version != "absent"}}
 
 
 @functools.cache

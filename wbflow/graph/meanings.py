@@ -20,6 +20,8 @@ class Meaning:
     """From here on it is good."""
     bad: float | None = None
     """From here on it is bad; below `good` where less is worse, above it where more is."""
+    share: bool = False
+    """Is it a share, which people read in percent?"""
 
     def grade(self, value: Any) -> str:
         """good, fair or bad; "" where there is nothing to grade."""
@@ -60,6 +62,15 @@ MEANINGS: Mapping[str, Meaning] = {
     "saturated": Meaning("saturated", "share of the picture that is pure white", 0.02, 0.15),
     "sharpness": Meaning("sharpness", "of fine detail, compared with the contrast; compare it with other nights only"),
     "frames_used": Meaning("captures", "captures of the night that the clean picture was made of"),
+    "seen_by_one": Meaning("seen by one", "share of the ground that at least one camera sees", share=True),
+    "seen_by_two": Meaning("seen by two", "share of the ground that at least two cameras see", share=True),
+    "lost_without": Meaning("lost without", "share of the ground that fewer than two would see without this camera", share=True),
+    "changed_share": Meaning("changed", "share of the surface that could be compared which belongs to changes", share=True),
+    "unknown_share": Meaning("unknown", "share of the reference's surface of which this night tells nothing", share=True),
+    "noise": Meaning(
+        "noise", "how much more unchanged surfaces differ than the points' own uncertainty says; 1: as it should be"
+    ),
+    "points": Meaning("points", "samples that its view has given to the cloud, before those of one place were merged"),
     "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
 }
 """By the name of the figure in run.json."""

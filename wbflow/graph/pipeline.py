@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from .rows import (
     Entry,
+    Expects,
     FromPast,
     FromReference,
     FromSite,
@@ -47,6 +48,10 @@ _OF_A_FRAME = (
     "brightness", "contrast", "saturated", "sharpness", "frames_used", "doubtful", "unchanged",
     "taken_first", "taken_last", "taken_in_order",
 )  # fmt: skip
+_OF_COVERAGE = {
+    "area_m2": "area", "seen_by_one": "seen_by_one", "seen_by_two": "seen_by_two",
+    "angle_deg": "median_angle_deg", "error_m": "median_error", "lost_without": "lost_without",
+}  # fmt: skip
 _SIDES: dict[str, Need] = {"left": FromStage("features", Which.LEFT), "right": FromStage("features", Which.RIGHT)}
 _FRAMES: dict[str, Need] = {"left": FromStage("frames", Which.LEFT), "right": FromStage("frames", Which.RIGHT)}
 _FRAMES_TOO: dict[str, Need] = {f"{side}_frame": need for side, need in _FRAMES.items()}
@@ -105,6 +110,7 @@ STAGES: tuple[Stage, ...] = (
         missing="failed",
         site_parameters=("resolution",),
         picture=Picture("wbflow_stages.exports.previews:frame_preview"),
+        large="wbflow_stages.exports.previews:frame_large",
         reports=Reports({name: name for name in _OF_A_FRAME}, notes="notes"),
     ),
     Stage(
@@ -130,6 +136,7 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow_stages.features:detect",
         needs={"frame": FromStage("frames")},
         reports=Reports({"keypoints": "xy_count"}, notes="notes"),
+        marks="wbflow_stages.exports.marks:keypoint_marks",
         renamed={
             "keypoints": Renamed("max_keypoints"),
             "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
@@ -177,6 +184,7 @@ STAGES: tuple[Stage, ...] = (
         offers=_FRAMES_TOO,
         role=Role.GEOMETRY,
         picture=Picture("wbflow_stages.exports.previews:matches_preview", _FRAMES),
+        marks="wbflow_stages.exports.marks:inlier_marks",
         reports=Reports(
             {
                 "inliers": "x1_count",
@@ -320,6 +328,7 @@ STAGES: tuple[Stage, ...] = (
             restore="wbflow_stages.io.clouds:cloud_of",
             figures="wbflow_stages.io.clouds:cloud_figures",
         ),
+        world_reports=WorldReports(cameras={"points": Entry("given")}),
         picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
         view="wbflow_stages.exports.view:cloud_view",
     ),
@@ -330,18 +339,9 @@ STAGES: tuple[Stage, ...] = (
         needs={"poses": FromStage("poses"), **_SURFACE},
         optional=True,
         picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
-        reports=Reports(
-            {
-                "area_m2": "area",
-                "seen_by_one": "seen_by_one",
-                "seen_by_two": "seen_by_two",
-                "angle_deg": "median_angle_deg",
-                "error_m": "median_error",
-                "lost_without": "lost_without",
-            },
-            expects=("area_m2", "seen_by_two"),
-        ),
+        reports=Reports(_OF_COVERAGE, expects=Expects(("area_m2", "seen_by_two"), unit="m²", words="seen by two cameras")),
         files="wbflow_stages.exports.ground:coverage_files",
+        layer="wbflow_stages.exports.ground:coverage_layer",
         title="What the cameras see of the ground",
         kept=False,
     ),

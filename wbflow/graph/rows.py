@@ -233,6 +233,17 @@ class Entry:
 
 
 @dataclass(frozen=True)
+class Expects:
+    """A figure of the whole night that is compared with what is usual."""
+
+    factors: tuple[str, ...]
+    """Figures that run.json tells of the stage; the product of them is compared."""
+    unit: str
+    words: str
+    """What it measures."""
+
+
+@dataclass(frozen=True)
 class Reports:
     """What run.json says of a stage's results: of a site-wide one under its name.  A camera or pair whose task has no result is
     not ok."""
@@ -243,8 +254,8 @@ class Reports:
     """The same, of a rejection."""
     notes: str = ""
     """Figure that holds notes for the operator."""
-    expects: tuple[str, ...] = ()
-    """Fields of a site-wide stage whose product should be what is usual; `expect` in the site file has it under its name."""
+    expects: Expects | None = None
+    """Of a site-wide stage: what should be as much as is usual; `expect` in the site file has it under the stage's name."""
 
 
 @dataclass(frozen=True)
@@ -303,6 +314,12 @@ class Stage:
     """Dotted function: the result -> names and bytes of files that a run publishes beside its cloud."""
     view: str = ""
     """Dotted function: the result -> its points for the report's 3-D view, as a stream of bytes."""
+    layer: str = ""
+    """Dotted function: the result -> a picture that lies on the report's map, as bytes (see `results.report.layers`)."""
+    large: str = ""
+    """Dotted function: the result of a camera -> a JPEG file's bytes, its picture as large as it is, for the report."""
+    marks: str = ""
+    """Dotted function: the result of a camera or a pair -> bytes: places in these pictures (see `results.report.seen`)."""
     title: str = ""
     """Of its part of the report, where a site-wide stage `reports`."""
     renamed: Mapping[str, Renamed] = field(default_factory=dict)

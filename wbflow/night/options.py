@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import difflib
 import importlib.util
 from dataclasses import dataclass
 
@@ -44,17 +45,23 @@ class Options:
         if not self.plain:
             self._check_stages()
         if self.backend == "dask" and not self.scheduler:
-            raise UsageError("--backend dask needs --scheduler ADDRESS, e.g. tcp://host:8786")
+            remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
+            raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)
         if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
-            raise UsageError("--backend dask needs Dask: pip install 'wbflow[dask]'")
+            raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
 
     def _check_stages(self) -> None:
         from ..graph.pipeline import STAGES  # here: a night on which nothing has changed has no use for the table
 
         names = [stage.name for stage in STAGES]
         if self.until and self.until not in names:
-            raise UsageError(f"--until {self.until}: there is no such stage; stages are {', '.join(names)}")
+            raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages(self.until, names))
         for name in self.force:
             if name.split(" ")[0] not in names:
-                known = ", ".join(names)
-                raise UsageError(f"--force {name!r}: name a stage ({known}) or a task such as 'matches gate--roof'")
+                what = f"--force {name!r}: name a stage, or a task such as 'matches gate--roof'"
+                raise UsageError(what, remedy=_stages(name, names))
+
+
+def _stages(named: str, names: list[str]) -> str:
+    close = difflib.get_close_matches(named.split(" ")[0], names, n=1)
+    return f"{f'did you mean {close[0]}? ' if close else ''}stages are {', '.join(names)}"

@@ -159,7 +159,8 @@ def task_named(name: str) -> Task:
 
     stage, _, subject = name.partition(" ")
     if stage not in {row.name for row in STAGES}:
-        raise UsageError(f"{name!r}: there is no stage {stage!r}; stages are {', '.join(row.name for row in STAGES)}")
+        remedy = f"stages are {', '.join(row.name for row in STAGES)}; a task is a stage and its subject: 'geometry gate--roof'"
+        raise UsageError(f"{name!r}: there is no stage {stage!r}", remedy=remedy)
     return Task(stage, tuple(subject.split("--")) if subject else ())
 
 

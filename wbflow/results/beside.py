@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
+from ..graph.meanings import meaning
 from ..graph.pipeline import STAGES
 from ..graph.rows import Stage
 from ..night.journal import Journal
 from ..night.plan import Plan
 from ..store import artifact
 from ..store.atomic import write_atomic
+from ..store.outside import read_outside
 from ..store.ply import ply_bytes
 from ..store.record import Figures
 from ..store.signed import Damaged, read_signed, write_signed
@@ -68,7 +70,7 @@ def _files(plan: Plan, stage: Stage, journal: Journal) -> Iterator[tuple[str, by
     try:
         for name, content in function(stage.files)(plan.cache.load(task, receipt)):
             data = content if isinstance(content, bytes) else bytes(ply_bytes(content, comments=("made by wbflow",)))
-            write_atomic(work.artifact(task, receipt.key, f".{name}{_KEPT}"), data)
+            write_atomic(work.artifact(task, receipt.key, f".{name}{_KEPT}"), data, ours=True)
             made[name] = artifact.digest(data)
             yield name, data
     except (WbflowError, ValueError, ImportError) as error:
@@ -79,7 +81,7 @@ def _files(plan: Plan, stage: Stage, journal: Journal) -> Iterator[tuple[str, by
 
 
 def _intact(path: Path, digest: str) -> bytes:
-    data = path.read_bytes()
+    data = read_outside(path)
     if artifact.digest(data) != digest:
         raise Damaged(f"{path.name} is not as it was written")
     return data
@@ -88,16 +90,31 @@ def _intact(path: Path, digest: str) -> bytes:
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Figures of a stage for people: name and value."""
     for name, value in figures.items():
-        words, _, unit = name.rpartition("_")
-        title = (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
+        title, written = _title(name), _percent if meaning(name).share else spoken
         if isinstance(value, Mapping) and value and not any(isinstance(entry, Mapping) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
-            yield title, ", ".join(f"{key} {_number(number)}" for key, number in ordered)
+            yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered)
         elif value is not None and not isinstance(value, Mapping | list | tuple | str):
-            yield title, _number(value)
+            yield title, written(value)
 
 
-def _number(value: Any) -> str:
+def _title(name: str) -> str:
+    if meaning(name).share:
+        return meaning(name).title
+    words, _, unit = name.rpartition("_")
+    return (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if 0 < share < 0.1 else f"{100 * share:.0f} %"
+
+
+def spoken(value: Any) -> str:
+    """A number, yes or no, or a word, as people read it."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return number(value) if isinstance(value, float) else f"{value:,}"
 
 

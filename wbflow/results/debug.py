@@ -119,7 +119,8 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
     except Waiting as waiting:
         raise _waits(plan, task, waiting.task or Task(stage_with(Role.PAIR_GRAPH).name)) from None
     except Impossible as impossible:
-        raise UsageError(f"'{task}' has nothing to work on: {impossible}") from None
+        remedy = f"wbflow status {plan.site.file}  says what each task waits for"
+        raise UsageError(f"'{task}' has nothing to work on: {impossible}", remedy=remedy) from None
 
 
 def _waits(plan: Plan, task: Task, first: Task) -> UsageError:

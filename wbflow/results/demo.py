@@ -98,7 +98,7 @@ def _write(folder: Path, render: Callable[[], Any]) -> None:
     try:
         demo = render()
     except ValueError as error:
-        raise UsageError(str(error)) from error
+        raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
     # an interrupted demo can be written again: the manifest comes first, its digests last
     write_atomic(folder / MANIFEST, _json({"files": known}))
     digests = {}

@@ -19,6 +19,7 @@ from ..config.site import Notify
 from ..errors import WbflowError
 from ..store.atomic import write_atomic
 from ..store.layout import RunPaths, WorkFolder
+from ..store.outside import read_outside
 from ..store.record import RunRecord, Verdict
 
 Occasion = Literal["degraded", "failed", "recovered", "heartbeat"]
@@ -71,7 +72,7 @@ def notify(how: Notify, work: WorkFolder, run: RunPaths, record: RunRecord) -> O
     occasion = _occasion(state, _last(work), how.heartbeat)
     if occasion:
         _tell(how, occasion, run, record)
-        write_atomic(work.notified, json.dumps({"level": state.level, "findings": state.findings}).encode())
+        write_atomic(work.notified, json.dumps({"level": state.level, "findings": state.findings}).encode(), ours=True)
     return occasion
 
 
@@ -83,7 +84,7 @@ def _occasion(state: Known, last: Known, heartbeat: bool) -> Occasion | None:
 
 def _last(work: WorkFolder) -> Known:
     try:
-        data = json.loads(work.notified.read_bytes())
+        data = json.loads(read_outside(work.notified))
         return Known(str(data["level"]), tuple(map(str, data["findings"])))
     except (OSError, ValueError, KeyError, TypeError):  # nothing was ever told, or nobody knows what
         return Known()

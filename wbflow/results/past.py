@@ -109,7 +109,7 @@ def figures_of(record: RunRecord) -> dict[str, float]:
         found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
     for stage in STAGES if record.poses and record.poses.metric else ():  # else each night has units of its own
         told = record.later.get(stage.name) or {}
-        wanted = stage.reports.expects if stage.reports else ()
+        wanted = stage.reports.expects.factors if stage.reports and stage.reports.expects else ()
         factors = [float(factor) for name in wanted if isinstance(factor := told.get(name), int | float)]
         if wanted and len(factors) == len(wanted):
             found[stage.name] = math.prod(factors)

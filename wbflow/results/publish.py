@@ -64,8 +64,9 @@ def publish(
     for task, cloud in worked.products.items():
         if task.stage == stage_with(Role.PRODUCT).name:
             _publish_cloud(unfinished, cloud, tuple(told.comments) if told and not task.subject else ())
-    cameras = told.calibration if told else None
-    unfinished.write_products({}, cameras)
+    cameras = told.calibration if told else {}
+    if told:
+        unfinished.write_cameras(cameras)
     beside = files_beside(night.plan, journal)
     for name, data in (entry for files in beside.values() for entry in files.items()):
         unfinished.write(name, data)
@@ -74,7 +75,7 @@ def publish(
     record = replace(record, later=told_beside(night.plan, beside))
     record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
-    page = _report(night.plan, record, journal, cameras or {}, unfinished)
+    page = _report(night.plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with suppress(OSError):  # it costs reading cloud and functions again
         intact.save()

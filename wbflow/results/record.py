@@ -10,6 +10,7 @@ from typing import Any
 
 from .. import __version__
 from ..errors import ExitCode
+from ..graph.fingerprint import installed_versions
 from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import Reports, Role, Stage, WorldReports
 from ..night.plan import Plan
@@ -59,6 +60,7 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         poses=_world(plan),
         reason=root_cause(plan, Task(product)) if main and not main.usable else None,
         code=main.code if main and not main.usable else None,
+        versions=installed_versions(),
         reference=plan.reference.run if plan.reference else None,
     )
 
@@ -124,7 +126,8 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
         notes = tuple(_figures(state).get(reports.notes, ()))
         record = replace(record, notes=record.notes + notes, figures={**record.figures, **_told(state, reports)})
     for solved, world in _worlds(plan):
-        told = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
+        entries = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
+        told = {name: value for name, value in entries.items() if value is not None}
         note = solved.get(world.camera_notes, {}).get(camera)
         record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
         if camera in solved.get(world.lost_cameras, {}):
@@ -159,7 +162,8 @@ def _reporting(scope: str) -> list[tuple[Stage, Reports]]:
 
 def _worlds(plan: Plan) -> list[tuple[dict[str, Any], WorldReports]]:
     """Figures of site-wide results, and what they report of cameras and pairs."""
-    return [(_figures(plan.states.get(Task(s.name))), s.world_reports) for s in STAGES if s.world_reports]
+    reporting = {stage.name: stage.world_reports for stage in STAGES}
+    return [(_figures(state), world) for task, state in plan.states.items() if (world := reporting.get(task.stage))]
 
 
 def _told(state: State, reports: Reports) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 from ..config.site import Expected, Measure
 from ..errors import ExitCode
-from ..graph.pipeline import stage_with
+from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.state import Cause, State
@@ -189,7 +189,7 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
         return
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
-    units: dict[str, str] = {Measure.COVERAGE: "m² seen by two cameras"}
+    units = {s.name: f"{s.reports.expects.unit} {s.reports.expects.words}" for s in STAGES if s.reports and s.reports.expects}
     for name, value in figures.items():
         limit, unit = expected.limit(name), units.get(name, name)
         base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)

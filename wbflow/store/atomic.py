@@ -14,7 +14,7 @@ from .room import told_full
 _PIECE = 1 << 20
 
 
-def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, lasts: bool = True) -> None:
+def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, lasts: bool = True, ours: bool = False) -> None:
     """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
 
     Parameters
@@ -27,6 +27,8 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, la
         Make the rename last, too; not needed where another file is written to the same folder right after.
     lasts : bool
         After the power went, the file must not be there in part.  False where that would be noticed, and it can be made again.
+    ours : bool
+        The place is one of the work folder's own: a folder that somebody has put there gives way.
 
     Raises
     ------
@@ -40,7 +42,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, la
             if lasts:
                 file.flush()
                 os.fsync(file.fileno())
-        os.replace(temporary, path)  # noqa: PTH105 (hot path)
+        _into_place(temporary, path, ours)
     except OSError as error:
         _drop(temporary)
         raise told_full(error, path, len(data)) from None
@@ -52,7 +54,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, la
 
 
 def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
-    """Put a copy of a file in the place of what bears a name: what happens to one does not happen to the other.
+    """Put a copy of a file in the place of what bears a name there: what happens to one does not happen to the other.
 
     Parameters
     ----------
@@ -73,7 +75,7 @@ def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
             target.flush()
             if lasts:
                 os.fsync(target.fileno())
-        os.replace(temporary, name)  # noqa: PTH105 (hot path)
+        _into_place(temporary, name, gives_way=True)
     except OSError as error:
         _drop(temporary)
         raise told_full(error, name, path.stat().st_size) from None
@@ -90,6 +92,14 @@ def sync_all(folder: Path) -> None:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(folder))
     finally:
         os.close(descriptor)
+
+
+def clear(path: Path) -> None:
+    """Whatever bears a name of the work folder goes: a file, a link (never what is behind it), a pipe, a folder."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def sync_folder(folder: Path) -> None:
@@ -114,6 +124,17 @@ def _opened(temporary: str) -> BinaryIO:
     except FileNotFoundError:
         os.makedirs(os.path.dirname(temporary), exist_ok=True)  # noqa: PTH103, PTH120
         return open(temporary, "wb")  # noqa: PTH123
+
+
+def _into_place(temporary: str, path: Path, gives_way: bool) -> None:
+    """The last step; a folder that stands in the place gives way, where it may."""
+    try:
+        os.replace(temporary, path)  # noqa: PTH105 (hot path)
+    except IsADirectoryError:
+        if not gives_way:
+            raise
+        clear(path)
+        os.replace(temporary, path)  # noqa: PTH105
 
 
 def _drop(temporary: str) -> None:

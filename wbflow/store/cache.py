@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +17,10 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Task
 from . import artifact
-from .atomic import write_atomic
+from .atomic import clear, write_atomic
 from .digests import Stamp, stamp_at
 from .layout import WorkFolder
+from .outside import read_outside
 from .signed import Damaged, read_signed, write_signed
 
 
@@ -162,7 +164,7 @@ class Cache:
         """
         for _ in range(2):  # a second look, since somebody else may just have made it again
             try:
-                data = path.read_bytes()
+                data = read_outside(path, most=sys.maxsize)
             except OSError:
                 data = b""
             if artifact.digest(data) == digest:
@@ -178,13 +180,13 @@ class Cache:
     def write(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
         """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
         if data is not None and receipt.file:
-            write_atomic(self._beside(receipt, receipt.file), data, settle=False)
+            write_atomic(self._beside(receipt, receipt.file), data, settle=False, ours=True)
         place = self.work.receipt(receipt.preimage.task, receipt.key)
         write_signed(place, self.work.place(place), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
     def quarantine(self, path: Path) -> None:
         """Take an artifact out of use: the receipt goes first, the file is kept for whoever wants to know why."""
-        self.work.receipt_beside(path).unlink(missing_ok=True)
+        clear(self.work.receipt_beside(path))
         if path.exists():
             target = self.work.quarantined(path)
             target.parent.mkdir(parents=True, exist_ok=True)

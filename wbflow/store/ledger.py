@@ -4,11 +4,13 @@ receipts, logs and run.json; and who only reads never changes it."""
 from __future__ import annotations
 
 import contextlib
+import os
 import sqlite3
 from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass, fields
 from typing import Any, TypeVar
 
+from .atomic import clear
 from .cache import Cache, Receipt
 from .events import TaskEvent
 from .layout import WorkFolder
@@ -136,6 +138,13 @@ class Ledger:
 
     def _open(self) -> None:
         """Take the ledger on disk as it is, or make what is missing."""
+        if obstacles := [path for path in self._work.ledger_files() if os.path.lexists(path) and not path.is_file()]:
+            if not self._writes:
+                self._fill()
+                return
+            for path in obstacles:
+                self.faults.append(f"{path} was no file: made again from receipts and records")
+                clear(path)
         if not self._work.ledger.exists() and not self._writes:
             self._fill()
             return

@@ -47,7 +47,10 @@ def read_outside(path: Path, most: int = MOST_CAPTURE_BYTES) -> bytes:
     descriptor = open_outside(path, most)
     try:
         with os.fdopen(descriptor, "rb") as file:
-            data = file.read(most + 1)
+            size = min(os.fstat(descriptor).st_size, most)
+            data = file.read(size + 1)  # room for `most` bytes is not asked for where there are few
+            if len(data) > size:  # it has grown
+                data += file.read(most + 1 - len(data))
     except OSError as error:
         raise Unreadable(f"cannot be read: {error.strerror or error}") from None
     if len(data) > most:

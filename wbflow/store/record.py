@@ -220,6 +220,8 @@ class RunRecord:
     """Damage on disk that the run found and put right, in words."""
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of the products in its folder, by name."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """Of Python and of the libraries behind the stages, by name; empty of a run of an earlier version."""
     reference: str | None = None
     """Id of the run that it was compared with, if any (see `store.reference`)."""
     later: Figures = field(default_factory=dict)
@@ -270,6 +272,7 @@ class RunRecord:
             "settings": self.settings,
             "repaired": list(self.repaired),
             "files": dict(self.files),
+            "versions": dict(self.versions),
             "reference": self.reference,
             **rounded(self.later),
         }
@@ -289,7 +292,7 @@ class RunRecord:
         verdict = Verdict.from_json(rest["verdict"]) if rest.get("verdict") else None
         known = {"tasks", "seconds", "cameras", "pairs", "poses", "cloud", "other_clouds", "peak_rss_mb"}
         usual = Usual.from_json(rest["usual"]) if rest.get("usual") else None
-        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files", "reference"}
+        known |= {"reason", "code", "verdict", "usual", "settings", "repaired", "files", "reference", "versions"}
         later = {name: value for name, value in rest.items() if name not in known}
         return RunRecord(
             **plain,
@@ -308,6 +311,7 @@ class RunRecord:
             settings=str(rest.get("settings") or ""),
             repaired=tuple(rest.get("repaired") or ()),
             files=dict(rest.get("files") or {}),
+            versions=dict(rest.get("versions") or {}),
             reference=rest.get("reference"),
             later=later,
         )

@@ -18,7 +18,7 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Subject, Task
 from .artifact import file_digest
-from .atomic import copy_atomic, sync_all, write_atomic
+from .atomic import clear, copy_atomic, sync_all, write_atomic
 from .cache import Cache, Receipt
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, signed
@@ -151,13 +151,13 @@ def mend_record(work: WorkFolder) -> str | None:
             fault = bad.what
     if whole is None:
         for path in (record, twin):
-            _clear(path)
+            clear(path)
         return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
     other, data = (twin if whole is record else record), whole.read_bytes()
     if not _differ(whole, other) and other.read_bytes() == data:
         return None
     fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
-    _clear(other)
+    clear(other)
     write_atomic(other, data)
     return f"{fault}: taken from {whole.name}"
 
@@ -188,7 +188,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     if work.reference.is_dir():
         sync_all(work.reference)
     for path in (work.reference_twin, work.reference_record):
-        write_atomic(path, signed(_OF, reference.to_json(), indent=1))
+        write_atomic(path, signed(_OF, reference.to_json(), indent=1), ours=True)
     for path in work.reference.rglob("*"):
         if path.is_file() and path not in kept:
             path.unlink()
@@ -235,7 +235,7 @@ def restore(cache: Cache, reference: Reference) -> Restored:
             (to_cache if put_back(work, pinned) else lost).append(task)
         elif any(_differ(path, work.pinned(path)) for path in _files(cache, receipt)) and _is_whole(cache, receipt):
             for path in _files(cache, receipt):
-                _clear(work.pinned(path))
+                clear(work.pinned(path))
                 copy_atomic(path, work.pinned(path))
             copied.append(task)
     return Restored(tuple(to_cache), tuple(copied), tuple(lost))
@@ -263,14 +263,6 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 def _is_whole(cache: Cache, receipt: Receipt) -> bool:
     """Are the bytes of a cached artifact those that its receipt promises?"""
     return receipt.file is None or file_digest(cache.path(receipt)) == receipt.digest
-
-
-def _clear(path: Path) -> None:
-    """Whatever bears a name goes."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def _differ(path: Path, copy: Path) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import os
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from ..task import Subject, Task
+from ..task import Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
 from .intact import Intact
-from .layout import RunPaths, WorkFolder, cloud_name, run_id, started_by
+from .layout import RunPaths, WorkFolder, run_id, started_by
+from .outside import open_outside, read_outside
 from .record import CloudRecord, RunRecord, Verdict
 from .share import share_product, write_product
 from .signed import Unsigned, signed, unsigned
@@ -89,7 +92,7 @@ class RunFolder:
     def record(self) -> RunRecord:
         """run.json.  Raises NoSuchRun for one that cannot be read."""
         try:
-            return record_of(self.paths.record.read_bytes())
+            return record_of(read_outside(self.paths.record))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -97,7 +100,7 @@ class RunFolder:
     def events(self) -> list[Event]:
         """What happened, in order.  Raises NoSuchRun for a log that cannot be read."""
         try:
-            lines = [json.loads(line) for line in self.paths.log.read_bytes().splitlines()]
+            lines = [json.loads(line) for line in read_outside(self.paths.log).splitlines()]
             return [event for event in map(event_from_json, lines) if event]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise NoSuchRun(f"{self.paths.log} cannot be read: {type(error).__name__}: {error}") from None
@@ -112,9 +115,9 @@ class RunFolder:
         Raises NoSuchRun for a file that cannot be read.
         """
         try:
-            found: dict[str, Any] = json.loads(self.paths.cameras.read_bytes())
-        except FileNotFoundError:
-            return {}
+            if not os.path.lexists(self.paths.cameras):
+                return {}
+            found: dict[str, Any] = json.loads(read_outside(self.paths.cameras))
         except (OSError, ValueError) as error:
             raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
         return found
@@ -148,7 +151,7 @@ class RunFolder:
 
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
-        write_atomic(self.paths.log, self.paths.log.read_bytes() + log_of([event]))
+        write_atomic(self.paths.log, read_outside(self.paths.log) + log_of([event]))
 
     def write_report(self, page: str) -> Path:
         """Put a report in the place of the one that is there."""
@@ -167,12 +170,9 @@ class UnfinishedRun:
     intact: Intact | None = None
     """What is known of earlier runs' products, and learns of them."""
 
-    def write_products(self, clouds: Mapping[Subject, bytes], cameras: Mapping[str, Any] | None) -> None:
-        """Clouds (PLY) by component, () being the main one, and cameras in the form of a calibration.  Raises OSError."""
-        for component, data in clouds.items():
-            self.write(cloud_name(component), data)
-        if cameras is not None:
-            self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
+    def write_cameras(self, cameras: Mapping[str, Any]) -> None:
+        """The cameras in the form of a calibration.  Raises OSError."""
+        self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
     def write(self, name: str, data: bytes, of: str = "") -> None:
         """A product that is not changed after the run; what the run before has just the same takes no room.
@@ -325,7 +325,7 @@ def _told(data: bytes) -> dict[str, Any]:
 
 def _sha256(path: Path) -> str | None:
     try:
-        with path.open("rb") as file:
+        with os.fdopen(open_outside(path, most=sys.maxsize), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return None

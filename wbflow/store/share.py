@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import sys
 from pathlib import Path
 
 from .atomic import write_atomic
+from .outside import open_outside
 
 _FICLONE = 0x40049409
 """The request of Linux that lets a file share another's blocks until either is written (ioctl_ficlone(2))."""
@@ -61,7 +63,7 @@ def _holds(path: Path, data: bytes) -> bool:
     try:
         if path.stat().st_size != len(data):
             return False
-        with path.open("rb") as file:
+        with os.fdopen(open_outside(path, most=sys.maxsize), "rb") as file:
             return all(file.read(_PIECE) == data[at : at + _PIECE] for at in range(0, len(data), _PIECE))
     except OSError:
         return False

@@ -91,7 +91,7 @@ def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: boo
     OSError
         The disk is full, or there is no right to write.
     """
-    write_atomic(path, signed(of, content), settle=settle, lasts=lasts)
+    write_atomic(path, signed(of, content), settle=settle, lasts=lasts, ours=True)
 
 
 def read_signed(path: Path, of: str) -> dict[str, Any] | None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wbflow_stages.sfm.loops import check_loops
+from wbflow_stages.sfm.loops import USUAL, check_loops
 from wbflow_stages.twoview.pair_score import probability
 from wbflow_stages.types import Geometry, Pair, View
 
@@ -80,6 +80,15 @@ def test_loops_confirm_a_pair_that_is_doubtful_alone() -> None:
 def pose(g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     assert g.cam2_R_cam1 is not None and g.cam2_t_cam1 is not None
     return g.cam2_R_cam1, g.cam2_t_cam1
+
+
+def test_pairs_that_are_unlikely_each_do_not_talk_each_other_up() -> None:
+    """Of a square by night: opposite sides, taken for one another in three pairs that agree; wrong triangles rarely close."""
+    scores = {("c0", "c1"): 0.93, ("c0", "c3"): -1.32, ("c1", "c2"): -2.94, ("c1", "c3"): -2.3, ("c2", "c3"): -0.67}
+    pairs = {pair: replace(site(4)[pair], score=score) for pair, score in scores.items()}
+    checks = check_loops(pairs, None, replace(USUAL, closed_wrong=0.01))
+    assert all(checks[pair].closed == checks[pair].triangles > 0 for pair in scores)
+    assert all(checks[pair].rejected is not None for pair, score in scores.items() if score < 0)
 
 
 def test_two_cameras_need_more_than_cameras_that_others_confirm() -> None:

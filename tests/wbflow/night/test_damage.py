@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -198,3 +200,43 @@ def test_a_digit_changed_in_run_json_is_found(toy: ToySite) -> None:
     assert ["is damaged" in what for what in check(toy)] == [True]
     toy.run()
     assert not re.search(r"\b92\b", toy.wbflow("history").stdout)
+
+
+def test_what_stands_in_the_place_of_a_file_and_is_none_gives_way(toy: ToySite) -> None:
+    """Folders, pipes that nobody writes to, links that lead nowhere: nobody waits for them, and nobody has to clean up."""
+    toy.run()
+    cloud, cache, latest = toy.cloud, toy.work / "cache", (toy.work / "runs" / "latest").resolve()
+
+    def one(pattern: str) -> Path:
+        return sorted(cache.glob(pattern))[0]
+
+    def folder(path: Path) -> None:
+        (path / "something").mkdir(parents=True)
+
+    def link(path: Path) -> None:
+        path.symlink_to("nothing")
+
+    obstacles: list[tuple[Callable[[Path], None], Path]] = [
+        (folder, one("disparity/*/*.json")),
+        (folder, cache / "captures.json"),
+        (folder, toy.work / "lock"),
+        (folder, one("matches/*/*.wbf")),
+        (os.mkfifo, one("geometry/*/*.wbf")),
+        (os.mkfifo, toy.work / "ledger.sqlite"),
+        (os.mkfifo, latest / "log.jsonl"),
+        (os.mkfifo, one("fuse/*/*.view")),
+        (os.mkfifo, one("frames/*/*.drawn")),
+        (link, cache / "functions.json"),
+        (link, one("depth/*/*.json")),
+    ]
+    for put, path in obstacles:
+        path.unlink()
+        put(path)
+    toy.parameters = {"disparity": {"tolerance": 2.0}}
+    toy.write()
+    toy.run()
+    toy.parameters = {}
+    toy.write()
+    toy.run()
+    assert toy.cloud == cloud
+    assert not toy.run()["repaired"]

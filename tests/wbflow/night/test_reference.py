@@ -307,6 +307,17 @@ def test_what_is_damaged_of_the_reference_heals_by_itself(toy: ToySite, victim: 
     assert not toy.run("--date", SECOND)["repaired"]
 
 
+def test_a_pipe_in_place_of_the_record_is_not_waited_for_and_gives_way_to_its_twin(toy: ToySite) -> None:
+    file = WorkFolder(toy.work).reference_record
+    before = file.read_bytes()
+    file.unlink()
+    os.mkfifo(file)
+    toy.night(SECOND)
+    assert "is a pipe" in " ".join(toy.run("--date", SECOND)["repaired"])
+    assert ran(toy) == set()
+    assert file.read_bytes() == before
+
+
 def test_a_reference_whose_record_is_lost_altogether_is_pinned_anew_without_anybody_s_help(toy: ToySite) -> None:
     work = WorkFolder(toy.work)
     for path in (work.reference_record, work.reference_twin):

@@ -62,7 +62,7 @@ def past(tmp_path: Path) -> Callable[..., str]:
     for date, points in (("2026-11-18", 100_000), ("2026-11-19", 101_000), ("2026-11-20", 40_000)):
         records.insert(0, night(date, points=points, past=records))
         unfinished = UnfinishedRun(work, records[0].run)
-        unfinished.write_products({(): b"ply"}, None)
+        unfinished.write("cloud.ply", b"ply")
         unfinished.publish(records[0], [], "<html>")
 
     def command(name: str, *arguments: str, code: int = 0) -> str:

@@ -152,6 +152,22 @@ def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night:
     assert browser.execute_script("return view.scene.cameras.map(c => c.id)") == ids
 
 
+def test_a_picture_opens_as_large_as_it_is_with_what_was_found_in_it(browser: Any) -> None:
+    browser.execute_script("document.querySelector('#camera-1 .shot').click()")
+    over = "const c = document.querySelector('#large canvas'); return [...c.getContext('2d').getImageData(%s, 1, 1).data]"
+    middle, corner = "c.width / 2, c.height / 2", "0, 0"
+    wide, high = until(
+        browser, "const i = document.querySelector('#large img'); return i.complete && [i.naturalWidth, i.naturalHeight]"
+    )
+    assert browser.execute_script("const c = document.querySelector('#large canvas'); return [c.width, c.height]") == [wide, high]
+    assert "6,000 keypoints, 1,000 inliers in 2 pairs" in browser.find_element("css selector", "#large figcaption").text
+    assert (browser.execute_script(over % corner)[3] > 0, browser.execute_script(over % middle)[3]) == (True, 0)
+    for layer in ("points", "inliers"):
+        browser.execute_script(f"document.querySelector('[data-layer={layer}]').click()")
+    assert browser.execute_script(over % corner)[3] == 0
+    browser.execute_script("document.querySelector('#large').close()")
+
+
 def test_pairs_are_sorted_by_any_figure(browser: Any) -> None:
     head = next(th for th in browser.find_elements("css selector", "table.pairs th button") if "inliers" in th.text)
     browser.execute_script("arguments[0].click()", head)

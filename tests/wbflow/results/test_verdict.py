@@ -149,6 +149,22 @@ def test_without_an_earlier_night_the_plan_says_how_many_pairs_there_should_be()
     assert only(night(pairs=pairs)).text == "only 2 of 6 pairs could be used; most others: 23 inliers, 30 needed"
 
 
+@pytest.mark.parametrize("before", [0, 1, 7])
+def test_a_night_that_is_poor_in_pairs_is_no_good_night_though_every_camera_takes_part(before: int) -> None:
+    """21 pairs rejected, and 50 tasks after them skipped; every camera is in a pair, and there is a cloud."""
+    names = [f"camera-{k}" for k in range(10)]
+    kept = [*zip(names[::2], names[1::2], strict=True), ("camera-1", "camera-2")]
+    others = [(a, b) for k, a in enumerate(names) for b in names[k + 1 : k + 5] if (a, b) not in kept][:21]
+    planned = [*kept, *others]
+    poor = [*(pair(*n) for n in kept), *(pair(*n, "rejected", matched=False) for n in others)]
+    assert len(others) == 21
+    cameras = [CameraRecord(name, "ok") for name in names]
+    past = [night(f"2026-11-{19 - k}", cameras, [pair(*n) for n in planned]) for k in range(before)]
+    record = night(cameras=cameras, pairs=poor, past=past)
+    assert record.exit_code == ExitCode.DEGRADED
+    assert "fewer-pairs" in {finding.kind for finding in verdict_of(record).findings}
+
+
 def test_other_settings_have_other_usual_nights() -> None:
     past = [night("2026-11-19", settings="at full resolution")]
     assert night(points=40_000, past=past).exit_code == ExitCode.GOOD

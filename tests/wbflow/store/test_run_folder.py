@@ -29,7 +29,10 @@ EVENTS: list[Event] = [
 
 def publish(work: WorkFolder, name: str, cloud: bool = True, level: Level | None = "degraded") -> RunFolder:
     unfinished = UnfinishedRun(work, name)
-    unfinished.write_products({(): b"ply", ("component-2",): b"more"} if cloud else {}, {"gate": {"K": []}} if cloud else None)
+    if cloud:
+        unfinished.write("cloud.ply", b"ply")
+        unfinished.write("cloud-component-2.ply", b"more")
+        unfinished.write_cameras({"gate": {"K": []}})
     record = replace(some_record(), run=name, verdict=Verdict(level) if level else None)
     return unfinished.publish(record, EVENTS, "<html>")
 
@@ -56,7 +59,7 @@ def test_a_published_run_is_read_as_it_was_written(tmp_path: Path) -> None:
 def test_until_it_is_published_nobody_sees_it(tmp_path: Path) -> None:
     work = WorkFolder(tmp_path)
     publish(work, "20261120T031500Z")
-    UnfinishedRun(work, "20261121T031500Z").write_products({(): b"half"}, None)
+    UnfinishedRun(work, "20261121T031500Z").write("cloud.ply", b"half")
     assert work.run_ids() == ["20261120T031500Z"]
     work.start_writing()
     assert work.unfinished_run("20261121T031500Z").folder.exists(), "nobody has said that it was left behind"

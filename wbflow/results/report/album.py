@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ...graph.pipeline import stage_with
 from ...graph.rows import FromSite, Role, SiteValue
+from ...store.outside import read_outside
 from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task
 from .sources import Sources
@@ -39,6 +40,11 @@ class Album:
     sources: Sources
     _held: dict[Path, str] = field(default_factory=dict)
     _bytes: int = 0
+
+    @property
+    def held(self) -> int:
+        """Bytes of the pictures that it has handed out."""
+        return self._bytes
 
     def of_task(self, task: Task, alt: str) -> Shown | None:
         """The picture of a result of this run."""
@@ -85,7 +91,7 @@ class Album:
         if path in self._held:
             return Shown(self._held[path], alt)
         try:
-            data = path.read_bytes()
+            data = read_outside(path)
         except OSError:
             return None
         name = f"picture-{len(self._held) + 1}"

@@ -97,10 +97,10 @@ def _facts(record: RunRecord) -> list[Fact]:
         words = f"{whose}: {base:,.0f}" if base else ""
         found.append(Fact(f"{record.cloud.points:,}", "points", words, _grade(now[Measure.POINTS], base)))
     for stage in STAGES:
-        if stage.name in now and stage.reports and stage.reports.expects:
+        if stage.name in now and stage.reports and (expects := stage.reports.expects):
             base = usual.get(stage.name)
-            words = f"{whose}: {base:,.0f} m²" if base else ""
-            found.append(Fact(f"{now[stage.name]:,.0f} m²", "seen by two cameras", words, _grade(now[stage.name], base)))
+            words = f"{whose}: {base:,.0f} {expects.unit}" if base else ""
+            found.append(Fact(f"{now[stage.name]:,.0f} {expects.unit}", expects.words, words, _grade(now[stage.name], base)))
         told = record.later.get(stage.name) or {}
         if isinstance(told, dict) and told.get("compared") and isinstance(told.get("count"), int):
             found.append(Fact(str(told["count"]), f"change{'s' * (told['count'] != 1)} since the reference"))

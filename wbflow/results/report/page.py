@@ -17,13 +17,16 @@ from ...store.events import Event, WarningEvent
 from ...store.layout import WorkFolder
 from ...store.record import RunRecord
 from ...store.run_folder import RunFolder
-from ..beside import number
+from ..beside import spoken
 from .album import Album
 from .headline import findings, headline
+from .layers import layers
+from .made import Maker
 from .nights import trends
 from .place import laid_out
 from .plan import plan_of
 from .points import Points, points_of
+from .seen import seen
 from .sources import NIGHTS, Sources
 from .tables import camera_cards, cell, pair_columns, pair_pictures, pair_rows, parts, settings
 from .times import stage_times, timetable
@@ -32,7 +35,12 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 _ASSETS = files(__package__) / "assets"
-_SCRIPTS = ("points.js", "view.js", "page.js")
+_VIEWER = ("points.js", "view.js")
+_SCRIPTS = ("seen.js", "page.js")
+MOST = 14_000_000
+"""Bytes of a page, about: pictures as large as they are have the room that nothing else needs."""
+_A_ROW = 4000
+"""Bytes that the words of a camera or a pair take, about."""
 
 
 def rebuild_report(site: Site, work: WorkFolder, folder: RunFolder) -> str:
@@ -86,17 +94,21 @@ def _content(sources: Sources) -> dict[str, Any]:
 
     record, album = sources.record, Album(sources)
     keys = {task: event.key for task, event in sources.tasks.items() if event.usable and event.key}
-    points = points_of(sources.work, keys, sources.site.reader) if record.cloud else []
+    maker = Maker(sources.work, sources.site.reader)
+    points = points_of(maker, keys) if record.cloud else []
     layout = laid_out(sources, points)
     charts = trends(sources)
-    return {
+    plan = plan_of(sources, layout) if layout else None
+    content = {
         "record": record,
         "style": Markup(cssmin(_asset("style.css"))),
+        "viewer": Markup(jsmin("\n".join(map(_asset, _VIEWER)))),
         "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
         "headline": headline(record),
         "findings": findings(sources, album),
         "layout": layout,
-        "plan": plan_of(sources, layout) if layout else None,
+        "plan": plan,
+        "on_map": layers(maker, keys, layout, plan) if layout and plan else [],
         "points": points,
         "streams": [{"kind": _kind(stream), "base64": base64.b64encode(stream.data).decode()} for stream in points],
         "modes": list(_modes(points)),
@@ -116,6 +128,8 @@ def _content(sources: Sources) -> dict[str, Any]:
         "notes": list(_of_the_world(record)),
         "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources)), "cloud": _last_cloud(sources)},
     }
+    taken = (album.held + sum(len(stream.data) for stream in points)) * 4 // 3
+    return {**content, "seen": seen(maker, sources, keys, MOST - taken - _A_ROW * (len(record.cameras) + len(record.pairs)))}
 
 
 def _warnings(sources: Sources) -> list[WarningEvent]:
@@ -170,7 +184,7 @@ def _of_the_world(record: RunRecord) -> Iterator[str]:
     if record.poses is None:
         return
     plain = {name: value for name, value in record.poses.figures.items() if isinstance(value, str | int | float) and value != ""}
-    told = (f"{name.replace('_', ' ')} {number(value) if isinstance(value, float) else value}" for name, value in plain.items())
+    told = (f"{name.replace('_', ' ')} {spoken(value)}" for name, value in plain.items())
     yield f"The cameras' places: {', '.join(told)}."
     yield from record.poses.notes
     yield from record.poses.joins

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .points import Points
+from .since import since_last_good, things_of
 from .sources import Sources, state_of
 
 Vector = tuple[float, float, float]
@@ -44,6 +45,8 @@ class Mark:
     kind: str
     at: Vector
     size: float
+    known: bool
+    """It was there on the last good night already."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
     looks = [tuple(entry["R"][2]) for entry, _ in stood.values() if entry.get("R")]
     rows = _rows(up, centres, origin, looks, on_map=bool(crs))
     cameras = tuple(_standing(sources, camera, stood[camera.id], rows, origin) for camera in record.cameras if camera.id in stood)
-    marks = tuple(_marks(record.later, rows, origin))
+    marks = tuple(_marks(sources, rows, origin))
     near = [_turned(rows, _less(p, origin)) for p in sample]
     box = _grown(_box(near, _TRIMMED)) if near else _box([c.at for c in cameras], 0.0)
     middle = _between(*box)
@@ -156,15 +159,14 @@ def _standing(sources: Sources, camera: Any, place: tuple[Mapping[str, Any], str
     return Standing(camera.id, at, rays, ahead, fov, state_of(camera, sources.record), note)
 
 
-def _marks(later: Mapping[str, Any], rows: Rows, origin: Vector) -> Iterable[Mark]:
+def _marks(sources: Sources, rows: Rows, origin: Vector) -> Iterable[Mark]:
     """Whatever site-wide stages tell of that has a place."""
-    for figures in later.values():
-        for value in figures.values() if isinstance(figures, Mapping) else ():
-            for name, thing in value.items() if isinstance(value, Mapping) else ():
-                if isinstance(thing, Mapping) and {"x", "y", "z"} <= set(thing):
-                    at = _turned(rows, _less((thing["x"], thing["y"], thing["z"]), origin))
-                    size = math.hypot(thing.get("length") or 0, thing.get("width") or 0)
-                    yield Mark(str(name), str(thing.get("kind") or ""), at, size)
+    for stage, told in sources.record.later.items():
+        since = since_last_good(sources.record, sources, stage)
+        for name, thing in things_of(told).items():
+            at = _turned(rows, _less((thing["x"], thing["y"], thing["z"]), origin))
+            size = math.hypot(thing.get("length") or 0, thing.get("width") or 0)
+            yield Mark(name, str(thing.get("kind") or ""), at, size, since is not None and name in since.then)
 
 
 def _turned(rows: Rows, v: Sequence[float]) -> Vector:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...store.record import PairRecord
@@ -55,6 +56,7 @@ class Spot:
     x: float
     y: float
     r: float
+    known: bool
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,10 @@ class Plan:
     north: str
     absent: tuple[str, ...]
     """Cameras of which nobody knows where they stand."""
+
+    def spot(self, at: Sequence[float]) -> tuple[float, float]:
+        """Where a place in the frame of the page is in the drawing."""
+        return (at[0] - self.left) * self.scale, (self.top - at[1]) * self.scale
 
 
 def plan_of(sources: Sources, layout: Layout) -> Plan:
@@ -107,7 +113,7 @@ def plan_of(sources: Sources, layout: Layout) -> Plan:
         for pair in sorted(sources.record.pairs, key=lambda pair: pair.ok)
         if pair.left in standing and pair.right in standing
     ]
-    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale)) for m in layout.marks]
+    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale), m.known) for m in layout.marks]
     bar = _round_length(0.2 * WIDTH / scale)
     east, north = layout.northward
     absent = tuple(camera.id for camera in sources.record.cameras if camera.id not in standing)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 
 from ...store.layout import WorkFolder
+from ...store.outside import read_outside
 from ...store.run_folder import RunFolder
 
 _PICTURE = re.compile(r'<img (?:id="([^"]*)" )?src="(data:[^"]+)"[^>]*>')
-_POINTS = re.compile(r'<script type="application/octet-stream" class="points" data-of="(\w+)">([^<]+)</script>')
+_STREAM = re.compile(r'<script type="[^"]+" class="(points|seen)" data-of="(\w+)"[^>]*>([^<]+)</script>')
+_VIEWER = re.compile(r'<script class="viewer">.*?</script>\n', re.DOTALL)
+"""What shows points: of no use where they are elsewhere."""
 
 
 def share_pictures(work: WorkFolder, run: str) -> None:
@@ -33,9 +36,9 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         return
     newest, earlier = work.run(run).report, work.run(before[0]).report
     try:
-        text = newest.read_text()
-        here = {match.group(2) for kind in (_PICTURE, _POINTS) for match in kind.finditer(text)}
-        page = earlier.read_text()
+        text = read_outside(newest).decode()
+        here = {match.group(match.lastindex or 0) for kind in (_PICTURE, _STREAM) for match in kind.finditer(text)}
+        page = read_outside(earlier).decode()
     except (OSError, ValueError):  # removed, or damaged: nothing to share
         return
     alike = _alike(work, before[0])
@@ -45,11 +48,13 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         link = f'<a class="elsewhere" id="{match.group(1)}" href="{target}">the same picture as in the report of run {run}</a>'
         return link if match.group(2) in here else match.group()
 
-    def points(match: re.Match[str]) -> str:
-        lead = f'<script type="application/json" class="points-elsewhere">"{target}"</script>'
-        return lead if match.group(2) in here else match.group()
+    def stream(match: re.Match[str]) -> str:
+        lead = f'<script type="application/json" class="{match.group(1)}-elsewhere">"{target}"</script>'
+        return lead if match.group(3) in here else match.group()
 
-    shared = _POINTS.sub(points, _PICTURE.sub(picture, page))
+    shared = _STREAM.sub(stream, _PICTURE.sub(picture, page))
+    if shared != page and all(match.group(1) != "points" for match in _STREAM.finditer(shared)):
+        shared = _VIEWER.sub("", shared, count=1)
     for name in alike if shared != page else ():
         RunFolder(work.run(name)).write_report(shared)
 

@@ -9,13 +9,15 @@ from typing import Any
 
 from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
-from ...store.record import CameraRecord
+from ...store.record import CameraRecord, PairRecord
 from ...task import Task
 from ..beside import shown
 from ..record import reported
 from .album import Album, Shown
 from .nights import Bar, spark
+from .since import Since, since_last_good
 from .sources import Sources, state_of
+from .tried import Step, tried
 
 _BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
 
@@ -44,6 +46,8 @@ class CameraCard:
     notes: tuple[str, ...]
     picture: Shown | None
     spark: tuple[Bar, ...]
+    seen: str
+    """What was found in its picture."""
     main: tuple[Cell, ...]
     """What it gave."""
     figures: tuple[Cell, ...]
@@ -59,6 +63,8 @@ class PairRow:
     outcome: str
     reason: str
     cells: tuple[Cell, ...]
+    tried: tuple[Step, ...]
+    """Of one that could not be used."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,8 @@ class Thing:
 
     title: str
     size: str
+    since: str
+    """Was it there on the last good night, or not yet?"""
     words: tuple[str, ...]
     picture: Shown | None
     figures: tuple[tuple[str, str], ...]
@@ -82,6 +90,8 @@ class Part:
     rows: tuple[tuple[str, str], ...]
     things: tuple[Thing, ...]
     files: tuple[str, ...]
+    since: str = ""
+    """What is no more as it was on the last good night."""
 
 
 @dataclass(frozen=True)
@@ -116,15 +126,24 @@ def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
     for camera in sources.record.cameras:
         state = state_of(camera, sources.record)
         numbers = {name: value for name, value in camera.figures.items() if isinstance(value, int | float)}
-        figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool))
+        figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool) and name != "points")
         pairs = sources.record.pairs_of(camera.id)
         used = Cell("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
         picture = album.of_frame(camera.id, camera.id)
         bars = tuple(spark(sources, camera.id))
-        main = (used, *_given(sources, camera.id))
-        found.append(CameraCard(camera.id, state, badge, _words(camera), camera.notes, picture, bars, main, figures))
+        main = (used, *(c for c in (cell("points", camera.figures.get("points")),) if c.value), *_given(sources, camera.id))
+        counted = _seen(camera, pairs)
+        found.append(CameraCard(camera.id, state, badge, _words(camera), camera.notes, picture, bars, counted, main, figures))
     return found
+
+
+def _seen(camera: CameraRecord, pairs: list[PairRecord]) -> str:
+    """What was found in its picture, in words."""
+    points, agreed = camera.figures.get("keypoints"), [p.figures.get("inliers") for p in pairs if p.figures.get("matched")]
+    known = [count for count in agreed if count]
+    said = [f"{points:,} keypoints"] if points else []
+    return ", ".join([*said, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
 
 
 def _words(camera: CameraRecord) -> str:
@@ -139,9 +158,7 @@ def _given(sources: Sources, camera: str) -> Iterator[Cell]:
         told = sources.record.later.get(stage.name)
         for name, value in told.items() if isinstance(told, Mapping) else ():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera), float):
-                yield Cell(
-                    name.replace("_", " "), f"{stage.title}: {name.replace('_', ' ')} {camera}", f"{100 * share:.1f} %", ""
-                )
+                yield Cell(meaning(name).title, meaning(name).words or f"{stage.title}: {name}", f"{100 * share:.1f} %", "")
 
 
 def pair_columns(sources: Sources) -> list[str]:
@@ -153,7 +170,14 @@ def pair_rows(sources: Sources) -> list[PairRow]:
     """Each pair, in the order of the pair graph."""
     names = pair_columns(sources)
     return [
-        PairRow(pair.name, pair.ok, pair.outcome, pair.reason or "", tuple(cell(n, pair.figures.get(n)) for n in names))
+        PairRow(
+            pair.name,
+            pair.ok,
+            pair.outcome,
+            pair.reason or "",
+            tuple(cell(n, pair.figures.get(n)) for n in names),
+            tried(sources, pair),
+        )
         for pair in sources.record.pairs
     ]
 
@@ -176,13 +200,21 @@ def parts(sources: Sources, album: Album) -> list[Part]:
         told = sources.record.later.get(stage.name)
         if stage.scope == "site" and stage.reports and isinstance(told, Mapping) and told:
             files = tuple(told.get("files") or ())
-            things = tuple(thing for value in told.values() for thing in _things(value, files, album))
+            since = since_last_good(sources.record, sources, stage.name)
+            unit = "m" if sources.record.poses is None or sources.record.poses.metric else ""
+            things = tuple(thing for value in told.values() for thing in _things(value, files, album, since, unit))
             picture = album.of_task(Task(stage.name), stage.title)
-            found.append(Part(stage.title, str(told.get("reason") or ""), picture, tuple(shown(told)), things, files))
+            over = _over(since, unit) if since else ""
+            found.append(Part(stage.title, str(told.get("reason") or ""), picture, tuple(shown(told)), things, files, over))
     return found
 
 
-def _things(entries: Any, files: tuple[str, ...], album: Album) -> Iterator[Thing]:
+def _over(since: Since, unit: str) -> str:
+    gone = [f"{thing.get('kind') or 'something'} ({_dimensions(thing, unit)})" for thing in since.over.values()]
+    return f"No more as on {since.date}, the last good night, but as in the reference again: {', '.join(gone)}." if gone else ""
+
+
+def _things(entries: Any, files: tuple[str, ...], album: Album, since: Since | None, unit: str) -> Iterator[Thing]:
     for name, entry in entries.items() if isinstance(entries, Mapping) else ():
         if not isinstance(entry, Mapping):
             continue
@@ -192,18 +224,20 @@ def _things(entries: Any, files: tuple[str, ...], album: Album) -> Iterator[Thin
         words = tuple(line for line in said if not line.startswith("kind: "))
         numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in entry.items() if isinstance(value, int | float))
         picture = album.of_product(file, f"{title}: then and this night") if file else None
-        yield Thing(title, _dimensions(entry), words, picture, numbers)
+        then = since.then.get(name) if since else None
+        told = "" if since is None else f"so already on {since.date}" if then else f"since {since.date}, the last good night"
+        yield Thing(title, _dimensions(entry, unit), told, words, picture, numbers)
 
 
-def _dimensions(entry: Mapping[str, Any]) -> str:
+def _dimensions(entry: Mapping[str, Any], unit: str) -> str:
     """How large a thing is, and where, as far as it says so."""
     sides = [entry.get(name) for name in ("length", "width", "height")]
     size = " × ".join(f"{side:.1f}" for side in sides if isinstance(side, int | float))
     volume, sigma = entry.get("volume"), entry.get("volume_sigma")
-    room = f"volume {volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") if volume else ""
+    room = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
     at = [entry.get(name) for name in ("x", "y", "z")]
     where = "at " + ", ".join(f"{v:.1f}" for v in at if isinstance(v, int | float)) if None not in at else ""
-    return "; ".join(filter(None, (size, room, where)))
+    return "; ".join(filter(None, (f"{size} {unit}".strip(), room and f"volume {room}", where)))
 
 
 def _is_picture(file: str) -> bool:

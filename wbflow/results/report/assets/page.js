@@ -28,17 +28,17 @@
     if (words) cell.title = words;
   });
 
-  const large = $("#large");
-  for (const button of $$("[data-large]")) button.addEventListener("click", () => {
-    const image = $("img", button);
-    if (!image) return;
-    $("img", large).src = image.src; $("img", large).alt = image.alt; large.showModal();
-  });
-  large.addEventListener("click", e => { if (e.target === large || e.target.tagName === "IMG") large.close(); });
   addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
 
   const told = $("#scene"), root = $("#view");
   if (!told || !root) return;
+  const message = $(".message", root), elsewhere = $("script.points-elsewhere");
+  if (elsewhere) { // the next page has the same points, and what shows them
+    const link = document.createElement("a");
+    link.href = JSON.parse(elsewhere.textContent); link.textContent = "the same points as in the report of the next run";
+    message.replaceChildren(link); root.dataset.state = "empty";
+    return;
+  }
   const scene = JSON.parse(told.textContent), view = window.view = new CloudView(root, scene);
 
   const legend = $(".legend"), number = v => Math.abs(v) >= 100 ? v.toFixed(0) : +v.toPrecision(3);
@@ -93,10 +93,21 @@
         if (z > heights[k]) { heights[k] = z; image[k] = pixels[i]; }
       }
     }
-    canvas.getContext("2d").putImageData(data, 0, 0);
+    const pen = canvas.getContext("2d"), draw = () => {
+      pen.setTransform(1, 0, 0, 1, 0, 0); pen.globalAlpha = 1; pen.putImageData(data, 0, 0);
+      for (const button of $$("[data-on-map][aria-pressed=true]")) { // a picture of the ground over the points
+        const layer = document.getElementById(`layer-${button.dataset.onMap}`);
+        pen.setTransform(...layer.dataset.matrix.split(" ").map(Number)); pen.globalAlpha = 0.75; pen.imageSmoothingEnabled = false;
+        pen.drawImage(layer, 0, 0, 1, 1);
+      }
+    };
+    for (const button of $$("[data-on-map]")) button.addEventListener("click", () => {
+      const on = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", String(on)); $(`.legend-of[data-of="${button.dataset.onMap}"]`).hidden = !on; draw();
+    });
+    draw();
   }
   (async () => {
-    const message = $(".message", root);
     for (const stream of $$("script.points")) {
       try {
         const points = await unpackPoints(stream.textContent, axes);
@@ -105,12 +116,6 @@
       } catch (error) { message.textContent = `the points cannot be shown here: ${error.message}`; root.dataset.state = "failed"; return; }
     }
     root.dataset.state = view.sets.length ? "ready" : "empty";
-    const elsewhere = $("script.points-elsewhere");
-    if (!view.sets.length && elsewhere) { // the newest page has the same points
-      const link = document.createElement("a");
-      link.href = JSON.parse(elsewhere.textContent); link.textContent = "the same points as in the report of the next run";
-      message.replaceChildren(link);
-    }
     if (location.hash.startsWith("#colour=")) colour(location.hash.slice(8));
   })();
 })();

@@ -1,0 +1,27 @@
+"""The whole product where no depth can be told: cameras that hang on one mast, with lenses known and poses not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from click.testing import CliRunner
+
+import wbflow
+from wbflow.cli import main
+from wbflow.results.demo import write_demo
+
+
+def test_cameras_on_one_mast_make_no_cloud_and_the_reason_says_why(tmp_path: Path) -> None:
+    folder = tmp_path / "mast"
+    write_demo(folder, scene="mast", small=True, cameras=3, captures=1, seed=3)
+    cameras = json.loads((folder / "cameras.json").read_text())
+    lenses = {name: {key: camera[key] for key in camera if key not in "RC"} for name, camera in cameras.items()}
+    (folder / "cameras.json").write_text(json.dumps(lenses))
+    result = CliRunner().invoke(main, ["run", str(folder), "--jobs", "1", "--backend", "threading"])
+    assert result.exit_code == 1, result.output
+    record = wbflow.open_run(folder).finished.record
+    assert record.cloud is None and {pair.outcome for pair in record.pairs} == {"rejected"}
+    assert record.reason is not None
+    assert "no usable baseline: the rays of the matches meet at 0." in record.reason and "baselines away" in record.reason
+    assert "skipped" not in record.reason

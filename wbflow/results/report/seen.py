@@ -1,0 +1,90 @@
+"""What a camera saw, as large as it is, with what was found in it: shown on a click, for as many cameras as there is room for.
+
+Places come as `graph.rows.Stage.marks` makes them: two unsigned 16-bit numbers each, shares of the picture's width and height;
+those of a pair are the left picture's, then as many of the right one.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from ...graph.pipeline import STAGES, stage_with
+from ...graph.rows import Role
+from ...task import Task
+from .made import Maker
+from .sources import Sources
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A camera's picture and what lies over it."""
+
+    number: int
+    """Of the camera in the page, from 1."""
+    data: str
+    """Base64, three words: JPEG, places of points, places of those that pairs agree on; "-" for what there is nothing of."""
+    note: str
+    """Where the places are not of this night."""
+
+
+def seen(maker: Maker, sources: Sources, keys: Mapping[Task, str], room: int) -> list[Seen]:
+    """Pictures of the night in the order of the site file; cameras that a finding is about go first where there is no room.
+
+    Parameters
+    ----------
+    maker : Maker
+        Makes pictures and marks of results.
+    sources : Sources
+        What the page is made of.
+    keys : mapping
+        Key of the result of each task.
+    room : int
+        Bytes that they may take in the page.
+    """
+    record = sources.record
+    told = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
+    numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
+    found: list[Seen] = []
+    for camera in sorted(numbers, key=lambda name: (name not in told, numbers[name])):
+        frame = Task(stage_with(Role.FRAME).name, (camera,))
+        picture = maker.made(stage_with(Role.FRAME).large, frame, keys[frame]) if frame in keys else None
+        if not picture:
+            continue
+        marks = b"".join(_of_camera(maker, keys, camera)), b"".join(_of_pairs(maker, sources, keys, camera))
+        data = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
+        if len(data) > room:
+            break
+        room -= len(data)
+        found.append(Seen(numbers[camera], data, _note(sources, keys, camera) if any(marks) else ""))
+    return sorted(found, key=lambda one: one.number)
+
+
+def _note(sources: Sources, keys: Mapping[Task, str], camera: str) -> str:
+    """A camera that stands as it did keeps the points of the reference: they were found in its picture of then."""
+    cache, frame = sources.cache, Task(stage_with(Role.FRAME).name, (camera,))
+    shown = cache.by_key(frame, keys[frame])
+    for stage in STAGES:
+        task = Task(stage.name, (camera,))
+        made = cache.by_key(task, keys[task]) if stage.marks and task in keys else None
+        if made and shown and shown.digest not in made.preimage.inputs.values():
+            when = f" of {sources.reference.date}" if sources.reference else ""
+            return f"found in the reference's picture{when}: the camera stands as it did"
+    return ""
+
+
+def _of_camera(maker: Maker, keys: Mapping[Task, str], camera: str) -> Iterator[bytes]:
+    for stage in STAGES:
+        task = Task(stage.name, (camera,))
+        if stage.marks and stage.scope == "camera" and task in keys:
+            yield maker.made(stage.marks, task, keys[task]) or b""
+
+
+def _of_pairs(maker: Maker, sources: Sources, keys: Mapping[Task, str], camera: str) -> Iterator[bytes]:
+    for stage in STAGES:
+        for pair in sources.record.pairs_of(camera) if stage.marks and stage.scope == "pair" else ():
+            task = Task(stage.name, (pair.left, pair.right))
+            if task in keys and (both := maker.made(stage.marks, task, keys[task])):
+                half = len(both) // 2
+                yield both[:half] if pair.left == camera else both[half:]
