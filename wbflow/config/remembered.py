@@ -118,7 +118,8 @@ def _plain(site: Site) -> dict[str, Any]:
     plain = {f.name: getattr(site, f.name) for f in dataclasses.fields(site) if f.name not in left_out}
     for name in ("root", "work"):
         plain[name] = str(plain[name])
-    plain["cameras"] = [{**dataclasses.asdict(c), "mask": str(c.mask) if c.mask else None} for c in site.cameras]
+    for name in ("cameras", "views"):
+        plain[name] = [{**dataclasses.asdict(c), "mask": str(c.mask) if c.mask else None} for c in plain[name]]
     plain["stages"] = {name: dataclasses.asdict(settings) for name, settings in site.stages.items()}
     for name in ("survey", "expected", "keep"):
         plain[name] = dataclasses.asdict(plain[name])
@@ -130,6 +131,7 @@ def _site(plain: dict[str, Any], document: Document, reader: FunctionReader) -> 
     """The site again.  Raises TypeError, KeyError for what is none of this version."""
     told = dict(plain)
     told |= {"root": Path(told["root"]), "work": Path(told["work"]), "cameras": tuple(map(_camera, told["cameras"]))}
+    told["views"] = tuple(map(_camera, told["views"]))
     told["stages"] = {name: StageSettings(**settings) for name, settings in told["stages"].items()}
     told["survey"] = StatedSurvey(**{**told["survey"], "cameras": tuple(told["survey"]["cameras"])})
     told |= {"expected": Expected(**told["expected"]), "keep": Keep(**told["keep"])}
