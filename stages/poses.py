@@ -29,6 +29,7 @@ from .sfm.pose_check import (
     epipolar_error_px,
     turned_deg,
 )
+from .sfm.rigs import beside
 from .sfm.within import adjust_within
 from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
@@ -113,10 +114,20 @@ def _believed(
 ) -> tuple[dict[str, Camera], dict[str, NewPose]]:
     """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
     cameras = adjust_within(known, sigmas, geometries)
-    moved = overruled(cameras, Witnesses.of(tuple(cameras), geometries))
+    moved = _with_views_beside(cameras, overruled(cameras, Witnesses.of(tuple(cameras), geometries)))
     if moved:
         cameras = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
     return cameras, moved
+
+
+def _with_views_beside(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose]) -> dict[str, NewPose]:
+    """The overruled ones, and the other views of their cameras."""
+    found = dict(moved)
+    for name, camera in cameras.items():
+        for new in moved.values() if name not in moved else ():
+            if (placed := beside(camera, {0: new.camera})) is not None:
+                found[name] = replace(new, camera=placed, pairs=())
+    return found
 
 
 def _solved(

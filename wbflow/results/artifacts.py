@@ -17,7 +17,7 @@ from ..store.layout import WorkFolder
 from ..store.ply import read_ply
 from ..store.record import CloudRecord, RunRecord
 from ..store.run_folder import RunFolder
-from ..task import Subject, Task
+from ..task import Subject, Task, camera_of
 
 
 class Gone(WbflowError):
@@ -74,8 +74,15 @@ class FinishedRun:
         return self.load(Task(stage_with(role).name, subject))
 
     def of_cameras(self, *roles: Role) -> Mapping[str, Any]:
-        """What the first of these roles that gave something made of each camera; read when it is asked for."""
-        return _OfSubjects(self, {camera.id: (camera.id,) for camera in self.record.cameras}, roles)
+        """What the first of these roles that gave something made of each camera, or of each of its views; read when it is asked
+        for."""
+        views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
+        for view in (task.subject[0] for task in self.tasks if task.stage == stage_with(Role.FRAME).name):
+            views.setdefault(camera_of(view), []).append(view)
+        names = [
+            view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
+        ]
+        return _OfSubjects(self, {name: (name,) for name in names}, roles)
 
     def of_pairs(self, *roles: Role) -> Mapping[str, Any]:
         """The same of each pair, as "left--right"."""

@@ -19,7 +19,7 @@ from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
-from ..task import Task
+from ..task import Task, camera_of
 from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
 
 PLANNED_PAIRS = 0.5
@@ -176,7 +176,7 @@ def _of_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     told = {camera.id for camera in record.cameras if not camera.ok}
     groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
     for task, state in facts.failed:
-        if not (len(task.subject) == 1 and task.subject[0] in told):
+        if not (len(task.subject) == 1 and camera_of(task.subject[0]) in told):
             groups.setdefault((task.stage, state.code), []).append((task, state))
     for (_, code), tasks in groups.items():
         task, state = tasks[0]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from ..task import camera_of
 from .findings import Down as Down
 from .findings import Figures as Figures
 from .findings import Finding as Finding
@@ -102,7 +103,7 @@ class CameraRecord:
 
 @dataclass(frozen=True)
 class PairRecord:
-    """What became of one pair of cameras."""
+    """What became of one pair of cameras, or of their views."""
 
     left: str
     right: str
@@ -114,6 +115,11 @@ class PairRecord:
     """The stage that gave nothing, where one did."""
     figures: Figures = field(default_factory=dict)
     """What the stages report of it; None where they did not come so far."""
+
+    @property
+    def cameras(self) -> tuple[str, str]:
+        """The cameras whose views these are."""
+        return camera_of(self.left), camera_of(self.right)
 
     @property
     def name(self) -> str:
@@ -240,7 +246,7 @@ class RunRecord:
     def _pairs_of(self) -> dict[str, list[PairRecord]]:
         found: dict[str, list[PairRecord]] = {}
         for pair in self.pairs:
-            for camera in dict.fromkeys((pair.left, pair.right)):
+            for camera in pair.cameras:
                 found.setdefault(camera, []).append(pair)
         return found
 
