@@ -17,6 +17,7 @@ from wbflow.graph.pipeline import STAGES, stage_with
 from wbflow.graph.rows import Role
 from wbflow.results.report.page import build_report
 from wbflow.store.artifact import digest
+from wbflow.store.cache import Cache
 from wbflow.store.events import Event, TaskEvent
 from wbflow.store.layout import WorkFolder
 from wbflow.store.record import (
@@ -154,7 +155,7 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         earlier.write_cameras(cameras(ids))
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
-    told = build_report(described, work, night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
+    told = build_report(described, Cache(work), night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
     return unfinished.publish(night, events, told).paths.report
 
 
