@@ -24,6 +24,7 @@ SORTS = {
     "captures memo": "cache/captures.json",
     "functions memo": "cache/functions.json",
     "intact memo": "cache/intact.json",
+    "memo of the last whole night": "cache/unchanged.*",
     "points of the view": "cache/*/*/*.view",
     "delivered": "delivered.json",
     "ledger": "ledger.sqlite*",
