@@ -125,8 +125,7 @@ def find_changes(
     some = np.vstack([tonight.points[::_SOME], then.points[::_SOME]])
     grid = grid_over(some, axes, cell_m or preferred_above(_CELL * spacing))
     sides = gather(tonight, then, spacing, registration_m)
-    noise = noise_of(*sides)
-    limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
+    limits = {"noise": (noise := noise_of(*sides)), "sigmas": sigmas, "alike": alike}
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     blobs: list[Blob] = []
@@ -135,8 +134,7 @@ def find_changes(
         colors = own.cloud.colors[side.rows].astype(np.float64)
         blobs += find_blobs(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least)
     kept = sorted(paired([b for b in blobs if _is_certain(b, alike)]), key=lambda pair: -pair[0].change.volume)
-    placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
-    told = [(a, b) for a, b in placed if a is not None]
+    told = [(a, b) for first, b in kept if (a := _in_zone(first, zones, axes)) is not None]
     found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), told)
     return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
 
