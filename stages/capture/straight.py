@@ -10,12 +10,9 @@ import cv2
 import numpy as np
 
 from ..core.cameras import scaled_intrinsics
-from ..core.lenses import lens_pixels, lens_rays, off_axis, reach
+from ..core.lenses import WIDEST_DEG, lens_pixels, lens_rays, off_axis, reach
 from ..types import Bools, Float32s, Float64s, Lens, Uint8s, View
 from .files import BadCapture, wrong_size
-
-WIDEST_DEG = 110.0
-"""No pinhole is made wider: at its border a pixel would be three times smaller than in its middle."""
 
 
 @dataclass(frozen=True)

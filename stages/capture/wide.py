@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.lenses import lens_pixels, lens_rays, off_axis, reach
+from ..core.lenses import WIDEST_DEG, lens_pixels, lens_rays, off_axis, reach
 from ..types import Float64s, Lens
-from .straight import WIDEST_DEG
 
 _SPARED_DEG = 2.0
 """A lens that sees no more than this beyond `WIDEST_DEG` stays one view."""

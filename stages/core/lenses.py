@@ -19,6 +19,9 @@ import numpy as np
 
 from ..types import Float64s, Lens
 
+WIDEST_DEG = 110.0
+"""No pinhole is made wider: at its border a pixel would be three times smaller than in its middle."""
+
 
 @dataclass(frozen=True)
 class LensModel:

@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from wbflow_stages.capture.straight import WIDEST_DEG
 from wbflow_stages.core.cameras import camera_of, project
-from wbflow_stages.core.lenses import lens_pixels
+from wbflow_stages.core.lenses import WIDEST_DEG, lens_pixels
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.io.cameras import calibration
 from wbflow_stages.sfm.control_points import _in_frame

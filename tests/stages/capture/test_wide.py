@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from wbflow_stages.capture.straight import WIDEST_DEG
 from wbflow_stages.capture.wide import views_of_lens
 from wbflow_stages.core.cameras import same_camera
-from wbflow_stages.core.lenses import lens_pixels, lens_rays, off_axis
+from wbflow_stages.core.lenses import WIDEST_DEG, lens_pixels, lens_rays, off_axis
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.types import Capture, Float64s, Lens
 
