@@ -146,6 +146,9 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     for row in STAGES:
         for subject in subjects.get(row.scope, ()) if row.large or row.marks else ():
             events += _made(described, Task(row.name, subject), row.large or row.marks, jpeg if row.large else corners)
+    for pair in (p for p in night.pairs if not p.ok):
+        tried = Task(stage_with(Role.GEOMETRY).name, (pair.left, pair.right))
+        events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
         earlier = UnfinishedRun(work, before.run)
