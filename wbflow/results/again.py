@@ -50,7 +50,17 @@ class Basis:
     @staticmethod
     def of(site: Site) -> Basis:
         """The basis of what a site does now."""
-        told = [site.name, site.root, site.pattern, site.cameras, site.resolution, site.bounds, site.pairs, site.stages]
+        told = [
+            site.name,
+            site.root,
+            site.pattern,
+            site.cameras,
+            site.views,
+            site.resolution,
+            site.bounds,
+            site.pairs,
+            site.stages,
+        ]
         told += [
             site.work,
             site.survey,
