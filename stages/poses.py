@@ -81,8 +81,7 @@ def solve_poses(
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
     cameras, moved = _believed(known, sigmas, seen)
-    metric = all(placements[name].metric for name in cameras)
-    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, metric):
+    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
     told = Witnesses.of(tuple(cameras), seen).evidence(cameras)
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..graph.functions import FunctionReader
 from ..store.keep import Keep
 from ..task import camera_of
-from .positions import Document, Place, SiteProblem
+from .places import Document, Place, SiteProblem
+
+if TYPE_CHECKING:
+    from ..graph.functions import FunctionReader
 
 Matrix = list[list[float]]
 

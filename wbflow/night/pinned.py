@@ -27,6 +27,7 @@ _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
 USELESS = frozenset({"blind", "stale", "foreign"})
 """States of a camera that shows nothing of the site tonight."""
+_HEALTH = stage_with(Role.HEALTH).name
 FEWEST = 2
 """So many cameras must stand where they did, for the reference to tell where the others are."""
 
@@ -56,6 +57,8 @@ class Pinned:
     """Do enough cameras stand where they did, once the health of all is known?"""
     _all_own: bool | None = field(default=None, repr=False)
     """Are all frames those of the reference itself, by the keys that are known?"""
+    _useless: frozenset[str] | None = field(default=None, repr=False)
+    """The cameras that show nothing of the site, until the health of another one is known."""
     _judged: dict[str, tuple[State | None, Health | None]] = field(default_factory=dict, repr=False)
     """What was read from the health of a camera, and of which state of its task."""
 
@@ -152,11 +155,13 @@ class Pinned:
         """The cameras of which it is known that they show nothing of the site tonight."""
         if self.reference is None:
             return frozenset()
-        stale = {c for c in self.cameras if camera_of(c) in self.known}
-        looked = ((c, self._own_health(c)) for c in self.cameras if c not in stale)
-        return frozenset({c for c in stale if self.known[camera_of(c)].state in USELESS}).union(
-            c for c, health in looked if health and health.state in USELESS
-        )
+        if self._useless is None:
+            stale = {c for c in self.cameras if camera_of(c) in self.known}
+            looked = ((c, self._own_health(c)) for c in self.cameras if c not in stale)
+            self._useless = frozenset({c for c in stale if self.known[camera_of(c)].state in USELESS}).union(
+                c for c, health in looked if health and health.state in USELESS
+            )
+        return self._useless
 
     def unfit(self, subject: Subject) -> Impossible:
         """Why what one of these cameras shows is not used."""
@@ -166,13 +171,18 @@ class Pinned:
         frame = Task(stage_with(Role.FRAME).name, (camera,))
         return because(frame, self.states[frame])
 
+    def settled(self, task: Task) -> None:
+        """A task is settled: that may have been the health of a camera."""
+        if task.stage == _HEALTH:
+            self._useless = None
+
     def note_frame(self, subject: Subject, key: str) -> None:
         """The key of tonight's frame of a camera."""
         self.frame_keys[subject], self._all_own = key, None
 
     def lose(self, task: Task) -> None:
         """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
-        self._force = self._all_own = None
+        self._force = self._all_own = self._useless = None
         if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
             if put_back(self.cache.work, pinned):
                 return

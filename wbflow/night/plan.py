@@ -102,7 +102,10 @@ class Plan:
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
         self.undrawn.pop(task, None)
+        self._pinned.settled(task)
         self._agenda.settled(task)
+        if state.receipt and state.outcome != "cached":
+            self.cache.learn(state.receipt)
 
     def forget(self, task: Task) -> None:
         """Take a settled task back (its artifact turned out damaged)."""
@@ -227,6 +230,7 @@ class Plan:
 
     def _found(self, task: Task, state: State) -> None:
         self.states[task] = state
+        self._pinned.settled(task)
         self._agenda.settled(task)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, rework: Rework | None = None) -> TaskSpec:

@@ -61,7 +61,7 @@ def pool(work: WorkFolder, reference: Reference, reader: FunctionReader) -> dict
     new = {task: PinnedArtifact(task, receipt.key, receipt.outcome, receipt.digest) for task, (receipt, _) in made.items()}
     better = dataclasses.replace(reference, artifacts={**reference.artifacts, **new})
     kept = [cache.by_key(task, pinned.key) for task, pinned in better.artifacts.items()]
-    write_reference(work, better, [receipt for receipt in kept if receipt])
+    write_reference(cache, better, [receipt for receipt in kept if receipt])
     reader.save()
     return {task: count for task, (_, count) in made.items()}
 

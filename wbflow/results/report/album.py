@@ -10,7 +10,6 @@ from pathlib import Path
 
 from ...graph.pipeline import stage_with
 from ...graph.rows import FromSite, Role, SiteValue
-from ...store.cache import Cache
 from ...store.outside import read_outside
 from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task, view_name
@@ -80,7 +79,7 @@ class Album:
         stated = next((view for view in self.sources.site.views if (view.id,) == task.subject), None)
         if stated is None or not stated.privacy.counts:
             return True
-        cache, tonight = Cache(self.sources.work), self.sources.tasks.get(task)
+        cache, tonight = self.sources.cache, self.sources.tasks.get(task)
         then = cache.by_key(task, key)
         now = cache.by_key(task, tonight.key) if tonight and tonight.key else None
         private = [name for name, need in stage_with(Role.FRAME).needs.items() if need == _PRIVATE]

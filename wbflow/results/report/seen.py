@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from ...graph.pipeline import STAGES, stage_with
 from ...graph.rows import Role
-from ...store.cache import Cache
 from ...task import Task, camera_of, view_name
 from .made import Maker
 from .sources import Sources
@@ -66,7 +65,7 @@ def seen(maker: Maker, sources: Sources, keys: Mapping[Task, str], room: int) ->
 
 def _note(sources: Sources, keys: Mapping[Task, str], camera: str) -> str:
     """A camera that stands as it did keeps the points of the reference: they were found in its picture of then."""
-    cache, frame = Cache(sources.work), Task(stage_with(Role.FRAME).name, (camera,))
+    cache, frame = sources.cache, Task(stage_with(Role.FRAME).name, (camera,))
     shown = cache.by_key(frame, keys[frame])
     for stage in STAGES:
         task = Task(stage.name, (camera,))
