@@ -122,10 +122,10 @@ def find_changes(
         return _nothing(axes, poses)
     then = Epoch(then_cloud, old, then_frames or {}, then_depths or {}, then_refined or {})
     spacing = max(_spacing(tonight.points), _spacing(then.points))
-    some = np.vstack([tonight.points[::_SOME], then.points[::_SOME]])
-    grid = grid_over(some, axes, cell_m or preferred_above(_CELL * spacing))
+    grid = grid_over(np.vstack([n.points[::_SOME] for n in (tonight, then)]), axes, cell_m or preferred_above(_CELL * spacing))
     sides = gather(tonight, then, spacing, registration_m)
-    limits = {"noise": (noise := noise_of(*sides)), "sigmas": sigmas, "alike": alike}
+    noise = noise_of(*sides)
+    limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     blobs: list[Blob] = []
@@ -134,8 +134,8 @@ def find_changes(
         colors = own.cloud.colors[side.rows].astype(np.float64)
         blobs += find_blobs(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least)
     kept = sorted(paired([b for b in blobs if _is_certain(b, alike)]), key=lambda pair: -pair[0].change.volume)
-    told = [(a, b) for first, b in kept if (a := _in_zone(first, zones, axes)) is not None]
-    found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), told)
+    placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
+    found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), [(a, b) for a, b in placed if a])
     return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
