@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
+import math
 import os
 import resource
 import signal
@@ -19,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,7 +98,9 @@ def toy(cameras: int, folder: Path) -> Subject:
 
 
 def _receipts(work: Path) -> int:
-    return sum(name.endswith(".json") for _, _, names in os.walk(work / "cache") for name in names)
+    """Tasks that are finished: what lies in the cache itself are memos."""
+    within = (names for folder, _, names in os.walk(work / "cache") if folder != str(work / "cache"))
+    return sum(name.endswith(".json") for names in within for name in names)
 
 
 def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folder: Path) -> Subject:
@@ -117,7 +121,8 @@ def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folde
     (folder / "captures").mkdir(parents=True)
     for name in names:
         (folder / "captures" / f"{name}.txt").write_text(f"a view from {name}")
-    (folder / "Snakefile").write_text(_SNAKEFILE.format(names=names, pairs=[f"{a}--{b}" for a, b in pairs]))
+    rules = "".join(_RULE.format(stage=stage, each=f"/{{{each}}}" if each else "", needs=needs) for stage, each, needs in _RULES)
+    (folder / "Snakefile").write_text(f"CAMERAS = {names}\nPAIRS = {['--'.join(pair) for pair in pairs]}\n{_HEAD}{rules}")
     command = [python, "-m", "snakemake", "--cores", "1", "--quiet", "all", "--rerun-incomplete", "--nolock"]
 
     def left() -> int:
@@ -126,73 +131,44 @@ def snakemake(cameras: int, pairs: Sequence[tuple[str, str]], python: str, folde
     return Subject("snakemake", cameras, command, dict(os.environ), folder, folder / "captures" / "c0001.txt", left)
 
 
-_SNAKEFILE = """
-CAMERAS = {names}
-PAIRS = {pairs}
+_HEAD = """
 SIDES = dict((p, p.split("--")) for p in PAIRS)
 AROUND = dict((c, []) for c in CAMERAS)
 for p in PAIRS:
     for c in SIDES[p]:
         AROUND[c].append(p)
-def write(inputs, output):
-    import hashlib
-    digest = hashlib.sha256()
-    for name in inputs:
-        digest.update(open(name, "rb").read())
-    open(output, "w").write(digest.hexdigest())
+def each(stage, names):
+    return [f"made/{stage}/{name}" for name in names]
 def sides(stage):
-    return lambda w: [f"made/{{stage}}/{{c}}" for c in SIDES[w.pair]]
+    return lambda w: each(stage, SIDES[w.pair])
 wildcard_constraints: camera="c[0-9]+", pair="c[0-9]+--c[0-9]+"
 rule all:
     input: "made/fuse"
-rule frames:
-    input: "captures/{{camera}}.txt"
-    output: "made/frames/{{camera}}"
-    run: write(input, output[0])
-rule features:
-    input: "made/frames/{{camera}}"
-    output: "made/features/{{camera}}"
-    run: write(input, output[0])
-rule overlap:
-    input: [f"made/features/{{c}}" for c in CAMERAS]
-    output: "made/overlap"
-    run: write(input, output[0])
-rule pairs:
-    input: "made/overlap"
-    output: "made/pairs"
-    run: write(input, output[0])
-rule matches:
-    input: sides("features"), "made/pairs"
-    output: "made/matches/{{pair}}"
-    run: write(input, output[0])
-rule geometry:
-    input: sides("features"), "made/matches/{{pair}}"
-    output: "made/geometry/{{pair}}"
-    run: write(input, output[0])
-rule poses:
-    input: [f"made/geometry/{{p}}" for p in PAIRS]
-    output: "made/poses"
-    run: write(input, output[0])
-rule rectify:
-    input: "made/poses", "made/geometry/{{pair}}"
-    output: "made/rectify/{{pair}}"
-    run: write(input, output[0])
-rule disparity:
-    input: sides("frames"), "made/rectify/{{pair}}"
-    output: "made/disparity/{{pair}}"
-    run: write(input, output[0])
-rule depth:
-    input: lambda w: ["made/poses"] + [f"made/disparity/{{p}}" for p in AROUND[w.camera]]
-    output: "made/depth/{{camera}}"
-    run: write(input, output[0])
-rule fuse:
-    input: "made/poses", [f"made/frames/{{c}}" for c in CAMERAS], [f"made/depth/{{c}}" for c in CAMERAS]
-    output: "made/fuse"
-    run: write(input, output[0])
 """
+"""What comes before the rules."""
+_RULE = """rule {stage}:
+    input: {needs}
+    output: "made/{stage}{each}"
+    shell: "cat {{input}} | sha256sum > {{output}}"
+"""
+"""A `run:` would start a Python for each job, which takes most of a second."""
+_RULES = (
+    ("frames", "camera", '"captures/{camera}.txt"'),
+    ("features", "camera", '"made/frames/{camera}"'),
+    ("overlap", "", 'each("features", CAMERAS)'),
+    ("pairs", "", '"made/overlap"'),
+    ("matches", "pair", 'sides("features"), "made/pairs"'),
+    ("geometry", "pair", 'sides("features"), "made/matches/{pair}"'),
+    ("poses", "", 'each("geometry", PAIRS)'),
+    ("rectify", "pair", '"made/poses", "made/geometry/{pair}"'),
+    ("disparity", "pair", 'sides("frames"), "made/rectify/{pair}"'),
+    ("depth", "camera", '"made/poses", lambda w: each("disparity", AROUND[w.camera])'),
+    ("fuse", "", '"made/poses", each("frames", CAMERAS), each("depth", CAMERAS)'),
+)
+"""Stage, of what there is one each, and what it needs: as the tests' stages."""
 
 
-def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int]) -> None:
+def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[[], int], work: Path | None = None) -> None:
     """Add a workflow's rows.
 
     Parameters
@@ -205,6 +181,8 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
         To which they are added.
     count : callable
         How many tasks it has, once it has run.
+    work : Path, optional
+        The work folder, of wbflow: what the tasks have used themselves is told apart.
     """
 
     def add(what: str, of: Subject, tasks: int) -> None:
@@ -216,6 +194,9 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
 
     add("full", subject, 0)
     tasks = rows[-1].tasks
+    if work:
+        own = 1000 * (rows[-1].cpu_s - _of_stages(work)) / tasks
+        print(f"{subject.system:10} {subject.cameras:5} cameras  {own:.2f} ms a task beyond its stage")
     add("noop", subject, tasks)
     subject.capture.write_text("another view")
     add("change", subject, tasks)
@@ -237,14 +218,29 @@ def main() -> None:
             for part in ("full", "killed"):
                 (folder / part).mkdir()
             subject, fresh = toy(cameras, folder / "full"), toy(cameras, folder / "killed")
-            measured(subject, fresh, rows, subject.left)
+            work = folder / "full" / "toy" / ".wbflow" / "toy"
+            measured(subject, fresh, rows, subject.left, work)
             if asked.snakemake and cameras <= asked.most:
-                pairs = _pairs(folder / "full" / "toy" / ".wbflow" / "toy")
-                rivals = (snakemake(cameras, pairs, asked.snakemake, folder / f"snakemake-{k}") for k in range(2))
-                rival, again = rivals
+                rival, again = (snakemake(cameras, _pairs(work), asked.snakemake, folder / f"snakemake-{k}") for k in range(2))
                 measured(rival, again, rows, rival.left)
         if asked.json:
             write_rows(rows, KEYS, asked.json)
+    for what, exponent in growth(rows):
+        print(f"wbflow, {what}: grows with the number of tasks to the power of {exponent:.2f}")
+
+
+def growth(rows: Sequence[Row]) -> Iterator[tuple[str, float]]:
+    """How steeply the CPU seconds of wbflow grow from the smallest to the largest number of tasks, by what was run."""
+    for what in ("noop", "full", "change"):
+        own = sorted((row.tasks, row.cpu_s) for row in rows if row.system == "wbflow" and row.what == what)
+        if len(own) > 1 and own[0][0] < own[-1][0]:
+            yield what, math.log(own[-1][1] / own[0][1]) / math.log(own[-1][0] / own[0][0])
+
+
+def _of_stages(work: Path) -> float:
+    """CPU seconds that the tasks of the newest run have used themselves."""
+    record = json.loads((work / "runs" / "latest" / "run.json").read_bytes())
+    return float(sum(row["cpu"] for row in record["seconds"]["stages"].values()))
 
 
 def _pairs(work: Path) -> list[tuple[str, str]]:

@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .change.blobs import Blob, find_blobs, paired
+from .change.blobs import Blob, Over, find_blobs, over_ground, paired
 from .change.epoch import Epoch
 from .change.evidence import Evidence, gather, judged, noise_of, seen_by
-from .core.cameras import project
-from .core.ground_grid import cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
+from .core.cameras import camera_id, project
+from .core.ground_grid import grid_over, ground_axes, preferred_above, quantile_by_cell
 from .types import (
     NEW,
     SAME,
@@ -30,6 +30,7 @@ from .types import (
     Changes,
     Cloud,
     DepthMap,
+    Float32s,
     Float64s,
     Frame,
     GroundGrid,
@@ -129,12 +130,14 @@ def find_changes(
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     blobs: list[Blob] = []
-    for side, own, other in ((now, tonight, then), (before, then, tonight)):
+    ground = [over_ground(grid, night.points) for night in (tonight, then)]
+    for side, own, other in ((now, tonight, ground[1]), (before, then, ground[0])):
         colors = own.cloud.colors[side.rows].astype(np.float64)
-        blobs += find_blobs(side, colors, grid, other.points, of_then=own is then, spacing=spacing, least_area=least)
+        blobs += find_blobs(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least)
     kept = sorted(paired([b for b in blobs if _is_certain(b, alike)]), key=lambda pair: -pair[0].change.volume)
     placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
-    found = _put_together(grid, now, before, (tonight, then), [(a, b) for a, b in placed if a is not None])
+    told = [(a, b) for a, b in placed if a is not None]
+    found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), told)
     return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
 
 
@@ -174,7 +177,12 @@ def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> 
 
 
 def _put_together(
-    grid: GroundGrid, now: Evidence, before: Evidence, nights: tuple[Epoch, Epoch], found: list[tuple[Blob, Blob | None]]
+    grid: GroundGrid,
+    difference: Float32s,
+    now: Evidence,
+    before: Evidence,
+    nights: tuple[Epoch, Epoch],
+    found: list[tuple[Blob, Blob | None]],
 ) -> Changes:
     """Changes with the points of both nights; those of then only where they have vanished or nothing is known of them."""
     blob_of = [np.zeros(len(side.core), np.uint16) for side in (now, before)]
@@ -185,7 +193,8 @@ def _put_together(
                 blob_of[int(part.of_then)][part.rows] = k
         side = before if blob.of_then else now
         cameras = _cameras(side, blob, nights[int(blob.of_then)])
-        changes[str(k)] = replace(blob.change, cameras=",".join(cameras))
+        seen_by = dict.fromkeys(camera_id(name, nights[int(blob.of_then)].cameras[name]) for name in cameras)
+        changes[str(k)] = replace(blob.change, cameras=",".join(seen_by))
         if cameras:
             crops[str(k)] = _crop(side.core[blob.rows], cameras[0], nights)
     gone = blob_of[1] > 0
@@ -205,7 +214,7 @@ def _put_together(
         np.concatenate(labels).astype(np.uint8),
         np.concatenate([blob_of[0], blob_of[1][told]]),
         grid,
-        _difference(grid, *nights),
+        difference,
         crops,
         count=len(changes),
         changed_share=changed / max(1, compared),
@@ -242,10 +251,9 @@ def _crop(X: Float64s, name: str, nights: tuple[Epoch, Epoch]) -> Uint8s:
     return np.asarray(np.hstack(parts[:-1]), dtype=np.uint8) if parts else np.zeros((1, 1, 3), np.uint8)
 
 
-def _difference(grid: GroundGrid, tonight: Epoch, then: Epoch) -> np.ndarray:
-    """(rows, columns) float32: tonight's height less that of then."""
-    count = grid.rows * grid.columns
-    tops = [quantile_by_cell(cells_of(grid, n.points), n.points @ grid.axes[2], count, _TOP) for n in (tonight, then)]
+def _difference(grid: GroundGrid, tonight: Over, then: Over) -> Float32s:
+    """(rows, columns) tonight's height less that of then."""
+    tops = [quantile_by_cell(n.cells, n.levels, grid.rows * grid.columns, _TOP) for n in (tonight, then)]
     return (tops[0] - tops[1]).reshape(grid.rows, grid.columns).astype(np.float32)
 
 

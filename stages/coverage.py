@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from .core.cameras import backproject, project
+from .core.cameras import backproject, camera_id, project
 from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
 from .core.jit import kernel
 from .reasons import Reason, Rejected
@@ -84,10 +84,21 @@ def find_coverage(
     for k, (name, camera) in enumerate(cameras.items()):
         frame, depth = frames.get(name), source[name][name] if name in source else None
         seen[k] = _sees(camera, frame, depth, X[known], grid.cell)
+    whole = _whole_cameras(cameras)
+    seen = np.stack([seen[rows].any(axis=0) for rows in whole.values()])
+    firsts = [list(cameras.values())[rows[0]] for rows in whole.values()]
     limits = np.cos(np.radians([min_angle_deg, max_angle_deg]))
-    focals = np.array([camera.K[0, 0] for camera in cameras.values()]) / noise_px
-    angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in cameras.values()]), focals, limits[0], limits[1])
-    return _coverage(poses, list(cameras), grid, heights, known, seen, angle, error)
+    focals = np.array([camera.K[0, 0] for camera in firsts]) / noise_px
+    angle, error = _best_pairs(X[known], seen, np.stack([c.C for c in firsts]), focals, limits[0], limits[1])
+    return _coverage(poses, list(whole), grid, heights, known, seen, angle, error)
+
+
+def _whole_cameras(cameras: Mapping[str, Camera]) -> dict[str, list[int]]:
+    """Positions of the views of each camera, which most have one of, by its id."""
+    found: dict[str, list[int]] = {}
+    for k, (name, camera) in enumerate(cameras.items()):
+        found.setdefault(camera_id(name, camera), []).append(k)
+    return found
 
 
 def _coverage(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .core.cameras import same_camera
 from .poses import solve_poses
 from .reasons import Reason, Rejected
 from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View
@@ -85,6 +86,7 @@ def hold_poses(
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)
+    healths = _shared(healths, views)
     lost = [n for n, health in healths.items() if _lost(health) or n not in pinned.cameras]
     cameras = {n: _turned(camera, healths.get(n)) for n, camera in pinned.cameras.items() if n not in lost}
     turned = [n for n in cameras if n in healths and healths[n].corrected]
@@ -105,6 +107,26 @@ def hold_poses(
     }
     found = solve_poses(asked, placements, around, survey, **limits) if around else Rejected(Reason.NO_POSED_CAMERA)
     return _with_solved(held, found, lost)
+
+
+def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
+    """The same, but all views of one camera turn as that one which knows it best: by the patches that were found again."""
+    found = dict(healths)
+    told = {n: health for n, health in healths.items() if n in views and health.state not in {"blind", "foreign"}}
+    for name in told:
+        own = views[name].lens
+        alike = [n for n in told if same_camera(views[name], views[n])]
+        best = max(alike, key=lambda n: (told[n].corrected or _lost(told[n]), _patches(told[n])), default=name)
+        theirs, turn = views[best].lens, told[best].turn
+        if best != name and own and theirs and own.turn is not None and theirs.turn is not None:
+            to_own = own.turn @ theirs.turn.T
+            turned = None if turn is None else to_own @ turn @ to_own.T
+            found[name] = replace(told[best], turn=turned, homography=told[name].homography)
+    return found
+
+
+def _patches(health: CameraHealth) -> float:
+    return float(health.figures.get("patches", 0.0))
 
 
 def _with_solved(held: Poses, found: Poses | Rejected, lost: list[str]) -> Poses:
@@ -138,7 +160,7 @@ def _motion(health: CameraHealth) -> tuple[Float64s, Float64s]:
 
 
 def _turned(camera: Camera, health: CameraHealth | None) -> Camera:
-    return camera if health is None or not health.corrected else replace(camera, R=_motion(health)[1] @ camera.R)
+    return camera if health is None or not health.corrected or health.turn is None else replace(camera, R=health.turn @ camera.R)
 
 
 def _lost(health: CameraHealth) -> bool:

@@ -17,7 +17,7 @@ from math import radians
 
 import numpy as np
 
-from .core.cameras import backproject, project, ray_angles
+from .core.cameras import backproject, project, ray_angles, same_camera
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Overlap, Placement, View
 
 
@@ -47,7 +47,8 @@ def estimate_overlap(
     Returns
     -------
     Overlap
-        A row for each pair of cameras about which something is known.  `source` is "poses", "appearance" or "mixed".
+        A row for each pair of cameras about which something is known; none for two views of one camera.  `source` is "poses",
+        "appearance" or "mixed".
     """
     names = tuple(views)
     cameras = {name: camera for name in names if (camera := _camera(views[name], placements.get(name))) is not None}
@@ -57,6 +58,8 @@ def estimate_overlap(
     sources = set()
     for i, j in combinations(range(len(names)), 2):
         left, right = names[i], names[j]
+        if same_camera(views[left], views[right]):
+            continue
         if left in cameras and right in cameras:
             rows.append((i, j, *posed[i, j]))
             sources.add("poses")

@@ -29,6 +29,7 @@ from .sfm.pose_check import (
     epipolar_error_px,
     turned_deg,
 )
+from .sfm.rigs import beside
 from .sfm.within import adjust_within
 from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
@@ -80,8 +81,7 @@ def solve_poses(
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
     cameras, moved = _believed(known, sigmas, seen)
-    metric = all(placements[name].metric for name in cameras)
-    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, metric):
+    if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
     told = Witnesses.of(tuple(cameras), seen).evidence(cameras)
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
@@ -104,6 +104,7 @@ def solve_poses(
         source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
+        doubtful={name: _doubtful(name, cameras, seen, told) for name in _common(unclear, told)},
         notes=(*suspects.values(), *([_doubt(unclear, cameras, seen, told)] if unclear else []), *found.notes),
     )
 
@@ -113,10 +114,20 @@ def _believed(
 ) -> tuple[dict[str, Camera], dict[str, NewPose]]:
     """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
     cameras = adjust_within(known, sigmas, geometries)
-    moved = overruled(cameras, Witnesses.of(tuple(cameras), geometries))
+    moved = _with_views_beside(cameras, overruled(cameras, Witnesses.of(tuple(cameras), geometries)))
     if moved:
         cameras = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
     return cameras, moved
+
+
+def _with_views_beside(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose]) -> dict[str, NewPose]:
+    """The overruled ones, and the other views of their cameras."""
+    found = dict(moved)
+    for name, camera in cameras.items():
+        for new in moved.values() if name not in moved else ():
+            if (placed := beside(camera, {0: new.camera})) is not None:
+                found[name] = replace(new, camera=placed, pairs=())
+    return found
 
 
 def _solved(
@@ -191,16 +202,38 @@ def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
     return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
 
 
+def _common(names: list[str], told: list[Evidence]) -> list[str]:
+    """The camera that all of several contradictions have in common, if it is one."""
+    against = [e.cameras for e in told if e.contradicts]
+    common = [name for name in names if all(name in witnesses for witnesses in against)]
+    return common if len(names) > 1 and len(against) > 1 and len(common) == 1 else []
+
+
+def _doubtful(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], told: list[Evidence]) -> str:
+    """How far the pairs of a camera are from its known pose."""
+    mine = {pair: geometry for pair, geometry in geometries.items() if name in pair}
+    against = [pair for pair in mine if any(e.cameras == pair and e.contradicts for e in told)]
+    worst = max((epipolar_error_px(cameras, pair, mine[pair]) for pair in against), default=float("nan"))
+    by = f" by up to {worst:.1f} px" if against else ""
+    most = _most_turned(cameras, {pair: mine[pair] for pair in against})
+    turned = f" and {most:.1f} degrees" if by and most > TURNED_DEG else ""
+    what = f"{len(against)} of its {len(mine)} pairs contradict its known pose{by}{turned}; no two others contradict each other"
+    return f"{what}. It stays in use, unverified: has it been moved?"
+
+
+def _most_turned(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
+    return max((turned_deg(cameras, pair, geometry) for pair, geometry in geometries.items()), default=float("nan"))
+
+
 def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], told: list[Evidence]) -> str:
     """What is known of poses of which some are wrong, and what would tell which."""
+    contradicting = {e.cameras for e in told if e.contradicts}
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
-    most = max((turned_deg(cameras, pair, geometry) for pair, geometry in pairs.items()), default=float("nan"))
+    most = _most_turned(cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
     by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
-    against = [e.cameras for e in told if e.contradicts]
-    common = [name for name in names if all(name in witnesses for witnesses in against)]
-    if len(against) > 1 and len(common) == 1:
+    if common := _common(names, told):
         what = f"the known poses of {_listed(names)} contradict each other{by}: all pairs that say so have {common[0]} in common."
         return f"{what} It is the likeliest to be wrong, and stays in use, unverified. Has it been moved?"
     what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong cannot be told."

@@ -9,37 +9,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import datetime
 import os
-import sqlite3
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .config.load import load_site as _load_site
+from .config.remembered import load
 from .config.site import Site
 from .errors import UsageError, WbflowError
-from .graph.exports import CLOUD_OBJECT
+from .night.arrivals import arrivals
+from .night.interrupt import terminate_as_interrupt
 from .night.journal import Costs, Journal
-from .night.night import open_night
 from .night.options import Options
-from .night.pin import fit_to_pin, pin, prepare
-from .night.run import terminate_as_interrupt, work
+from .results.afterwards import afterwards, mend_ledger
+from .results.again import Basis, again
 from .results.artifacts import FinishedRun, function, task_named
-from .results.publish import publish
-from .results.report.share import share_pictures
-from .store.clean import clean
-from .store.events import Event, Listener, Watcher
-from .store.intact import Intact
+from .store.events import Event, Listener, OnlyWarnings, Watcher
 from .store.layout import WorkFolder
-from .store.ledger import Ledger
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
 from .store.run_folder import RunFolder, new_run
-from .store.sizes import bytes_of, in_words
+from .store.sizes import bytes_of
 from .store.writing import hold_to_write
 from .task import Task
 
@@ -103,6 +96,8 @@ class Run:
         WbflowError
             The run made none.
         """
+        from .graph.exports import CLOUD_OBJECT
+
         made: open3d.geometry.PointCloud = function(CLOUD_OBJECT)(self.finished.cloud())
         return made
 
@@ -145,7 +140,9 @@ def load_site(path: str | Path, work: str | Path | None = None) -> Site:
     SiteError
         With every problem that was found.
     """
-    return _load_site(Path(path), Path(work).resolve() if work else None)
+    from .config.load import load_site as read  # here: a run of a site that is remembered has no use for it
+
+    return read(Path(path), Path(work).resolve() if work else None)
 
 
 def run(
@@ -207,7 +204,7 @@ def run(
     WbflowError
         The work folder cannot be written.
     """
-    site = site if isinstance(site, Site) else load_site(site)
+    site = site if isinstance(site, Site) else load(Path(site))
     most = _size(memory) if memory else None
     options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit, stop_at)
     options.check()
@@ -248,61 +245,22 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
     with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        night = open_night(site, options.date, options.until, options.force)
+        basis, there = Basis.of(site), arrivals(site, options.date)
         journal = Journal(listen, watch, options.jobs)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        for damage in filter(None, (night.digests.damage, night.seen.damage, site.reader.damage)):
+        for damage in filter(None, (there.digests.damage, there.seen.damage, site.reader.damage)):
             journal.repaired(damage)
-        _mend_ledger(place, journal)
-        prepare(night, journal)
-        intact = Intact(place)
-        worked = work(night, options, journal, costs, intact)
-        finished = publish(name, place, night, worked, journal, costs, intact, own_process=options.backend == "threading")
-        _afterwards(finished, site, journal)
-        if not options.until and not worked.interrupted:
+        mend_ledger(place, journal)
+        if options.plain and not journal.events and (finished := again(there, basis, name, costs, place)):
+            for event in finished.folder.events() if not isinstance(listen, OnlyWarnings) else ():
+                listen(event)
+            afterwards(finished, site, journal)
             _tell_people(site, finished, journal)
-    return Run(finished)
+            return Run(finished)
+        from .results.through import through  # here: a night on which nothing has changed has no use for it
 
-
-def _mend_ledger(place: WorkFolder, journal: Journal) -> None:
-    """Have the ledger made again where it is damaged, before anybody asks it for anything."""
-    try:
-        with Ledger(place, writes=True) as ledger:
-            for fault in ledger.faults:
-                journal.repaired(fault)
-    except (OSError, sqlite3.Error) as error:
-        journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
-
-
-def _afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
-    """Index the run, pin the first good one, and remove what need not stay.
-
-    The night is published: a fault here costs nothing, but is told of.
-    """
-    told = len(journal.events)
-    try:
-        with Ledger(run.work, writes=True) as ledger:
-            fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
-            ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
-            ledger.record_run(run.record, run.tasks.values())
-            for fault in ledger.faults:
-                journal.warn(fault)
-        if site.pin == "auto" and fit_to_pin(run.record) and not run.work.reference_record.exists():
-            pin(run.work, run.folder, automatic=True)
-        share_pictures(run.work, run.folder.id)
-        if not site.keep.everything:
-            over = clean(run.work, site.keep, asked=False).over
-            if over:
-                what = f"the cache holds {in_words(over)} more than keep.bytes allows"
-                journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
-    except sqlite3.Error as error:
-        journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
-    except (OSError, WbflowError) as error:
-        journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
-    with contextlib.suppress(OSError):  # a full disk: it has been told
-        for event in journal.events[told:]:
-            run.folder.add(event)
+        return Run(through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal), basis))
 
 
 def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:

@@ -5,7 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 Subject = tuple[str, ...]
-"""What a task works on: () for the site, (camera,) or (left, right)."""
+"""What a task works on: () for the site, (camera,) or (left, right).  Of a camera that is too wide for one pinhole each view
+counts as a camera; what a person sees of it is said of the camera (`camera_of`)."""
+
+_VIEW = "@"
+"""Between a camera's id, in which it cannot be, and the number of one of its views."""
+
+
+def view_name(camera: str, number: int) -> str:
+    """What a view of a camera is called that has several, as a subject: gate@1 is the first of gate."""
+    return f"{camera}{_VIEW}{number}"
+
+
+def camera_of(view: str) -> str:
+    """The id of the camera that a view is of; most cameras have one view, which is called as they are."""
+    return view.partition(_VIEW)[0]
 
 
 @dataclass(frozen=True)

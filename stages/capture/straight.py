@@ -23,7 +23,8 @@ class Straight:
     """Size and intrinsics of captures as they come, and of the pinhole picture that is made of them.
 
     Of a `pinhole` or `brown` lens that picture has the K and size of the captures, and pixels without a source
-    are black.  Else it is just as large as what the lens sees, up to `WIDEST_DEG`, with the scale of the lens in its middle.
+    are black.  Else it is just as large as what the lens sees, up to `WIDEST_DEG` or in the window of one view among several,
+    with the scale of the lens in its middle.
     """
 
     width: int
@@ -96,7 +97,7 @@ class Straight:
 
     def lost(self) -> tuple[str, ...]:
         """What the lens sees and no pinhole shows, in words; () where that is nothing."""
-        if self.own or self.K is None:
+        if self.own or self.K is None or self.lens.turn is not None:
             return ()
         middle = self.lens.K[:2, 2] if self.lens.K is not None else np.zeros(2)
         edges = np.array([[-0.5, middle[1]], [self.width - 0.5, middle[1]], [middle[0], -0.5], [middle[0], self.height - 0.5]])
@@ -121,7 +122,7 @@ class Straight:
             rows = np.arange(first, min(first + _ROWS, height))
             pixels = np.stack([*np.meshgrid(np.arange(width), rows), np.ones((len(rows), width))], axis=-1)
             rays: Float64s = pixels.reshape(-1, 3).astype(np.float64) @ back
-            found = lens_pixels(self.lens, rays)
+            found = lens_pixels(self.lens, rays if self.lens.turn is None else rays @ self.lens.turn)
             # what the lens does not see comes from far outside of the picture
             x[rows], y[rows] = (np.nan_to_num(found[:, k], nan=-1e4).reshape(len(rows), width) for k in (0, 1))
         return x, y
@@ -160,19 +161,27 @@ def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, b
 
 def _framed(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
     """K, that it is known, the lens and the size of the view."""
-    slopes = np.tan(np.deg2rad(np.arange(-0.5 * WIDEST_DEG, 0.5 * WIDEST_DEG + 1e-9, _GRID_DEG)))
-    x, y = np.meshgrid(slopes, slopes)
-    seen = _inside(lens, np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3), width, height).reshape(x.shape)
+    axes = [_slopes(lens, 0), _slopes(lens, 2)]
+    x, y = np.meshgrid(*axes)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    seen = _inside(lens, rays if lens.turn is None else rays @ lens.turn, width, height).reshape(x.shape)
     if not seen.any():
         raise BadCapture(f"{name}: by its intrinsics the lens sees nothing before it")
     spans = []
-    for axis in (0, 1):
+    for axis, slopes in enumerate(axes):
         found = np.flatnonzero(seen.any(axis=axis))
         spans.append((slopes[max(found[0] - 1, 0)], slopes[min(found[-1] + 1, len(slopes) - 1)]))
     f = _scale(lens)
     size = tuple(max(1, round(f * (high - low))) for low, high in spans)
     K = np.array([[f, 0.0, -f * spans[0][0] - 0.5], [0.0, f, -f * spans[1][0] - 0.5], [0.0, 0.0, 1.0]])
     return K, True, lens, (size[0], size[1])
+
+
+def _slopes(lens: Lens, first: int) -> Float64s:
+    """Along one axis of a view, from one end to the other."""
+    half = 0.5 * WIDEST_DEG
+    low, high = (-half, half) if lens.window is None else np.rad2deg(np.arctan(lens.window[first : first + 2]))
+    return np.asarray(np.tan(np.deg2rad(np.arange(low, high + 1e-9, _GRID_DEG))), dtype=np.float64)
 
 
 def _inside(lens: Lens, rays: Float64s, width: int, height: int) -> Bools:

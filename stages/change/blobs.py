@@ -62,7 +62,7 @@ def find_blobs(
     side: Evidence,
     colors: Float64s,
     grid: GroundGrid,
-    other_points: Float64s,
+    other: Over,
     *,
     of_then: bool,
     spacing: float,
@@ -78,8 +78,8 @@ def find_blobs(
         (n, 3) of its core points.
     grid
         Cells of the ground.
-    other_points
-        (m, 3) the other night's cloud.
+    other
+        The other night's cloud.
     of_then
         Is that night the earlier one: is what it alone has, gone?
     spacing
@@ -93,7 +93,7 @@ def find_blobs(
     closed = ndimage.binary_closing(np.pad(covered.reshape(grid.rows, grid.columns), 3), iterations=2)[3:-3, 3:-3]
     labels, count = ndimage.label(closed | covered.reshape(closed.shape), np.ones((3, 3)))
     label_of = np.where(cells >= 0, labels.ravel()[cells], 0)
-    other, same = _over(grid, other_points), _unchanged(side, grid)
+    same = _unchanged(side, grid)
     found = []
     for number in range(1, count + 1):
         rows = np.flatnonzero(label_of == number)
@@ -144,7 +144,7 @@ def _moved(new: Blob, gone: Blob) -> Blob:
 
 
 @dataclass(frozen=True)
-class _Over:
+class Over:
     """Points over the cells of the ground, those over none left out."""
 
     cells: Int64s
@@ -153,10 +153,11 @@ class _Over:
     """(n,) heights, world lengths."""
 
 
-def _over(grid: GroundGrid, points: Float64s) -> _Over:
+def over_ground(grid: GroundGrid, points: Float64s) -> Over:
+    """Points (n, 3) over the ground."""
     cells = cells_of(grid, points)
     inside = cells >= 0
-    return _Over(cells[inside], points[inside] @ grid.axes[2])
+    return Over(cells[inside], points[inside] @ grid.axes[2])
 
 
 def _unchanged(side: Evidence, grid: GroundGrid) -> Bools:
@@ -166,7 +167,7 @@ def _unchanged(side: Evidence, grid: GroundGrid) -> Bools:
 
 
 def _measured(
-    side: Evidence, rows: Int64s, footprint: Bools, same: Bools, grid: GroundGrid, other: _Over, spacing: float
+    side: Evidence, rows: Int64s, footprint: Bools, same: Bools, grid: GroundGrid, other: Over, spacing: float
 ) -> Change | None:
     """Place, size and volume of what changed points make; None where nothing is known of what was below."""
     footprint = ndimage.binary_fill_holes(footprint)

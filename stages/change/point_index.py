@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.counting import by_cell
 from ..core.jit import kernel
 from ..types import Float32s, Float64s, Int64s
 
@@ -31,15 +32,23 @@ class PointIndex:
 
 def index_points(points: Float64s, edge: float) -> PointIndex:
     """Points (n, 3), not empty, by cells of about `edge`: of larger ones where there would be too many."""
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = (np.array([side(points[:, axis]) for axis in range(3)]) for side in (np.min, np.max))
     while np.prod(np.floor((high - low) / edge) + 1) > _MOST_CELLS:
         edge *= 1.5
     shape = np.floor((high - low) / edge).astype(np.int64) + 1
-    at = np.minimum(np.floor((points - low) / edge).astype(np.int64), shape - 1)
-    cell = (at[:, 0] * shape[1] + at[:, 1]) * shape[2] + at[:, 2]
-    order = np.argsort(cell, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=int(np.prod(shape))))])
-    return PointIndex(points[order], order, starts.astype(np.int64), low, float(edge), shape)
+    cell = np.empty(len(points), np.int64)
+    _number(points, low, edge, shape, cell)
+    order, starts = by_cell(cell, int(np.prod(shape)))
+    return PointIndex(points[order], order, starts, low, float(edge), shape)
+
+
+@kernel
+def _number(points: Float64s, low: Float64s, edge: float, shape: Int64s, out: Int64s) -> None:
+    for k in range(len(points)):
+        cell = 0
+        for a in range(3):
+            cell = cell * shape[a] + min(int(np.floor((points[k, a] - low[a]) / edge)), shape[a] - 1)
+        out[k] = cell
 
 
 def one_of_each_cell(points: Float64s, edge: float) -> Int64s:

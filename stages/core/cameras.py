@@ -29,6 +29,16 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
     return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion, view.lens)
 
 
+def same_camera(one: View | Camera, other: View | Camera) -> bool:
+    """Are these two of the several views of one camera, which stand at one place and show the same captures?"""
+    return bool(one.lens and other.lens and one.lens.camera and one.lens.camera == other.lens.camera)
+
+
+def camera_id(name: str, view: View | Camera) -> str:
+    """The id of the camera that a view is of; most cameras have one view, of their own name."""
+    return (view.lens.camera if view.lens else "") or name
+
+
 def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
     """`cam2_R_cam1` (3, 3) and `cam2_t_cam1` (3,) in world lengths: x_2 = R x_1 + t in camera axes."""
     return camera2.R @ camera1.R.T, camera2.R @ (camera1.C - camera2.C)

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..types import Camera, Float64s, GroundGrid, Int64s
+from .counting import by_cell
+from .jit import kernel
 
 _MARGIN = 0.1
 """How far a grid reaches beyond the middle 98 % of its points, as a share of their extent."""
@@ -51,11 +53,19 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
 
 def cells_of(grid: GroundGrid, points: Float64s) -> Int64s:
     """(n,) number of the cell, row by row, that each of the points (n, 3) lies over; -1 outside of the grid."""
-    east, north = (points @ grid.axes[:2].T).T
-    column = np.floor((east - grid.left) / grid.cell).astype(np.int64)
-    row = np.floor((grid.top - north) / grid.cell).astype(np.int64)
-    inside = (column >= 0) & (row >= 0) & (column < grid.columns) & (row < grid.rows)
-    return np.where(inside, row * grid.columns + column, -1)
+    out = np.empty(len(points), np.int64)
+    _number(np.asarray(points, np.float64), grid.axes, grid.left, grid.top, grid.cell, grid.rows, grid.columns, out)
+    return out
+
+
+@kernel
+def _number(points: Float64s, axes: Float64s, left: float, top: float, cell: float, rows: int, columns: int, out: Int64s) -> None:
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        column = np.floor((x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2] - left) / cell)
+        row = np.floor((top - (x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2])) / cell)
+        inside = column >= 0 and row >= 0 and column < columns and row < rows
+        out[k] = int(row) * columns + int(column) if inside else -1
 
 
 def cell_centres(grid: GroundGrid, heights: Float64s) -> Float64s:
@@ -82,10 +92,12 @@ def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: floa
     """
     inside = cells >= 0
     cells, values = cells[inside], values[inside]
-    order = np.lexsort((values, cells))
-    numbers, start, size = np.unique(cells[order], return_index=True, return_counts=True)
+    ascending = np.argsort(values)
+    order, starts = by_cell(cells[ascending], count)
+    size = np.diff(starts)
+    some = np.flatnonzero(size)
     found = np.full(count, np.nan)
-    found[numbers] = values[order][start + np.rint(quantile * (size - 1)).astype(np.int64)]
+    found[some] = values[ascending[order[starts[some] + np.rint(quantile * (size[some] - 1)).astype(np.int64)]]]
     return found
 
 

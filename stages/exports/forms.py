@@ -29,6 +29,13 @@ def laz(cloud: Cloud, poses: Poses, day: datetime.date) -> Files:
     yield "cloud.laz", laz_bytes(cloud, day, _georeference(poses))
 
 
+def e57(cloud: Cloud, poses: Poses) -> Files:
+    """cloud.e57, on the map where the site is georeferenced."""
+    from .e57 import e57_bytes
+
+    yield "cloud.e57", e57_bytes(cloud, _georeference(poses))
+
+
 def heights(cloud: Cloud, poses: Poses) -> Files:
     """heights.tif where the site is georeferenced, else heights.png with its world file, heights.pfm and heights.json."""
     from .heights import geotiff, height_map, plain_files

@@ -14,6 +14,7 @@ import laspy
 import numpy as np
 import pyproj
 
+from ..io.clouds import coordinate_step
 from ..types import Cloud
 from .world import Georeference
 
@@ -32,7 +33,7 @@ def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | Non
     points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.creation_date, header.generating_software, header.system_identifier = day, "wbflow", "stereo"
-    header.scales = np.full(3, _resolution(points))
+    header.scales = np.full(3, coordinate_step(points))
     if georeference is not None:
         points, normals = georeference.points(points), georeference.directions(points, normals)
         header.add_crs(pyproj.CRS.from_epsg(georeference.epsg))
@@ -48,9 +49,3 @@ def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | Non
     # one thread: the chunks' order, and so the bytes, are always the same
     las.write(buffer, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
     return buffer.getvalue()
-
-
-def _resolution(points: np.ndarray) -> float:
-    """Step of the coordinates: a power of ten, as fine as float32 tells points of this extent apart."""
-    span = float(np.ptp(points, axis=0).max())
-    return float(10.0 ** np.floor(np.log10(span / 1e7))) if span > 0 else 1e-4

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..core.cameras import transfer
+from ..core.cameras import same_camera, transfer
 from ..types import Camera, DepthMap, Float32s, Float64s, Frame, Uint8s
 
 STEP = 4
@@ -41,7 +41,7 @@ def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
 
 
 def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
-    """The views that see most of what one view sees, and at least 1 % of it.
+    """The views of other cameras that see most of what one view sees, and at least 1 % of it.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, 
         return []
     shares = []
     for other in cameras:
-        if other == name:
+        if other == name or same_camera(cameras[name], cameras[other]):  # which says the same again
             continue
         M, b = transfer(cameras[name], cameras[other])
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..core.cameras import camera_id
 from ..types import Camera, Poses
 
 
 def calibration(poses: Poses) -> dict[str, Any]:
     """Cameras of the main component by id, as JSON data, for captures as they are."""
-    return {name: _entry(camera, poses.metric) for name, camera in poses.cameras.items() if camera.component == 0}
+    found: dict[str, Any] = {}
+    for name, camera in poses.cameras.items():
+        if camera.component == 0:
+            found.setdefault(camera_id(name, camera), _entry(camera, poses.metric))
+    return found
 
 
 def place_comments(poses: Poses) -> tuple[str, ...]:
@@ -28,7 +33,8 @@ def _entry(camera: Camera, metric: bool) -> dict[str, Any]:
     width, height = camera.captured_width or camera.width, camera.captured_height or camera.height
     world = {} if metric else {"metric": False}
     if (lens := camera.lens) is not None and lens.K is not None:
-        entry = {"K": lens.K.tolist(), "R": camera.R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
+        R = camera.R if lens.turn is None else lens.turn.T @ camera.R  # the camera's own axes
+        entry = {"K": lens.K.tolist(), "R": R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
         return entry | {"model": lens.model, "distortion": lens.distortion.tolist()} | world
     K = camera.K.tolist()
     for row, scale in ((0, width / camera.width), (1, height / camera.height)):

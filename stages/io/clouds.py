@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..types import Cloud
+from ..types import Cloud, Float64s
 
 
 def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
@@ -42,3 +42,9 @@ _COLORS = ("red", "green", "blue")
 def cloud_figures(cloud: Cloud) -> dict[str, Any]:
     """Corners of the box around a cloud."""
     return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}
+
+
+def coordinate_step(points: Float64s) -> float:
+    """Step of coordinates kept as whole numbers: a power of ten, as fine as float32 tells points of this extent apart."""
+    span = float(np.ptp(points, axis=0).max())
+    return float(10.0 ** np.floor(np.log10(span / 1e7))) if span > 0 else 1e-4

@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 
 from ..types import Bools, Camera, Float64s
+from .rigs import between, rigs_of
 from .tracks import Tracks
 
 pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # a step that Ceres takes back is no news
@@ -62,11 +63,12 @@ def adjust(
         config.add_image(view + 1)
         if view not in focals:
             config.set_constant_cam_intrinsics(view + 1)
-    for view in held:
-        config.set_constant_rig_from_world_pose(view + 1)
+    rig_of = {view: first for first, views in rigs_of(cameras).items() for view in views}
+    for frame in {rig_of.get(view, view) for view in held}:
+        config.set_constant_rig_from_world_pose(frame + 1)
     options = _options(loss_px, tolerance, iterations, bool(focals))
     if positions:
-        priors = [_prior(model, view, C, sigma) for view, (C, sigma) in positions.items()]
+        priors = [_prior(model, view, C, sigma) for view, (C, sigma) in positions.items() if rig_of.get(view, view) == view]
         with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
         with_priors.alignment_ransac.random_seed = 0
         solver = pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, model)
@@ -85,22 +87,29 @@ def _model(
 ) -> tuple[pycolmap.Reconstruction, Any]:
     """COLMAP's form of it, and the tracks its points (1, 2, ...) stand for.
 
-    Pixels keep their origin: Ceres sees only differences to the principal point.
+    Pixels keep their origin: Ceres sees only differences to the principal point.  Views of one camera are one frame of a rig.
     """
     model = pycolmap.Reconstruction()
+    rigs = rigs_of(cameras)
+    first_of = {view: first for first, views in rigs.items() for view in views}
+    for views in rigs.values():
+        _add_rig(model, {view: cameras[view] for view in views})
     place = np.zeros(len(tracks.track), np.int64)
     lenses: dict[int, int] = {}
     for view, camera in cameras.items():
         lens = view + 1
         if view in focals:
             lens = lenses.setdefault(focals[view], view + 1)
-        if lens == view + 1:
+        if lens == view + 1 and view not in first_of:
             model.add_camera_with_trivial_rig(_lens(camera, lens, view in focals))
         mine = rows[tracks.view[rows] == view]
         place[mine] = np.arange(len(mine))
         image = pycolmap.Image(name=str(view), keypoints=tracks.xy[mine], camera_id=lens, image_id=view + 1)
-        pose = np.column_stack([camera.R, -camera.R @ camera.C])
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+        if view in first_of:
+            image.frame_id = first_of[view] + 1
+            model.add_image(image)
+        else:
+            model.add_image_with_trivial_frame(image, _rigid(camera))
     points, starts = np.unique(tracks.track[rows], return_index=True)
     views, places = (tracks.view[rows] + 1).tolist(), place[rows].tolist()
     for point, start, end in zip(points.tolist(), starts.tolist(), [*starts.tolist()[1:], len(rows)], strict=True):
@@ -109,6 +118,29 @@ def _model(
             track.add_element(views[k], places[k])
         model.add_point3D(X[point], track)
     return model, points
+
+
+def _add_rig(model: pycolmap.Reconstruction, cameras: Mapping[int, Camera]) -> None:
+    """The views of one camera as the sensors of a rig, and its one frame, numbered after the first."""
+    first = next(iter(cameras))
+    rig, frame = pycolmap.Rig(rig_id=first + 1), pycolmap.Frame(frame_id=first + 1, rig_id=first + 1)
+    for view, camera in cameras.items():
+        model.add_camera(_lens(camera, view + 1, False))
+        sensor = model.camera(view + 1).sensor_id
+        if view == first:
+            rig.add_ref_sensor(sensor)
+        else:
+            turn = np.column_stack([between(cameras[first].lens, camera.lens), np.zeros(3)])
+            rig.add_sensor(sensor, pycolmap.Rigid3d(turn))
+        frame.add_data_id(pycolmap.data_t(sensor, view + 1))
+    model.add_rig(rig)
+    frame.rig_from_world = _rigid(cameras[first])
+    model.add_frame(frame)
+    model.register_frame(first + 1)
+
+
+def _rigid(camera: Camera) -> pycolmap.Rigid3d:
+    return pycolmap.Rigid3d(np.column_stack([camera.R, -camera.R @ camera.C]))
 
 
 def _prior(model: pycolmap.Reconstruction, view: int, C: Float64s, sigma: float) -> pycolmap.PosePrior:
@@ -132,6 +164,7 @@ def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:
 
 def _options(loss_px: float, tolerance: float, iterations: int, refine_focal: bool) -> pycolmap.BundleAdjustmentOptions:
     options = pycolmap.BundleAdjustmentOptions()
+    options.refine_sensor_from_rig = False
     options.print_summary = False
     options.refine_focal_length = refine_focal
     options.refine_principal_point = False

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from ..core.cameras import camera_id
 from ..core.lenses import lens_rays
 from ..types import Camera, Float64s, Survey, View
 from .alignment import Landmark
@@ -28,12 +29,18 @@ def control_landmarks(
     survey
         Positions of the points, and the pixels at which cameras see them.
     """
-    number = {name: view for view, name in enumerate(names)}
+    numbers: dict[str, list[int]] = {}
+    for view, name in enumerate(names):
+        if view in cameras:
+            numbers.setdefault(camera_id(name, views[view]), []).append(view)
     rows = []
     for point, camera, x, y in survey.observations:
-        view = number.get(survey.cameras[int(camera)], -1)
-        if view in cameras:
-            rows.append((int(point), view, *_in_frame(np.array([[x, y]]), views[view], cameras[view])[0]))
+        mine = numbers.get(survey.cameras[int(camera)], [])
+        for view in mine:
+            u, v = _in_frame(np.array([[x, y]]), views[view], cameras[view])[0]
+            if (len(mine) == 1 and np.isfinite(u)) or (0 <= u < views[view].width and 0 <= v < views[view].height):
+                rows.append((int(point), view, u, v))
+                break
     rows.sort(key=lambda row: row[:2])
     if not rows:
         return []
@@ -51,8 +58,9 @@ def control_landmarks(
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
     """(n, 2) pixels of the capture, moved to where a pinhole would have them in the frame."""
     if view.lens is not None:
-        rays = lens_rays(view.lens, x) @ camera.K.T
-        return np.asarray(rays[:, :2] / rays[:, 2:], dtype=np.float64)
+        seen = lens_rays(view.lens, x)
+        rays = (seen if view.lens.turn is None else seen @ view.lens.turn.T) @ camera.K.T
+        return np.asarray(rays[:, :2] / np.where(rays[:, 2:] > 0, rays[:, 2:], np.nan), dtype=np.float64)
     scale = np.array([view.width / (view.captured_width or view.width), view.height / (view.captured_height or view.height)])
     x = (x + 0.5) * scale - 0.5
     if np.any(view.distortion):

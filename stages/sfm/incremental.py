@@ -15,6 +15,7 @@ from ..core.cameras import backproject, project, ray_angles
 from ..twoview.epipolar import triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
+from .rigs import beside
 from .tracks import Edge, Tracks, spread_tracks, straightened, without_distortion
 from .triangulation import angles, posed, residuals, triangulate
 
@@ -127,10 +128,14 @@ def grow(
 def _next_view(
     model: Model, cameras: Mapping[int, Camera], geometries: Mapping[Edge, Geometry], failed: dict[int, int]
 ) -> tuple[int, Camera] | None:
-    """The view that sees most of the model's points among those that can be placed, and its camera.
+    """The view that sees most of the model's points among those that can be placed, and its camera; before all others one whose
+    camera is there already by another view.
 
     failed: how many points a view saw that could not be placed: it is tried again only with more.
     """
+    for view, bare in cameras.items():
+        if view not in model.cameras and (camera := beside(bare, model.cameras)):
+            return view, camera
     tracks = model.tracks
     seen = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
     waiting = [view for view in cameras if view not in model.cameras and seen[view] >= max(MIN_SHARED, failed.get(view, 0) + 1)]
@@ -158,12 +163,15 @@ def _fitted(model: Model, view: int) -> Model:
     tracks = model.tracks
     seen = np.zeros(tracks.count, bool)
     seen[tracks.track[tracks.view == view]] = True
+    if not seen.any():
+        return model
+    others = {v: camera for v, camera in model.cameras.items() if v != view}
     rows = seen[tracks.track]
     number = np.cumsum(seen, dtype=np.int32) - 1
     theirs = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
     around = {v: model.cameras[v] for v in np.unique(theirs.view).tolist() if v in model.cameras}
     part = _retriangulated(Model(around, theirs, model.X[seen], model.use[rows], model.lenses))
-    if part.use.any():
+    if part.use.any() and beside(model.cameras[view], others) is None:
         lenses = _lenses(model)
         own = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
         args, held = (around, theirs, part.X, _spread(part)), [v for v in around if v != view]

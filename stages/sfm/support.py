@@ -10,6 +10,7 @@ import numpy as np
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry
 from .incremental import Model, refine
+from .rigs import rigs_of
 from .tracks import Edge, without_distortion
 
 
@@ -35,17 +36,19 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
         A pair agrees up to this median distance to the epipolar lines of its cameras.
     """
     out: list[int] = []
+    first_of = {view: first for first, views in rigs_of(model.cameras).items() for view in views}  # these go together
     while len(model.cameras) > 2:
-        balance = dict.fromkeys((view for view in model.cameras if view not in model.held), 0)
+        balance = dict.fromkeys((first_of.get(view, view) for view in model.cameras if view not in model.held), 0)
         for (i, j), geometry in geometries.items():
             if i in model.cameras and j in model.cameras:
                 agrees = straight_error_px(model.cameras[i], model.cameras[j], geometry) <= max_epipolar_px
-                for view in balance.keys() & {i, j}:
+                for view in balance.keys() & {first_of.get(i, i), first_of.get(j, j)}:
                     balance[view] += geometry.inliers if agrees else -geometry.inliers
         worst = min(balance, key=lambda view: (balance[view], view), default=None)
         if worst is None or balance[worst] >= 0:
             break
-        out.append(worst)
-        cameras = {view: camera for view, camera in model.cameras.items() if view != worst}
-        model = refine(replace(model, cameras=cameras, use=model.use & (model.tracks.view != worst)), rounds=3)
+        gone = [view for view in model.cameras if first_of.get(view, view) == worst]
+        out += gone
+        cameras = {view: camera for view, camera in model.cameras.items() if view not in gone}
+        model = refine(replace(model, cameras=cameras, use=model.use & ~np.isin(model.tracks.view, gone)), rounds=3)
     return model, out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
@@ -11,10 +12,15 @@ from ..types import Camera, Float64s, Geometry, Pair, View
 from .focal import Lenses, guess_lenses, relative_rotations, unsure_deg
 from .incremental import Model, grow
 from .loops import check_loops
+from .rigs import between, rigs_of
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
 
 _AMBIGUOUS = (Reason.AMBIGUOUS, Reason.SAME_FROM_OTHER_SIDES, Reason.SAME_ALONG_A_ROW)
+
+
+_CERTAIN = 2.0
+"""What is tied goes before all that is only probable."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,12 @@ class ViewGraph:
         rotations = {edge: g.cam2_R_cam1 for edge, g in edges.items() if g.cam2_R_cam1 is not None}
         return cls(names, tuple(views.values()), lenses, edges, rotations)
 
+    @cached_property
+    def tied(self) -> dict[Edge, Float64s]:
+        """How views of one camera are turned against its first."""
+        views = dict(enumerate(self.views))
+        return {(a, b): between(views[a].lens, views[b].lens) for a, (_, *others) in rigs_of(views).items() for b in others}
+
     def pair(self, edge: Edge) -> str:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
@@ -48,7 +60,8 @@ class ViewGraph:
         checks = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
         dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
         believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}
-        averaged = average_rotations(believed, {edge: checks[edge].good_probability for edge in believed})
+        weights = {edge: checks[edge].good_probability for edge in believed} | dict.fromkeys(self.tied, _CERTAIN)
+        averaged = average_rotations(believed | self.tied if believed else {}, weights)
         trusted = []
         for edge, R in believed.items():
             off_deg = angle_between_deg(R, averaged[edge[1]] @ averaged[edge[0]].T)
@@ -61,7 +74,8 @@ class ViewGraph:
     def models(self, trusted: list[Edge], known: Mapping[int, Camera]) -> list[Model]:
         """A model of every part that hangs together, largest first; known cameras stay."""
         found = []
-        waiting = components(trusted, sorted({view for edge in trusted for view in edge}))
+        tied = list(self.tied)
+        waiting = [part for part in components([*trusted, *tied], _views([*trusted, *tied])) if {*part} & {*_views(trusted)}]
         while waiting:
             part = waiting.pop(0)
             edges = {edge: self.geometries[edge] for edge in trusted if edge[0] in part and edge[1] in part}
@@ -73,7 +87,8 @@ class ViewGraph:
                 continue
             found.append(model)
             left = [view for view in part if view not in model.cameras]
-            waiting += [p for p in components([e for e in edges if e[0] in left and e[1] in left], left) if len(p) > 1]
+            theirs = [e for e in (*edges, *tied) if e[0] in left and e[1] in left]
+            waiting += [p for p in components(theirs, left) if len(p) > 1]
         return sorted(found, key=lambda model: (-len(model.cameras), min(model.cameras)))
 
     def why_nothing(self, trusted: list[Edge], dropped: Mapping[Edge, Rejected]) -> Rejected:
@@ -92,3 +107,7 @@ class ViewGraph:
             return Rejected(Reason.NOTHING_CONFIRMED, figures)
         nobody = codes.count(Reason.NOT_BELIEVED) > 0.5 * len(codes)
         return Rejected(Reason.NOTHING_BELIEVED if nobody else Reason.PAIRS_CONTRADICT, figures)
+
+
+def _views(edges: list[Edge]) -> list[int]:
+    return sorted({view for edge in edges for view in edge})

@@ -8,11 +8,13 @@ from itertools import combinations
 
 import numpy as np
 
+from ..core.cameras import same_camera
 from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector, skew
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Bools, Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, Sigma, Witnesses, slack_px
+from .rigs import between, rigs_of
 from .tracks import Edge, Tracks, build_tracks
 from .triangulation import angles, residuals, triangulate
 
@@ -76,8 +78,9 @@ def adjust_within(
         if not strayed:
             return {name: found[number[name]] for name in names}
         worst = max(strayed, key=strayed.__getitem__)  # it stays where it is stated, and has no say about the others
-        known = {view: sigma for view, sigma in known.items() if view != worst}
-        edges = {edge: geometry for edge, geometry in edges.items() if worst not in edge}
+        gone = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
+        known = {view: sigma for view, sigma in known.items() if view not in gone}
+        edges = {edge: geometry for edge, geometry in edges.items() if not gone & {*edge}}
         tracks = build_tracks(edges, len(names))
 
 
@@ -140,7 +143,13 @@ class _Problem:
         self.tracks = Tracks(tracks.track[rows], tracks.view[rows], tracks.xy[rows], tracks.count)
         self.all = tracks
         self.use = use
-        self.place = {view: 6 * k for k, view in enumerate(known)}
+        rigs = {view: views[0] for views in rigs_of({v: stated[v] for v in known}).values() for view in views}
+        self.first = {view: rigs.get(view, view) for view in known}
+        """Views of one camera move as its first."""
+        blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(self.first.values()))}
+        self.place = {view: blocks[first] for view, first in self.first.items()}
+        self.size = 6 * len(blocks)
+        self.turns = {v: between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
 
     def points(self, cameras: Mapping[int, Camera]) -> Float64s:
         """(count, 3) where the observations in use meet."""
@@ -151,12 +160,13 @@ class _Problem:
         found = dict(cameras)
         for view, k in self.place.items():
             camera = cameras[view]
-            found[view] = replace(camera, R=rotation_matrix(step[k : k + 3]) @ camera.R, C=camera.C + step[k + 3 : k + 6])
+            turn = step[k : k + 3] if view not in self.turns else self.turns[view] @ step[k : k + 3]
+            found[view] = replace(camera, R=rotation_matrix(turn) @ camera.R, C=camera.C + step[k + 3 : k + 6])
         return found
 
     def equations(self, cameras: Mapping[int, Camera]) -> Equations:
         """Cauchy loss of the pixels in standard deviations, plus the priors; normal equations with the points eliminated."""
-        tracks, size = self.tracks, 6 * len(self.place)
+        tracks, size = self.tracks, self.size
         X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), NOISES * self.noise)
         off = residuals(cameras, tracks, X) / self.noise
         seen = np.isfinite(off).all(axis=1)
@@ -198,6 +208,8 @@ class _Problem:
             D = (camera.K[None, :2] - p[:, :2, None] * camera.K[None, 2:]) / z[:, None, None]  # pixels by camera axes
             turned = np.stack([skew(v) for v in x]) if len(x) else np.zeros((0, 3, 3))
             J_camera[rows, :, :3] = np.einsum("nij,njk->nik", D, turned) / self.noise
+            if view in self.turns:
+                J_camera[rows, :, :3] = J_camera[rows, :, :3] @ self.turns[view]
             J_point[rows] = -D @ camera.R / self.noise
             J_camera[rows, :, 3:] = -J_point[rows]
         return J_camera, J_point
@@ -205,6 +217,8 @@ class _Problem:
     def _with_priors(self, cameras: Mapping[int, Camera], cost: float, normal: Float64s, right: Float64s) -> Equations:
         cost, normal, right = self.share * cost, self.share * normal, self.share * right
         for view, k in self.place.items():
+            if view in self.turns:
+                continue
             sigma, camera, stated = self.known[view], cameras[view], self.stated[view]
             turned = rotation_vector(camera.R @ stated.R.T)
             for first, off, known in ((0, turned, np.radians(sigma.degrees)), (3, camera.C - stated.C, sigma.metres)):

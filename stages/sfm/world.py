@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.cameras import camera_id, same_camera
 from ..core.similarity import Similarity
 from ..types import Camera, Float64s, Placement, Survey
 from .alignment import Landmark, align, upward
 from .control_points import control_landmarks
 from .incremental import Model, refine, replace_cameras
+from .rigs import rigs_of, whole_R
 from .view_graph import ViewGraph
 
 EXACT_SHARE = 1e-4
@@ -50,7 +52,9 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         Distances and control points that are known.
     """
     cameras = model.cameras
-    placed = {view: placements[name] for view in cameras if (name := graph.names[view]) in placements}
+    beside = {view for views in rigs_of(cameras).values() for view in views[1:]}  # where they are says nothing more
+    firsts = [view for view in cameras if view not in beside]
+    placed = {view: placements[name] for view in firsts if (name := graph.names[view]) in placements}
     landmarks = [
         Landmark(graph.names[view], cameras[view].C, p.C, cameras[view].R if p.R is not None else None, p.R, p.sigma_m)
         for view, p in placed.items()
@@ -58,7 +62,7 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     ]
     landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
     metric = all(p.metric for p in placed.values() if p.C is not None)
-    up = upward(list(cameras.values()))
+    up = upward([replace(cameras[view], R=whole_R(cameras[view])) for view in firsts])
     depth = _median_depth(model)
     scale, scale_notes = _scale_of_distances(graph, cameras, survey)
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
@@ -68,7 +72,9 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         similarity = _own_frame(cameras, landmarks, up, factor)
         model = _moved(model, similarity)
         why = "known distances" if known_scale else "none: the median baseline is 1, the cloud is not metric"
-        alone = sum(p.C is not None for p in placements.values()) == 1  # without a scale it fits nothing else that is placed
+        again = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
+        count = sum(p.C is not None for name, p in placements.items() if name not in again)
+        alone = count == 1  # without a scale it fits nothing else that is placed
         return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {}, scale_notes)
     unplaced, model = model, _moved(model, alignment.similarity)
     exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
@@ -81,7 +87,8 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         why = "known distances" if scale is not None else "none: the median baseline is 1, the cloud is not metric"
         return World(_moved(unplaced, similarity), False, scale is not None, why, {}, (*scale_notes, note))
     if len(held) >= 2:
-        stated = {view: _at(model.cameras[view], placed[view]) for view in held}
+        held = [view for view in cameras if any(view == h or same_camera(cameras[view], cameras[h]) for h in held)]
+        stated = {view: _at(model.cameras[view], placements[graph.names[view]]) for view in held}
         model = refine(replace_cameras(model, {**model.cameras, **stated}), held)
     else:
         measured = {number[name]: placements[name] for name in alignment.trusted if name in number}
@@ -112,12 +119,11 @@ def _source(trusted: tuple[str, ...], known: int) -> str:
 def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
     """Metres for each unit of the model from the known distances, and a note where they disagree."""
     ratios = []
+    placed = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
         a, b = survey.cameras[int(i)], survey.cameras[int(j)]
-        if a in graph.names and b in graph.names:
-            u, v = graph.names.index(a), graph.names.index(b)
-            if u in cameras and v in cameras:
-                ratios.append(metres / np.linalg.norm(cameras[u].C - cameras[v].C))
+        if a in placed and b in placed:
+            ratios.append(metres / np.linalg.norm(placed[a] - placed[b]))
     if not ratios:
         return None, ()
     scale = float(np.median(ratios))
@@ -128,7 +134,7 @@ def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey:
 def _own_frame(cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float) -> Similarity:
     """z up, x to the right of the first camera, which is at the origin (or at its known place)."""
     first = cameras[min(cameras)]
-    right = first.R[0] - (first.R[0] @ up) * up
+    right = whole_R(first)[0] - (whole_R(first)[0] @ up) * up
     right /= np.linalg.norm(right)
     R = np.array([right, np.cross(up, right), up])
     origin, target = first.C, np.zeros(3)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from ..core.jit import kernel
+from ..core.lenses import lens_pixels
 from ..types import Camera, Float32s, Float64s, Lens
 
 CENTRE = (20.0, 18.0)
@@ -23,11 +25,22 @@ class Viewpoint:
     target: tuple[float, float, float]
     """What it looks at, metres."""
     hfov_deg: float
-    distortion: tuple[float, float, float, float, float]
-    """k1 k2 p1 p2 k3."""
+    distortion: tuple[float, ...]
+    """Coefficients of the lens: of a brown one k1 k2 p1 p2 k3."""
     roll_deg: float = 0.0
     shift: tuple[float, float] = (0.0, 0.0)
     """How far the principal point lies off the middle, in units of 0.6 % of the width."""
+    model: Literal["brown", "fisheye"] = "brown"
+    scale: float = 1.0
+    """Of its pictures' size."""
+    whole_picture: bool = False
+    """`hfov_deg` is that of the (distorted) picture, rather than of the pinhole with the same K."""
+    sight: Literal["colour", "grey", "infrared"] = "colour"
+    """What its sensor sees; infrared light is its own lamp's at night."""
+
+    def size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(width, height) of its pictures where those of others have `size`."""
+        return round(self.scale * size[0]), round(self.scale * size[1])
 
 
 @dataclass(frozen=True)
@@ -106,14 +119,27 @@ def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
 
 
 def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens]:
-    """The pinhole without distortion, and the lens with it, of `size` = (width, height) pixels."""
+    """The pinhole without distortion, and the lens with it, of `size` = (width, height) pixels.
+
+    Of a fisheye the first has its pose, size and K, but is no pinhole.
+    """
     width, height = size
-    focal = 0.5 * width / np.tan(np.deg2rad(viewpoint.hfov_deg) / 2)
+    focal = 0.5 * width / _half_width(viewpoint)
     shift = 0.006 * width * np.array(viewpoint.shift)
     K = np.array([[focal, 0, (width - 1) / 2 + shift[0]], [0, focal, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
     centre = np.array(viewpoint.centre)
     R = look_at(centre, np.array(viewpoint.target), roll_deg=viewpoint.roll_deg)
-    return Camera(K, R, centre, width, height), Lens(K=K, distortion=np.array(viewpoint.distortion), width=width, height=height)
+    lens = Lens(K=K, distortion=np.array(viewpoint.distortion), width=width, height=height, model=viewpoint.model)
+    return Camera(K, R, centre, width, height), lens
+
+
+def _half_width(viewpoint: Viewpoint) -> float:
+    """Of the picture, over the focal length."""
+    angle = np.deg2rad(viewpoint.hfov_deg) / 2
+    if viewpoint.model == "fisheye" or viewpoint.whole_picture:
+        lens = Lens(K=np.eye(3), distortion=np.array(viewpoint.distortion), model=viewpoint.model)
+        return float(lens_pixels(lens, np.array([[np.sin(angle), 0.0, np.cos(angle)]]))[0, 0])
+    return float(np.tan(angle))
 
 
 @kernel
@@ -135,6 +161,25 @@ def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion
         rays[k, 0], rays[k, 1], rays[k, 2] = a, b, 1.0
 
 
+@kernel
+def _unbend(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
+    """Unit ray directions in camera axes of the pixels of a fisheye, by Newton's steps on Kannala and Brandt's polynomial."""
+    k1, k2, k3, k4 = distortion
+    for k in range(x.shape[0]):
+        u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
+        radius = np.sqrt(u * u + v * v)
+        angle = radius
+        for _ in range(30):
+            t2 = angle * angle
+            off = angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius
+            step = off / (1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4))))
+            angle -= step
+            if abs(step) < 1e-13:
+                break
+        across = np.sin(angle) / radius if radius > 0 else 0.0
+        rays[k, 0], rays[k, 1], rays[k, 2] = across * u, across * v, np.cos(angle)
+
+
 def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
     """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion).
 
@@ -149,9 +194,11 @@ def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> F
     y : ndarray
         (n,) pixels.
     """
-    distortion = np.zeros(5) if lens is None else lens.distortion
     rays = np.empty((len(x), 3))
-    _undistort(rays, x, y, camera.K, distortion)
+    if lens is not None and lens.model == "fisheye":
+        _unbend(rays, x, y, camera.K, lens.distortion)
+    else:
+        _undistort(rays, x, y, camera.K, np.zeros(5) if lens is None else lens.distortion)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return np.asarray(rays @ camera.R, dtype=np.float32)
 

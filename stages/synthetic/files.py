@@ -15,6 +15,7 @@ from ..types import Cloud
 from .encode import jpeg, png
 from .scenes import SCENES, render
 from .shooting import DemoCamera, DemoSite
+from .variants import VARIANTS
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,14 @@ class DemoFiles:
 
 
 def demo_files(
-    scene: str, *, small: bool = False, light: str = "day", cameras: int | None = None, captures: int | None = None, seed: int = 0
+    scene: str,
+    *,
+    small: bool = False,
+    light: str = "day",
+    cameras: int | None = None,
+    captures: int | None = None,
+    seed: int = 0,
+    lenses: str = "standard",
 ) -> DemoFiles:
     """Render a scene; the same arguments give the same bytes.
 
@@ -54,25 +62,28 @@ def demo_files(
         How many cameras, and captures of each; the scene's own where not given.
     seed : int
         Of everything that is drawn at random.
+    lenses : str
+        A name of `variants.VARIANTS`.
 
     Raises
     ------
     ValueError
-        An unknown scene or light, or impossible numbers.
+        An unknown scene, light or kind of lenses, or impossible numbers.
     """
-    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light)
-    which = {} if scene == "yard" else {"scene": scene}
+    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, lenses=lenses)
+    which = ({} if scene == "yard" else {"scene": scene}) | ({} if lenses == "standard" else {"lenses": lenses})
     told = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
-    return DemoFiles(told, _files(site, scene, light))
+    return DemoFiles(told, _files(site, scene, light, lenses))
 
 
-def _files(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes | Points]]:
+def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes | Points]]:
     """Name and content of every file of the demo."""
     for camera in site.cameras:
         for k, image in enumerate(camera.captures):
             yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
         yield f"masks/{camera.name}.png", png(camera.mask)
-        yield f"truth/depth/{camera.name}.npz", npz_bytes(depth=camera.depth)
+        truth = {"range" if camera.lens.model == "fisheye" else "depth": camera.depth}
+        yield f"truth/depth/{camera.name}.npz", npz_bytes(**truth)
     calibration = json_bytes({camera.name: calibration_of(camera) for camera in site.cameras})
     yield "cameras.json", calibration
     yield "truth/cameras.json", calibration
@@ -80,10 +91,13 @@ def _files(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes 
     summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
     yield "truth/reference.json", json_bytes(summary)
     row = SCENES[scene]
-    yield "README.txt", _README.format(about=row.about, scene="yard" if scene == "yard" else "scene").encode()
+    told = {"about": row.about, "scene": "yard" if scene == "yard" else "scene", "lenses": VARIANTS[lenses]}
+    readme = _README.format(**told, also=_LENSES.format(**told) if lenses != "standard" else "")
+    yield "README.txt", readme.encode()
     about = _CAPTURES.format(night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
     cameras = [camera.name for camera in site.cameras]
-    yield "site.yaml", site_file(scene, cameras, "{camera}/{date:%Y-%m-%d}_*.jpg", about, row.angles_deg).encode()
+    file = site_file(scene, cameras, "{camera}/{date:%Y-%m-%d}_*.jpg", about, row.angles_deg)
+    yield "site.yaml", (file + (_WHOLE_FIELD if lenses == "brown" else "")).encode()
 
 
 def calibration_of(camera: DemoCamera) -> dict[str, Any]:
@@ -93,6 +107,7 @@ def calibration_of(camera: DemoCamera) -> dict[str, Any]:
         "width": camera.lens.width,
         "height": camera.lens.height,
         "K": camera.lens.K.tolist(),
+        **({} if camera.lens.model == "brown" else {"model": camera.lens.model}),
         "distortion": camera.lens.distortion.tolist(),
         "R": camera.camera.R.tolist(),
         "C": camera.camera.C.tolist(),
@@ -169,6 +184,17 @@ resolution: null
 pairs: {{degree: 4, min_angle: {low:g}, max_angle: {high:g}}}
 """
 
+_WHOLE_FIELD = """
+# Frames as wide as the lenses see, rather than what has place with their own K.
+stages: {frames: {whole_field: true}}
+"""
+
+_LENSES = """\
+Its cameras: {lenses}.
+Of a fisheye (k1 k2 k3 k4), truth/depth has the key 'range': metres along the ray of each pixel of a capture.
+
+"""
+
 _README = """\
 The demo site of wbflow: {about}, rendered with exact truth.
 
@@ -182,5 +208,5 @@ truth/cameras.json  the same as cameras.json, for when you change that one
 truth/reference.ply surfaces that at least two cameras see; truth/reference.json says how finely
 demo.json           what was rendered, and the digest of every file
 
-Delete R and C in cameras.json to see the poses solved; compare with truth/cameras.json.
+{also}Delete R and C in cameras.json to see the poses solved; compare with truth/cameras.json.
 """

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..core.cameras import backproject
+from ..core.cameras import backproject, same_camera
 from ..evaluate import count_views
 from ..types import Camera, Cloud, Float32s, Float64s, Uint8s, Uint16s
 
@@ -37,7 +37,7 @@ def reference_cloud(
     for k, (camera, depth, normal, color) in enumerate(zip(cameras, depths, normals, colors, strict=True)):
         v, u = np.nonzero(depth > 0)
         points = backproject(camera, np.column_stack([u, v]).astype(np.float64), depth[v, u].astype(np.float64))
-        others = [i for i in range(len(cameras)) if i != k]
+        others = [i for i in range(len(cameras)) if i != k and not same_camera(cameras[i], camera)]
         views = 1 + count_views(points, [cameras[i] for i in others], [depths[i] for i in others])
         shared = views >= 2
         seen = _Cells(

@@ -12,6 +12,7 @@ from typing import cast
 
 from .shooting import DemoSite
 from .shots import Daytime, Shots
+from .variants import check_lenses
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ def render(
     captures: int | None = None,
     seed: int = 0,
     light: str = "day",
+    lenses: str = "standard",
 ) -> DemoSite:
     """Render a scene in memory; the same arguments give the same bytes.
 
@@ -69,18 +71,21 @@ def render(
         Of textures, movers, exposures and noise.
     light : str
         "day", "dusk", "night", or "dark": night without lamps.
+    lenses : str
+        A name of `variants.VARIANTS`.
 
     Raises
     ------
     ValueError
-        An unknown scene or light, or impossible numbers.
+        An unknown scene, light or kind of lenses, or impossible numbers.
     """
     if name not in SCENES:
         raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")
     row = SCENES[name]
+    check_lenses(lenses)
     if small:
         cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures
     module, _, function = row.function.partition(":")
     scene = getattr(import_module(module), function)
     counts = (row.cameras if cameras is None else cameras, row.captures if captures is None else captures)
-    return cast(DemoSite, scene(Shots(*counts, size or row.size, seed, cast(Daytime, light))))
+    return cast(DemoSite, scene(Shots(*counts, size or row.size, seed, cast(Daytime, light), lenses=lenses)))

@@ -7,20 +7,23 @@ depth, and a reference cloud.  The same arguments give the same bytes.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
 import numpy.typing as npt
 
+from ..capture.wide import views_of_lens
 from ..core.cameras import project
+from ..core.lenses import lens_pixels
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 from .cameras import Viewpoint, camera_at, distort, pixel_rays
 from .reference import reference_cloud
 from .renderer import Light, PreparedScene, Seen, SkyGrid, build_atlas, look, shade
 from .scene import WATER, Scene, joined
-from .sensor import burn_clock, clock_mask, develop, sensor_of
+from .sensor import burn_clock, clock_mask, colourless, develop, seen_as, sensor_of
 from .shots import Daytime, Shots
+from .variants import fitted, lit, own_lamp
 
 FIRST_CAPTURE = {
     "day": datetime(2026, 11, 19, 14, 2, 11),
@@ -46,7 +49,7 @@ class DemoCamera:
     """(h, w) bool, False under the clock."""
     depth: Float32s
     """(h, w) float32, metres along the axis, of the empty scene in the undistorted view with the lens's own K, 0 where there is
-    only sky or water."""
+    only sky or water.  Of a fisheye: metres along the ray of each pixel of a capture."""
     camera: Camera
     """That undistorted view."""
     lens: Lens
@@ -100,31 +103,42 @@ def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
     busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
     shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
     with ThreadPoolExecutor(shots.threads) as pool:
-        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, shots.size), night.viewpoints))
-    rows = [camera for camera, _ in done]
-    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [upright(c) for c in rows]
-    return DemoSite(tuple(rows), reference_cloud(pinholes, depths, [n for _, n in done], colors, voxel_m), voxel_m)
+        viewpoints = fitted(night.viewpoints, shots.lenses)
+        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, viewpoint.size(shots.size)), viewpoints))
+    views = [view for _, seen in done for view in seen]
+    pinholes, depths, normals, colors = zip(*views, strict=True)
+    return DemoSite(tuple(camera for camera, _ in done), reference_cloud(pinholes, depths, normals, colors, voxel_m), voxel_m)
 
 
-def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, Float32s]:
-    """All captures of one camera and its truth, with the normals (h, w, 3) of the depth map."""
+TrueView = tuple[Camera, Float32s, Float32s, Uint8s]
+"""A pinhole view, depth (h, w) and normals (h, w, 3) of the empty scene in it, and its colours (h, w, 3)."""
+
+
+def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, list[TrueView]]:
+    """All captures of one camera and its truth, and what it sees in one pinhole or, of a fisheye, in several."""
     camera, lens = camera_at(viewpoint, size)
-    depth, normals = true_depth(shoot.empty, camera)
+    depth, normals = true_range(shoot.empty, camera, lens) if lens.model == "fisheye" else true_depth(shoot.empty, camera)
     seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
     sensor = sensor_of(np.random.default_rng(seed), shoot.light)
-    still = render_view(shoot.empty, camera, lens)
+    own_light = own_lamp(shoot.empty.light, viewpoint, shoot.light)
+    still = render_view(lit(shoot.empty, own_light), camera, lens)
     images, times = [], []
     for k, (prepared, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
         rng = np.random.default_rng([*seed, k])
         time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
         radiance = still.copy()
         pixels = np.flatnonzero(touched(scene, shoot.empty.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
-        image = develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+        radiance.reshape(-1, 3)[pixels] = render_pixels(lit(prepared, own_light), camera, lens, pixels)
+        image = develop(seen_as(radiance, viewpoint.sight), sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+        image = image if viewpoint.sight == "colour" else colourless(image)
         images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
         times.append(time)
     placement = Placement(R=camera.R, C=camera.C)
-    return DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement), normals
+    demo = DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement)
+    if lens.model != "fisheye":
+        return demo, [(camera, depth, normals, upright(demo))]
+    pinholes = pinholes_of(camera, lens, viewpoint.name)
+    return demo, [(pinhole, *true_depth(shoot.empty, pinhole), upright(demo, pinhole)) for pinhole in pinholes]
 
 
 def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
@@ -197,13 +211,52 @@ def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float
     """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
-    distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
-    known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
-    depth = np.where(known, distance * (rays @ camera.R[2].astype(np.float32)), 0).astype(np.float32)
-    normals = prepared.scene.normals[np.maximum(facet, 0)]
-    normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
+    distance, normals = _truth(prepared, camera.C, rays)
+    depth = (distance * (rays @ camera.R[2].astype(np.float32))).astype(np.float32)
     shape = (camera.height, camera.width)
     return depth.reshape(shape), normals.reshape(*shape, 3)
+
+
+def true_range(prepared: PreparedScene, camera: Camera, lens: Lens) -> tuple[Float32s, Float32s]:
+    """Metres (h, w) float32 along the rays of a lens's pixels, and normals, as `true_depth`."""
+    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    rays = pixel_rays(camera, lens, x.astype(np.float64), y.astype(np.float64))
+    distance, normals = _truth(prepared, camera.C, rays)
+    return distance.reshape(camera.height, camera.width), normals.reshape(camera.height, camera.width, 3)
+
+
+def _truth(prepared: PreparedScene, centre: Float64s, rays: Float32s) -> tuple[Float32s, Float32s]:
+    """Distance (n,) along unit rays (n, 3), 0 where there is no truth, and normals (n, 3) against them."""
+    distance, facet = prepared.cast(np.broadcast_to(centre.astype(np.float32), rays.shape), rays)
+    known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
+    normals = prepared.scene.normals[np.maximum(facet, 0)]
+    normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
+    return np.where(known, distance, np.float32(0)), normals
+
+
+def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
+    """The pinhole views in which together all is seen that a wide lens sees.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its pose.
+    lens : Lens
+        Wide.
+    name : str
+        The camera's id, which all of them have in their `lens`.
+    """
+    assert lens.K is not None
+    found = []
+    for turn, (left, right, up, down) in views_of_lens(
+        lens.K.tolist(), lens.distortion.tolist(), lens.width, lens.height, lens.model
+    ):
+        f = lens.K[0, 0]
+        K = np.array([[f, 0.0, -f * left - 0.5], [0.0, f, -f * up - 0.5], [0.0, 0.0, 1.0]])
+        size = round(f * (right - left)), round(f * (down - up))
+        R = np.array(turn) @ camera.R
+        found.append(Camera(K, R, camera.C, *size, lens=replace(lens, camera=name, turn=np.array(turn))))
+    return found
 
 
 def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
@@ -227,8 +280,13 @@ def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
     swept = [np.concatenate([facets, shadow], axis=1) for shadow in _shadows(facets, light)]
     for group in [facets, *swept]:
-        pixels, ahead = project(camera, group.reshape(-1, 3))
-        at = distort(lens, pixels).reshape(len(group), -1, 2) / tile
+        if lens.model == "fisheye":
+            rays = (group.reshape(-1, 3) - camera.C) @ camera.R.T
+            pixels, ahead = lens_pixels(lens, rays), np.linalg.norm(rays, axis=1)
+        else:
+            pinhole, ahead = project(camera, group.reshape(-1, 3))
+            pixels = distort(lens, pinhole)
+        at = pixels.reshape(len(group), -1, 2) / tile
         at = at[(ahead.reshape(len(group), -1) > 0.5).all(axis=1) & (np.abs(at) < 1e4).all(axis=(1, 2))]
         low = np.clip(np.floor(at.min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
         high = np.clip(np.floor(at.max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
@@ -258,11 +316,18 @@ def _on_ground(start: Float64s, end: Float64s) -> Float64s:
     return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
-def upright(camera: DemoCamera) -> Uint8s:
-    """Colours (h, w, 3) of the undistorted view: the median of the captures at the nearest pixel."""
-    view = camera.camera
+def upright(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
+    """Colours (h, w, 3) of the undistorted view, or of another pinhole of it: the median of the captures at the nearest pixel."""
+    view = pinhole or camera.camera
     y, x = np.divmod(np.arange(view.width * view.height), view.width)
-    at = np.rint(distort(camera.lens, np.column_stack([x, y]).astype(np.float64))).astype(np.intp)
-    u, v = np.clip(at[:, 0], 0, view.width - 1), np.clip(at[:, 1], 0, view.height - 1)
+    pixels = np.column_stack([x, y]).astype(np.float64)
+    if view.lens is None:
+        at = distort(camera.lens, pixels)
+    else:
+        assert view.lens.turn is not None
+        rays = np.column_stack([pixels, np.ones(len(x))]) @ np.linalg.inv(view.K).T
+        at = np.nan_to_num(lens_pixels(camera.lens, rays @ view.lens.turn))
+    at = np.rint(at).astype(np.intp)
+    u, v = np.clip(at[:, 0], 0, camera.lens.width - 1), np.clip(at[:, 1], 0, camera.lens.height - 1)
     middle = np.median(np.stack([image[v, u] for image in camera.captures]), axis=0).astype(np.uint8)
     return np.asarray(middle.reshape(view.height, view.width, 3), np.uint8)

@@ -26,6 +26,8 @@ class Shots:
     """The hour."""
     threads: int = 2
     """Of rendering; the result does not depend on it."""
+    lenses: str = "standard"
+    """A name of `variants.VARIANTS`."""
 
     def check(self, there_are: int) -> None:
         """Raises ValueError for pictures that are too small, or none, and for more cameras than `there_are`."""

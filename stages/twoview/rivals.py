@@ -131,7 +131,9 @@ def _first(pair: ViewPair) -> Correspondences:
 
 def _best(keypoint: Int32s, distance: Float64s, count: int) -> Bools:
     """(n,) which candidates are the nearest of their keypoint."""
-    order = np.lexsort((distance, keypoint))
+    least = np.full(count, np.inf)
+    np.minimum.at(least, keypoint, distance)
+    rows = np.flatnonzero(distance == least[keypoint])[::-1]
     nearest = np.full(count, -1, np.int64)
-    nearest[keypoint[order[::-1]]] = order[::-1]  # of several, the last one written stays
+    nearest[keypoint[rows]] = rows  # of several, the last one written stays: the first of all
     return np.asarray(nearest[keypoint] == np.arange(len(keypoint)))

@@ -36,6 +36,12 @@ class Lens:
     height: int = 0
     model: str = "brown"
     """How the lens bends light: a name of `core.lenses`."""
+    camera: str = ""
+    """Of one view among several of a camera: the id of the camera; views of one camera share its place and its captures."""
+    turn: Float64s | None = None
+    """(3, 3), from the camera's axes to those of this view; None where the view is the camera's own."""
+    window: Float64s | None = None
+    """(4,) how far this view reaches to the left, right, up and down: x / z and y / z in its axes."""
 
 
 @short_repr

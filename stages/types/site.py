@@ -62,6 +62,8 @@ class Poses:
     """By "left--right", of every pair that was looked at."""
     suspects: Mapping[str, str] = field(default_factory=dict)
     """Known poses (by id) that the images contradict, and by how much."""
+    doubtful: Mapping[str, str] = field(default_factory=dict)
+    """Known poses (by id) that stay in use, though all that contradicts known poses has them in common; and by how much."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()

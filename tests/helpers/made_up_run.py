@@ -17,6 +17,7 @@ from wbflow.graph.pipeline import STAGES, stage_with
 from wbflow.graph.rows import Role
 from wbflow.results.report.page import build_report
 from wbflow.store.artifact import digest
+from wbflow.store.cache import Cache
 from wbflow.store.events import Event, TaskEvent
 from wbflow.store.layout import WorkFolder
 from wbflow.store.record import (
@@ -145,13 +146,16 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     for row in STAGES:
         for subject in subjects.get(row.scope, ()) if row.large or row.marks else ():
             events += _made(described, Task(row.name, subject), row.large or row.marks, jpeg if row.large else corners)
+    for pair in (p for p in night.pairs if not p.ok):
+        tried = Task(stage_with(Role.GEOMETRY).name, (pair.left, pair.right))
+        events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))
         earlier = UnfinishedRun(work, before.run)
         earlier.write_cameras(cameras(ids))
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
-    told = build_report(described, work, night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
+    told = build_report(described, Cache(work), night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
     return unfinished.publish(night, events, told).paths.report
 
 

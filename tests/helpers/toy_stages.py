@@ -46,14 +46,17 @@ from wbflow_stages.types import (
 
 
 def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *, resolution: int | None = None) -> Frame:
-    """Captures are text: `broken` raises, anything else becomes pixels."""
+    """Captures are text: `broken` raises, anything else becomes pixels; "ok/blind/ok: a view" says how each of three views is."""
     _trouble("frames")
     data = b"".join(capture.data.tobytes() for capture in captures)
     if data.startswith(b"broken"):
         raise ValueError(f"{captures[0].name} is not an image")
     pixels = np.frombuffer(hashlib.sha256(data).digest() * 6, dtype=np.uint8).reshape(8, 8, 3)
     state = data.split(b":")[0].decode() if b":" in data else "ok"
-    return Frame(pixels, np.ones((8, 8), bool), View(8, 8, np.eye(3)), notes=("toy", state))
+    if lens.turn is not None:  # the middle, left or right view
+        state = state.split("/")[int(np.sign(np.round(lens.turn[2, 0], 6))) % 3 * 2 % 3] if "/" in state else state
+    view = View(8, 8, np.eye(3), lens=lens if lens.camera else None)
+    return Frame(pixels, np.ones((8, 8), bool), view, notes=("toy", state))
 
 
 def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nudged_px: float = 1.5) -> CameraHealth:
@@ -112,7 +115,10 @@ def solve_poses(
     unsolved = {name: "is left out" for name in views if name == leave_out}
     names = [name for name in views if name not in unsolved]
     groups = tuple(tuple(names[k::worlds]) for k in range(worlds))
-    cameras = {n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds) for i, n in enumerate(names)}
+    cameras = {
+        n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds, lens=views[n].lens)
+        for i, n in enumerate(names)
+    }
     return Poses(cameras, unsolved, {}, metric=True, source="calibration", components=groups, crs=survey.crs)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -11,7 +12,7 @@ import pytest
 from tests.helpers.exact_scene import make_yard
 from wbflow_stages.core.ground_grid import cell_centres, cells_of
 from wbflow_stages.coverage import find_coverage
-from wbflow_stages.exports.ground import coverage_files, coverage_preview
+from wbflow_stages.exports.ground import coverage_files, coverage_layer, coverage_preview
 from wbflow_stages.types import Coverage, Poses, Rejected, Scene
 
 YARD = make_yard((-40, -20, 0, 20, 40), width=160)
@@ -104,3 +105,21 @@ def test_it_is_drawn_and_written_for_maps() -> None:
         assert np.isfinite(views).sum() == pytest.approx(np.isfinite(coverage.heights).sum(), rel=0.02)
     assert cv2.imdecode(coverage_preview(coverage, POSES), 1) is not None
     assert list(dict(coverage_files(covered()))) == ["coverage.png"]
+
+
+def test_as_a_layer_of_a_map_its_corners_lie_around_its_cells() -> None:
+    coverage = covered()
+    data = coverage_layer(coverage)
+    length = int.from_bytes(data[:4], "little")
+    head, image = json.loads(data[4 : 4 + length]), cv2.imdecode(np.frombuffer(data[4 + length :], np.uint8), -1)
+    assert image is not None
+    assert image.shape == (coverage.grid.rows, coverage.grid.columns, 4)
+    assert np.array_equal(image[..., 3] > 0, np.isfinite(coverage.heights)), "clear where nothing is known"
+    top_left, top_right, bottom_left = np.array(head["corners"])
+    centres = cell_centres(coverage.grid, np.full(coverage.heights.shape, top_left[2]))
+    right, down = (top_right - top_left) / coverage.grid.columns, (bottom_left - top_left) / coverage.grid.rows
+    assert top_left + (right + down) / 2 == pytest.approx(centres[0])
+    assert top_right + bottom_left - top_left - (right + down) / 2 == pytest.approx(centres[-1])
+    views = int(coverage.views[np.isfinite(coverage.heights)].max())
+    red, green, blue = (int(head["legend"][views][1][k : k + 2], 16) for k in (1, 3, 5))
+    assert image[np.unravel_index(coverage.views.argmax(), coverage.views.shape)].tolist() == [blue, green, red, 255]

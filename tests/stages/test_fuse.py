@@ -28,6 +28,9 @@ def test_exact_disparities_give_points_on_the_surfaces() -> None:
     yard = make_yard()
     cloud = fused(yard)
     assert len(cloud.points) > 8000
+    assert set(cloud.given) == set(yard.cameras) and sum(cloud.given.values()) > len(cloud.points), (
+        "by view, before they are merged"
+    )
     distance = yard.distance(cloud.points)
     assert np.percentile(distance, 95) < 0.01  # at 9 m, where a pixel covers 3.4 cm and disparities are stored to 1/16 px
     assert np.median(distance) < 0.004

@@ -85,12 +85,25 @@ force_option = click.option(
 )
 
 
-def load(path: Path, work: Path | None, notes: bool = True) -> Site:
-    """The site; notes: say what of its file is out of date (a run tells it itself, and logs it)."""
-    from ..config.load import load_site
-    from ..config.positions import SiteError
+def load(path: Path, work: Path | None, notes: bool = True, remembered: bool = False) -> Site:
+    """The site.
+
+    Parameters
+    ----------
+    path, work : Path
+        Its file, and another work folder than that names.
+    notes : bool
+        Say what of its file is out of date (a run tells it itself, and logs it).
+    remembered : bool
+        It need not be read where it is known: nobody asks where something stands in the file.
+    """
+    from ..config.places import SiteError
 
     try:
+        if remembered:
+            from ..config.remembered import load as load_site
+        else:
+            from ..config.load import load_site
         site = load_site(path, work.resolve() if work else None)
         for note in site.notes if notes else ():
             say(f"note: {note}", err=True)

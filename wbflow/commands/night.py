@@ -73,7 +73,7 @@ def run(
     """
     if date and since:
         raise UsageError("--date and --since name two things to do", remedy=f"give one of them: wbflow run {site} --since DAY")
-    loaded = load(site, work, notes=dry_run)
+    loaded = load(site, work, notes=dry_run, remembered=not dry_run)
     if dry_run:
         for day in _nights(loaded, date, since):
             _explain(loaded, day, asked["until"], asked["force"])
@@ -82,6 +82,7 @@ def run(
 
     from ..api import run as work_through
     from ..screen.watch import watching
+    from ..store.events import OnlyWarnings
 
     codes: list[int] = []
     records = []
@@ -92,7 +93,8 @@ def run(
             codes.append(ExitCode.DEGRADED)
             break
         with watching(loaded.name, verbose, quiet or as_json) as watch:
-            finished = work_through(loaded, date=day, listen=watch.hear, watch=watch.hear, **asked)
+            listen = OnlyWarnings(watch.hear) if (quiet or as_json) and not verbose else watch.hear
+            finished = work_through(loaded, date=day, listen=listen, watch=watch.hear, **asked)
         record = finished.record
         codes.append(record.exit_code)
         records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))

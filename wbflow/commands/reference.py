@@ -57,8 +57,9 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
         else:
             from ..night.pin import good_run
             from ..night.pin import pin as make
+            from ..store.cache import Cache
 
-            made = make(place, good_run(place, run_id))
+            made = make(Cache(place), good_run(place, run_id))
             said = f"run {made.run} (night of {made.date}) is the reference now: {place.reference}"
     say(said)
     if not (drop or refine) and loaded.pin == "none":
@@ -67,11 +68,12 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
 
 def _refine(site: Site, place: WorkFolder) -> str:
     from ..night.pool import pool
+    from ..store.cache import Cache
     from ..store.reference import read_reference, restore
 
     reference = read_reference(place)
     if reference is None:
         raise UsageError(f"{site.name} has no reference to refine", remedy=f"first: wbflow pin {site.file}")
-    restore(place, reference)
+    restore(Cache(place), reference)
     pooled = pool(place, reference, site.reader)
     return "\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet"

@@ -105,6 +105,7 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
 @run_argument
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the files.")
 @click.option("--laz", is_flag=True, help="The cloud as LAZ, on the map where positions are known by latitude and longitude.")
+@click.option("--e57", is_flag=True, help="The cloud as E57, on the map like LAZ; intensity is the confidence.")
 @click.option("--heights", is_flag=True, help="Heights seen from above: GeoTIFF where the site is on the map, else PNG, PFM.")
 @click.option("--depth", is_flag=True, help="Depth map of each camera: 16-bit PNG and PFM.")
 @click.option("--mesh", is_flag=True, help="The surface through the cloud (Poisson), as PLY.")

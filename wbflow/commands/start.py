@@ -20,12 +20,21 @@ if TYPE_CHECKING:
 @click.option("--scene", default="yard", metavar="NAME", help="yard, square, hall, hall-2, hall-4, houses, ...")
 @click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
+@click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown, mixed or infrared: other cameras.")
 @click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
 @click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Nights of the yard (640x360); what happens is in truth.")
 @click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Of each camera and night.")
 def demo(
-    folder: Path, scene: str, small: bool, light: str, cameras: int | None, seed: int, nights: int | None, frames: int
+    folder: Path,
+    scene: str,
+    small: bool,
+    light: str,
+    lenses: str,
+    cameras: int | None,
+    seed: int,
+    nights: int | None,
+    frames: int,
 ) -> None:
     """Render the demo site (captures, site.yaml, truth) into DIR.
 
@@ -35,14 +44,17 @@ def demo(
     \b
     wbflow demo yard                              eight cameras
     wbflow demo hall --scene hall-2 --light dusk
+    wbflow demo wide --lenses fisheye             every second camera sees 180 degrees
     wbflow demo harbour --nights 7 --small
     """
     from ..results.demo import write_demo, write_nights
 
     if nights is None:
-        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed)
-    elif (scene, light) != ("yard", "day"):
-        raise UsageError("--nights renders the yard, each night in its own light", remedy="leave out --scene and --light")
+        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed, lenses=lenses)
+    elif (scene, light, lenses) != ("yard", "day", "standard"):
+        raise UsageError(
+            "--nights renders the yard, each night in its own light", remedy="leave out --scene, --light and --lenses"
+        )
     else:
         write_nights(folder, nights, frames=frames, small=small, cameras=cameras, seed=seed)
     say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")

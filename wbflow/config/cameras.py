@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import printable
+from ..store.digests import stamp_at
 from ..store.outside import is_file
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import LocalFrame
@@ -42,7 +43,9 @@ def beside(path: str, place: Place, document: Document, problems: list[SiteProbl
         remedy = "write a path relative to the site file, or from the root: /srv/captures"
         problems.append(document.problem(place, f"{path!r} is no path: {printable(error)}", remedy))
         stated = Path(path.replace("\0", ""))
-    return Path(os.path.normpath(document.path.resolve().parent / stated))
+    found = Path(os.path.normpath(document.path.resolve().parent / stated))
+    document.stated.setdefault(str(found), stamp_at(found))
+    return found
 
 
 def is_name(name: str) -> bool:

@@ -22,6 +22,7 @@ from .schema import SiteSection
 from .site import Expected, Notify, Site, SiteCamera, StageSettings
 from .stages import read_stages
 from .survey import read_survey
+from .views import views_of
 
 __all__ = ["Site", "SiteCamera", "StageSettings", "load_site"]
 
@@ -78,6 +79,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         root,
         model.captures.pattern,
         tuple(cameras),
+        tuple(view for camera in cameras for view in views_of(camera)),
         model.resolution,
         model.bounds,
         pairs,

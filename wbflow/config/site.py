@@ -7,11 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..graph.functions import FunctionReader
 from ..store.keep import Keep
-from .positions import Document, Place, SiteProblem
+from ..task import camera_of
+from .places import Document, Place, SiteProblem
+
+if TYPE_CHECKING:
+    from ..graph.functions import FunctionReader
 
 Matrix = list[list[float]]
 
@@ -31,6 +34,12 @@ class StatedLens:
     height: int = 0
     model: str = "brown"
     """How the lens bends light: a key of `calibrated.COEFFICIENTS`."""
+    camera: str = ""
+    """Of one view among several: the id of the camera that has them."""
+    turn: Matrix | None = None
+    """3x3, from the camera's axes to those of this view; None where it has the one view."""
+    window: list[float] | None = None
+    """How far this view reaches: slopes to the left, right, up and down, as the vision defines them."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +104,11 @@ class SiteCamera:
     """File names below the captures' root, where the site file lists them."""
     place: Place = ()
     """Where it stands in the site file."""
+
+    @property
+    def camera(self) -> str:
+        """The id of the camera, where this is a view of one that has several."""
+        return camera_of(self.id)
 
     @property
     def posed(self) -> bool:
@@ -172,6 +186,8 @@ class Site:
     root: Path
     pattern: str
     cameras: tuple[SiteCamera, ...]
+    views: tuple[SiteCamera, ...]
+    """What the stages work on: the cameras, but each that is too wide for one pinhole as several views."""
     resolution: int | None
     bounds: list[list[float]] | None
     """Two corners of the box that holds all that matters; None where nobody says."""

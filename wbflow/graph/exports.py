@@ -32,6 +32,7 @@ _CLOUD, _WORLD = (Role.PRODUCT,), (Role.WORLD,)
 
 EXPORTS: tuple[Export, ...] = (
     Export("laz", "wbflow_stages.exports.forms:laz", {"cloud": _CLOUD, "poses": _WORLD}, dated=True, extra="las"),
+    Export("e57", "wbflow_stages.exports.forms:e57", {"cloud": _CLOUD, "poses": _WORLD}, extra="e57"),
     Export("heights", "wbflow_stages.exports.forms:heights", {"cloud": _CLOUD, "poses": _WORLD}, extra_on_the_map="geo"),
     Export("depth", "wbflow_stages.exports.forms:depth", {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)}),
     Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD}),
@@ -61,6 +62,9 @@ DEMO_NIGHTS = "wbflow_stages.synthetic.night_files:demo_nights"
 
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"
 """Makes of a cloud the object that people work with in Python."""
+
+VIEWS_OF_LENS = "wbflow_stages.capture.wide:views_of_lens"
+"""Of a lens that is too wide for one pinhole: what each of several views of it is."""
 
 DECODE = "wbflow_stages.capture.video:one_picture"
 """Makes pixels of a capture; a ValueError says what is wrong with it."""

@@ -14,7 +14,6 @@ import hashlib
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from .modules import Modules, imported, origin_of
@@ -155,6 +154,8 @@ def installed_versions() -> dict[str, str]:
 @functools.cache
 def installed_version(library: str) -> str:
     """Major and minor version of a library of `LIBRARIES`, or "absent"."""
+    from importlib import metadata  # here: a night on which no source file has changed asks for no version but once
+
     for distribution in LIBRARIES[library]:
         try:
             return ".".join(metadata.version(distribution).split(".")[:2])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,23 @@ class FunctionReader:
             write_signed(self.memo, _OF, self._known | {"form": _FORM})
             self._fresh = False
 
+    def files(self) -> list[str]:
+        """The source files that this reader has looked at."""
+        return list(self._stamps)
+
+    def stamps(self) -> dict[str, list[int] | None]:
+        """Time and size of each as it was looked at."""
+        return dict(self._stamps)
+
+    def as_read(self) -> bool:
+        """Are they still what they were then?"""
+        return self.are_now(self._stamps)
+
+    @staticmethod
+    def are_now(stamps: Mapping[str, list[int] | None]) -> bool:
+        """Are source files what these stamps say?"""
+        return all(_stamp_of(file) == stamp for file, stamp in stamps.items())
+
     def _closure(self, module: str) -> dict[str, ModuleCode]:
         found: dict[str, ModuleCode] = {}
         waiting = [module]
@@ -146,12 +164,16 @@ class FunctionReader:
     def _stamp(self, file: str) -> list[int] | None:
         """Time and size of a file, looked at once."""
         if file not in self._stamps:
-            try:
-                status = Path(file).stat()
-                self._stamps[file] = [status.st_mtime_ns, status.st_size]
-            except OSError:
-                self._stamps[file] = None
+            self._stamps[file] = _stamp_of(file)
         return self._stamps[file]
+
+
+def _stamp_of(file: str) -> list[int] | None:
+    try:
+        status = os.stat(file)  # noqa: PTH116 (hot path)
+    except OSError:
+        return None
+    return [status.st_mtime_ns, status.st_size]
 
 
 def _packed(signature: Signature, files: set[Path]) -> tuple[dict[str, Any], set[Path]]:

@@ -13,6 +13,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from ..task import camera_of
+
 if TYPE_CHECKING:
     import networkx as nx
 
@@ -22,6 +24,10 @@ MOST_AT_A_CAMERA = 32
 """Pairs of one camera: the depth of a view is fused from no more."""
 MOST_DROPPED = 24
 """So many of a camera's dropped pairs are told of, the most promising first."""
+
+
+_LEAST_OF_VIEWS = 0.04
+"""A pair with one of several views must promise so much, unless cameras hang together by it: the other views show the rest."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,7 @@ def select_pairs(
     min_angle, max_angle : float
         Degrees; pairs whose views converge outside of this are dropped (where the angle is known).
     include, exclude : list of [id, id]
-        Pairs that are always, or never, matched.
+        Pairs of cameras that are always, or never, matched; of cameras with several views the best pair of these, or all.
 
     Returns
     -------
@@ -81,19 +87,19 @@ def select_pairs(
     """
     import networkx as nx  # here, so that a report that only shows the graph does not wait for it
 
-    forced, banned = {frozenset(p) for p in include}, {frozenset(p) for p in exclude}
     evidence = _evidence(overlap)
+    forced, banned = _best_of(include, evidence), {frozenset(p) for p in exclude}
     candidates = nx.Graph()
     candidates.add_nodes_from(overlap.cameras)
     reasons: dict[Pair, str] = {}
     for pair, (angle, shared) in evidence.items():
-        if frozenset(pair) in banned:
+        if _cameras(pair) in banned:
             reasons[pair] = "excluded by the site file"
-        elif frozenset(pair) not in forced and (why := _unfit(angle, shared, min_angle, max_angle)):
+        elif pair not in forced and (why := _unfit(angle, shared, min_angle, max_angle)):
             reasons[pair] = why
         else:
             candidates.add_edge(*pair, weight=_worth(angle, shared), order=len(candidates.edges))
-    chosen = _choose(candidates, degree, [p for p in evidence if frozenset(p) in forced and frozenset(p) not in banned])
+    chosen = _choose(candidates, degree, [p for p in evidence if p in forced and _cameras(p) not in banned])
     counts = Counter(camera for pair in chosen for camera in pair)
     full = f"both cameras have better pairs already (degree {degree})"
     told = _told(evidence, chosen)
@@ -103,11 +109,13 @@ def select_pairs(
             kept = pair in chosen
             crowded = next((camera for camera in pair if counts[camera] >= MOST_AT_A_CAMERA), None)
             why = f"{crowded} has {MOST_AT_A_CAMERA} better pairs, and no view takes more" if crowded else full
+            why = "other views of their cameras share more" if _adds_little(pair, _worth(angle, shared)) else why
             reason = chosen[pair] if kept else reasons.get(pair, why)
             edges.append(Edge(*pair, kept=kept, reason=reason, angle_deg=angle, shared=shared))
-    graph = nx.Graph(list(chosen))
-    graph.add_nodes_from(overlap.cameras)
-    position = {camera: i for i, camera in enumerate(overlap.cameras)}
+    graph = nx.Graph((camera_of(left), camera_of(right)) for left, right in chosen)
+    cameras = list(dict.fromkeys(map(camera_of, overlap.cameras)))
+    graph.add_nodes_from(cameras)
+    position = {camera: i for i, camera in enumerate(cameras)}
     components = [tuple(sorted(c, key=position.__getitem__)) for c in nx.connected_components(graph)]
     kept_pairs = tuple((edge.left, edge.right) for edge in edges if edge.kept)
     groups = tuple(sorted(components, key=lambda c: (-len(c), position[c[0]])))
@@ -126,10 +134,33 @@ def _told(evidence: Mapping[Pair, tuple[float, float]], chosen: Collection[Pair]
 
 
 def _evidence(overlap: Any) -> dict[Pair, tuple[float, float]]:
+    """Angle and share by pair; two views of one camera tell no depth."""
     found = {}
     for (i, j), angle, shared in zip(overlap.pairs.tolist(), overlap.angle_deg.tolist(), overlap.shared.tolist(), strict=True):
-        found[overlap.cameras[i], overlap.cameras[j]] = (angle, shared)
+        pair = overlap.cameras[i], overlap.cameras[j]
+        if len(_cameras(pair)) == 2:
+            found[pair] = (angle, shared)
     return found
+
+
+def _cameras(pair: Pair) -> frozenset[str]:
+    """The cameras whose views make a pair."""
+    return frozenset(map(camera_of, pair))
+
+
+def _adds_little(pair: Pair, worth: float) -> bool:
+    """Is it a pair with one of several views, of which others promise more?"""
+    return worth < _LEAST_OF_VIEWS and {*pair} != _cameras(pair)
+
+
+def _best_of(include: list[list[str]], evidence: Mapping[Pair, tuple[float, float]]) -> set[Pair]:
+    """The pairs that are always matched: of two cameras with several views, those views that promise most."""
+    wanted, found = {frozenset(p) for p in include}, dict[frozenset[str], Pair]()
+    for pair in evidence if wanted else ():
+        cameras = _cameras(pair)
+        if cameras in wanted and (cameras not in found or _worth(*evidence[pair]) > _worth(*evidence[found[cameras]])):
+            found[cameras] = pair
+    return set(found.values())
 
 
 def _unfit(angle: float, shared: float, min_angle: float, max_angle: float) -> str | None:
@@ -153,8 +184,9 @@ def _choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair,
     import networkx as nx
 
     position = {node: i for i, node in enumerate(candidates.nodes)}
-    graph = nx.Graph()
+    graph, whole = nx.Graph(), nx.Graph()  # of views, and of the cameras that these are of: they hang together anyhow
     graph.add_nodes_from(candidates.nodes)
+    whole.add_nodes_from(map(camera_of, candidates.nodes))
     chosen: dict[Pair, str] = {}
 
     def take(u: str, v: str, why: str) -> None:
@@ -162,6 +194,7 @@ def _choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair,
         if pair not in chosen:
             chosen[pair] = why
             graph.add_edge(u, v)
+            whole.add_edge(camera_of(u), camera_of(v))
 
     def has_room(u: str, v: str, most: int = MOST_AT_A_CAMERA) -> bool:
         return bool(max(graph.degree(u), graph.degree(v)) < most)
@@ -169,26 +202,35 @@ def _choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair,
     for pair in forced:
         if has_room(*pair):
             take(*pair, "included by the site file")
-    groups = nx.utils.UnionFind(candidates.nodes)
+    groups = nx.utils.UnionFind(whole.nodes)
     ranked = sorted(candidates.edges(data=True), key=lambda e: (-e[2]["weight"], e[2]["order"]))
     for u, v, _ in ranked:  # Kruskal (1956), where there is room
-        if groups[u] != groups[v] and (graph.has_edge(u, v) or has_room(u, v)):
-            groups.union(u, v)
+        ends = camera_of(u), camera_of(v)
+        if groups[ends[0]] != groups[ends[1]] and (graph.has_edge(u, v) or has_room(u, v)):
+            groups.union(*ends)
             take(u, v, "in the spanning tree")
-    weight = {frozenset((u, v)): d["weight"] for u, v, d in ranked}
-    weakest = sorted(nx.bridges(graph), key=lambda b: (weight.get(frozenset(b), 0.0), b))
+    weight: dict[frozenset[str], float] = {}
+    views: dict[str, list[str]] = {}
+    for u, v, data in ranked:
+        weight.setdefault(_cameras((u, v)), data["weight"])
+    for node in candidates.nodes:
+        views.setdefault(camera_of(node), []).append(node)
+    weakest = sorted(nx.bridges(whole), key=lambda b: (weight.get(frozenset(b), 0.0), b))
     for bridge in weakest:
-        side = _side(graph, *bridge)
+        side = _side(whole, *bridge)
         across = (
             (-data["weight"], data["order"], u, v)
-            for u in side
+            for camera in side
+            for u in views[camera]
             for v, data in candidates[u].items()
-            if v not in side and groups[u] == groups[v] and not graph.has_edge(u, v) and has_room(u, v)
+            if camera_of(v) not in side and groups[camera] == groups[camera_of(v)]
+            if not graph.has_edge(u, v) and has_room(u, v)
         )
         if best := min(across, default=None):
             take(best[2], best[3], f"covers the weak cut {bridge[0]}--{bridge[1]}")
-    for u, v, _ in ranked:
-        if not graph.has_edge(u, v) and has_room(u, v, min(degree, MOST_AT_A_CAMERA)):
+    for u, v, data in ranked:
+        little = _adds_little((u, v), data["weight"])
+        if not graph.has_edge(u, v) and not little and has_room(u, v, min(degree, MOST_AT_A_CAMERA)):
             closes = len(set(graph[u]) & set(graph[v]))
             take(u, v, f"closes {closes} triangle{'s' * (closes != 1)}" if closes else "among the best of its cameras")
     return chosen

@@ -135,7 +135,7 @@ STAGES: tuple[Stage, ...] = (
         scope="camera",
         function="wbflow_stages.features:detect",
         needs={"frame": FromStage("frames")},
-        reports=Reports({"keypoints": "xy_count"}, notes="notes"),
+        reports=Reports({"keypoints": "xy_count"}, notes="notes", sums=("keypoints",)),
         marks="wbflow_stages.exports.marks:keypoint_marks",
         renamed={
             "keypoints": Renamed("max_keypoints"),
@@ -362,10 +362,12 @@ STAGES: tuple[Stage, ...] = (
 )
 
 ROUGH_SECONDS = {
-    "frames": 0.5, "health": 0.1, "features": 1.5, "overlap": 0.1, "pairs": 0.2, "matches": 0.6, "geometry": 0.5, "poses": 0.5,
-    "scene": 5.0, "rectify": 0.1, "disparity": 3.0, "depth": 0.4, "refine": 5.0, "fuse": 9.0, "coverage": 1.3, "changes": 1.0,
+    "frames": (0.2, 0.1), "health": (0.1, 0.1), "features": (0.4, 0.95), "overlap": (0.1, 0.0), "pairs": (0.2, 0.0),
+    "matches": (0.5, 0.0), "geometry": (0.5, 0.0), "poses": (0.5, 0.0), "scene": (5.0, 0.0), "rectify": (0.1, 0.0),
+    "disparity": (0.5, 2.5), "depth": (0.1, 0.3), "refine": (0.4, 6.0), "fuse": (0.3, 1.2), "coverage": (0.5, 0.1),
+    "changes": (0.5, 0.1),
 }  # fmt: skip
-"""What a task takes at 1600 pixels on one core, roughly: until a site's own ledger tells."""
+"""Seconds that a task takes on one core, roughly, and what each million pixels adds, of a site-wide one of each camera."""
 
 _BY_NAME = {stage.name: stage for stage in STAGES}
 _BY_ROLE = {stage.role: stage for stage in STAGES if stage.role}

@@ -254,6 +254,8 @@ class Reports:
     """The same, of a rejection."""
     notes: str = ""
     """Figure that holds notes for the operator."""
+    sums: tuple[str, ...] = ()
+    """Fields that add up over the views of a camera; of others it has the mean."""
     expects: Expects | None = None
     """Of a site-wide stage: what should be as much as is usual; `expect` in the site file has it under the stage's name."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,12 @@ class CaptureFile:
 
 def pattern_of(site: Site) -> Pattern:
     """How a site's captures are called."""
-    return Pattern(site.root, site.pattern)
+    return _pattern(site.root, site.pattern)
+
+
+@functools.cache
+def _pattern(root: Path, text: str) -> Pattern:
+    return Pattern(root, text)
 
 
 def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date]:

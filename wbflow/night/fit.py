@@ -11,7 +11,7 @@ from ..graph.binding import Binding
 from ..graph.rows import FromSite, Held, Rework, Role, SiteValue, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.reference import Reference
-from ..task import Task
+from ..task import Task, camera_of
 from .spec import Value, input_digests
 from .stated import stated, stated_of_site
 
@@ -76,14 +76,17 @@ def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Bind
         if isinstance(need, FromSite) and need.value in _COMPARED:
             everywhere = need.which is Which.ALL or need.value is SiteValue.SURVEY
             said = stated_of_site(site, need.value) if everywhere else _stated(site, need.value, task)
+            if said is None:
+                return f"the views of camera {camera_of(task.subject[0])}"
             for entry, digest in input_digests({name: said}).items():
                 if then.inputs.get(entry) != digest:
                     return f"what the site file says of {entry}"
     return ""
 
 
-def _stated(site: Site, what: SiteValue, task: Task) -> Value:
-    return stated(next(camera for camera in site.cameras if camera.id == task.subject[0]), what)
+def _stated(site: Site, what: SiteValue, task: Task) -> Value | None:
+    """None of a view that its camera has no longer."""
+    return next((stated(view, what) for view in site.views if view.id == task.subject[0]), None)
 
 
 def _reworks(held: Held | None) -> set[str]:

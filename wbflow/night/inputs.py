@@ -187,7 +187,8 @@ class Inputs:
         """Why a stage that joins many has none to join."""
         frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
         first = f": {faults[0]}" if faults else ""
-        usable = [c.id for c in self.site.cameras if (state := self.states.get(Task(frame, (c.id,)))) and state.usable]
+        views = [view for view in self.site.views if (state := self.states.get(Task(frame, (view.id,)))) and state.usable]
+        usable = list(dict.fromkeys(view.camera for view in views))
         if len(usable) < 2:
             have = f"only camera {usable[0]} has" if usable else "no camera has"
             why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
@@ -205,7 +206,7 @@ class Inputs:
             return stated_of_site(self.site, what)
         camera = self.subjects.camera(task.subject[0])
         if what is SiteValue.MASK:
-            file = self.masks.get(camera.id)
+            file = self.masks.get(camera.camera)
             if file and not file.digest:
                 raise Impossible(f"mask {file.name} {file.fault}", Cause.BAD_INPUT)
             return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
@@ -217,9 +218,9 @@ class Inputs:
 
     def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""
-        files = self.captures[camera.id]
+        files = self.captures[camera.camera]
         if not files:
-            raise Impossible(f"no capture: there is no file {self.expectations.get(camera.id, 'for it')}", Cause.NO_CAPTURE)
+            raise Impossible(f"no capture: there is no file {self.expectations.get(camera.camera, 'for it')}", Cause.NO_CAPTURE)
         readable = tuple(file for file in files if file.digest)
         if not readable:
             raise Impossible(f"no capture: {files[0].name} {files[0].fault}", Cause.NO_CAPTURE)

@@ -6,16 +6,18 @@ import datetime
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from ..store.cache import Damage
 from ..store.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
 from ..store.past import Past, read_past
 from ..store.record import Seconds, StageSeconds
 from ..task import Task
-from .outlook import anything_left, outlook
-from .plan import Plan
 from .state import State
-from .worker import Done
+
+if TYPE_CHECKING:
+    from .plan import Plan
+    from .worker import Done
 
 
 @dataclass
@@ -41,7 +43,11 @@ class Journal:
 
     def planned(self, plan: Plan) -> None:
         """Tell who watches what there is to do; a night that finds everything in the cache has nothing to tell."""
-        if self.watch is None or (self._past is None and not anything_left(plan)):
+        if self.watch is None:
+            return
+        from .outlook import anything_left, outlook  # here: it knows plans, and there are nights without one
+
+        if self._past is None and not anything_left(plan):
             return
         if self._past is None:
             self._past = read_past(plan.cache.work)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import functools
 import glob
+import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -41,6 +43,9 @@ class Pattern:
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
+        if not any(mark in (text := self._filled(self.text, date)) for mark in "*?["):  # one name, and nothing to search for
+            path = f"{self.root}/{text.replace('{camera}', camera)}"
+            return [Path(path)] if os.path.lexists(path) and not os.path.isdir(path) else []  # noqa: PTH112
         found = [path for path in map(Path, find_outside(self._wild(camera, date))) if not path.is_dir()]
         moment = self._reader(camera)
         return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
@@ -78,6 +83,7 @@ class Pattern:
         return str(Path(glob.escape(str(self.root))) / text)
 
     @staticmethod
+    @functools.lru_cache(64)
     def _filled(text: str, date: datetime.date | None) -> str:
         """The date put in; what is not known matches anything."""
 
@@ -91,22 +97,42 @@ class Pattern:
 
     def _reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
         """Reads the moment out of a path; None for a path without one."""
-        formats = [match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text)]
-        expression = re.compile(self._expression(camera))
+        formats = self._formats
+        if not formats:
+            return lambda path: None
 
         def moment(path: str) -> datetime.datetime | None:
-            match = expression.fullmatch(path)
-            if not match or not formats:
+            match = self._of_any.fullmatch(path)
+            if match and "camera" in match.re.groupindex and match["camera"] != camera:  # it can be read in more ways than one
+                match = re.fullmatch(self._expression(re.escape(camera)), path)
+            if not match:
                 return None
             try:
-                return datetime.datetime.strptime("|".join(match.groups()), "|".join(formats))
+                return datetime.datetime.strptime("|".join(match[k] for k in self._groups(match)), "|".join(formats))
             except ValueError:
                 return None
 
         return moment
 
+    @functools.cached_property
+    def _formats(self) -> list[str]:
+        return [match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text)]
+
+    @functools.cached_property
+    def _of_any(self) -> re.Pattern[str]:
+        """The expression for the captures of whatever camera; one is made for a site, not one for each camera."""
+        first, *rest = self._expression("\0").split("\0")
+        return re.compile(
+            first + "".join(("(?P=camera)" if k else "(?P<camera>[A-Za-z0-9_.-]+?)") + part for k, part in enumerate(rest))
+        )
+
+    @staticmethod
+    def _groups(match: re.Match[str]) -> list[int]:
+        """The groups of a match that are dates and times."""
+        return [k for k in range(1, match.re.groups + 1) if k != match.re.groupindex.get("camera")]
+
     def _expression(self, camera: str) -> str:
-        """A regular expression for a capture's path with one group for each {date} and {time}."""
+        """A regular expression for a capture's path with one group for each {date} and {time}; camera stands for {camera}."""
         out = []
         for part in re.split(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)", str(self.root / self.text)):
             if field := _FIELD.fullmatch(part):
@@ -114,7 +140,7 @@ class Pattern:
                 inner = "".join(_DIRECTIVES.get(d[1:], ".+?") if d.startswith("%") else re.escape(d) for d in directives)
                 out.append(f"({inner})")
             elif part == "{camera}":
-                out.append(re.escape(camera))
+                out.append(camera)
             elif part.startswith("**"):
                 out.append("(?:.*/)?" if part.endswith("/") else ".*")
             else:

@@ -12,9 +12,9 @@ from ..store.digests import Digests
 from ..store.layout import WorkFolder
 from ..store.reference import BadReference, Reference, read_reference
 from ..store.seen import Seen
-from .captures import CaptureFile, expected, find_captures, find_masks, night
+from .arrivals import Arrivals, arrivals
+from .captures import CaptureFile, expected
 from .plan import Plan
-from .staleness import look_at
 
 
 @dataclass
@@ -57,7 +57,13 @@ def _now(file: CaptureFile, digests: Digests) -> CaptureFile:
         return replace(file, digest="")
 
 
-def open_night(site: Site, date: datetime.date | None = None, until: str | None = None, force: tuple[str, ...] = ()) -> Night:
+def open_night(
+    site: Site,
+    date: datetime.date | None = None,
+    until: str | None = None,
+    force: tuple[str, ...] = (),
+    arrived: Arrivals | None = None,
+) -> Night:
     """Find a night's captures and plan its work; nothing is written.
 
     Parameters
@@ -70,30 +76,27 @@ def open_night(site: Site, date: datetime.date | None = None, until: str | None 
         Stop after this stage.
     force : tuple of str
         Stages or tasks to be done again.
+    arrived : Arrivals, optional
+        What there is for that night, where somebody has looked already.
     """
-    work = WorkFolder(site.work)
-    digests = Digests(work.captures_memo)
-    date = night(site, date)
-    seen = Seen(work.seen_memo)
-    delivered = look_at(site, date, find_captures(site, date, digests), digests, seen)
-    captures = delivered.captures
-    masks = find_masks(site, digests)
-    missing = {camera.id: expected(site, camera, date) for camera in site.cameras if not captures[camera.id]}
+    work, there = WorkFolder(site.work), arrived or arrivals(site, date)
+    captures = there.captures
+    missing = {camera.id: expected(site, camera, there.date) for camera in site.cameras if not captures[camera.id]}
     reference, misfit = _reference(site, work)
     plan = Plan(
         site,
         captures,
-        str(date),
+        str(there.date),
         Cache(work),
-        masks,
+        there.masks,
         missing,
         until,
         frozenset(force),
         reference=reference,
         misfit=misfit,
-        stale=delivered.stale,
+        stale=there.stale,
     )
-    return Night(site, date, captures, digests, seen, delivered.notes, plan)
+    return Night(site, there.date, captures, there.digests, there.seen, there.notes, plan)
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

@@ -8,7 +8,6 @@ import importlib.util
 from dataclasses import dataclass
 
 from ..errors import UsageError
-from ..graph.pipeline import STAGES
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,24 @@ class Options:
     stop_at: datetime.datetime | None = None
     """From then on (local time) only what is there already is put together and published."""
 
+    @property
+    def plain(self) -> bool:
+        """Is nothing asked for but the whole night, as it is?"""
+        return not (self.until or self.force)
+
     def check(self) -> None:
         """Raises UsageError for what cannot be meant."""
+        if not self.plain:
+            self._check_stages()
+        if self.backend == "dask" and not self.scheduler:
+            remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
+            raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)
+        if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
+            raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
+
+    def _check_stages(self) -> None:
+        from ..graph.pipeline import STAGES  # here: a night on which nothing has changed has no use for the table
+
         names = [stage.name for stage in STAGES]
         if self.until and self.until not in names:
             raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages(self.until, names))
@@ -45,11 +60,6 @@ class Options:
             if name.split(" ")[0] not in names:
                 what = f"--force {name!r}: name a stage, or a task such as 'matches gate--roof'"
                 raise UsageError(what, remedy=_stages(name, names))
-        if self.backend == "dask" and not self.scheduler:
-            remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
-            raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)
-        if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
-            raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
 
 
 def _stages(named: str, names: list[str]) -> str:

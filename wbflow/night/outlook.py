@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from ..graph.pipeline import ROUGH_SECONDS
+from ..graph.rows import Stage
 from ..store.events import StageOutlook
 from ..store.past import Past
 from .plan import Plan
+
+_ACROSS, _ASPECT = 1600, 0.6
+"""Pixels along a picture's longer side where nothing is stated, and the shorter side's share of it."""
 
 
 def outlook(plan: Plan, past: Past) -> tuple[StageOutlook, ...]:
@@ -25,9 +29,17 @@ def outlook(plan: Plan, past: Past) -> tuple[StageOutlook, ...]:
         settled = sum(task in plan.states for task in tasks)
         known = stage.name in past.stages
         walls = [past.expected(stage.name, str(task)) for task in tasks if task not in plan.states] if known else []
-        seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, ROUGH_SECONDS[stage.name])
+        seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, _rough(plan, stage))
         found.append(StageOutlook(stage.name, pairs if stage.scope == "pair" and pairs else len(tasks), settled, seconds, known))
     return tuple(found)
+
+
+def _rough(plan: Plan, stage: Stage) -> float:
+    """What a task of a stage takes that nobody has timed yet."""
+    fixed, each = ROUGH_SECONDS[stage.name]
+    stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
+    across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
+    return fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)
 
 
 def anything_left(plan: Plan) -> bool:

@@ -21,13 +21,13 @@ class CannotPin(WbflowError, ValueError):
     exit_code = ExitCode.USAGE
 
 
-def pin(work: WorkFolder, run: RunFolder, automatic: bool = False) -> Reference:
+def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
     """Make a run the reference.  The caller holds the lock.
 
     Parameters
     ----------
-    work : WorkFolder
-        Whose reference.
+    cache : Cache
+        Of the work folder whose reference it becomes.
     run : RunFolder
         Which of its runs.
     automatic : bool
@@ -44,13 +44,13 @@ def pin(work: WorkFolder, run: RunFolder, automatic: bool = False) -> Reference:
     if record.cloud is None:
         why = record.reason or "it was not asked to"
         raise CannotPin(f"run {run.id} made no cloud: {why}", remedy="pin a run that did: wbflow history SITE.yaml")
-    receipts = _receipts(work, run)
+    receipts = _receipts(cache, run)
     artifacts = {
         receipt.preimage.task: PinnedArtifact(receipt.preimage.task, receipt.key, receipt.outcome, receipt.digest)
         for receipt in receipts
     }
     reference = Reference(run.id, record.date, _cameras(record, run), artifacts, automatic)
-    write_reference(work, reference, receipts)
+    write_reference(cache, reference, receipts)
     return reference
 
 
@@ -91,7 +91,7 @@ def prepare(night: Night, journal: Journal) -> None:
         journal.warn(what, remedy="this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference")
     if plan.reference is None:
         return
-    restored = restore(work, plan.reference)
+    restored = restore(plan.cache, plan.reference)
     for tasks, how in ((restored.to_cache, "put back from the reference"), (restored.copied, "copied to the reference again")):
         if tasks:
             journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
@@ -100,9 +100,9 @@ def prepare(night: Night, journal: Journal) -> None:
         journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
 
 
-def _receipts(work: WorkFolder, run: RunFolder) -> list[Receipt]:
+def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
     """Of all that a run made or rejected and the reference keeps."""
-    cache, kept = Cache(work), {stage.name for stage in STAGES if stage.kept}
+    kept = {stage.name for stage in STAGES if stage.kept}
     found = []
     for task, event in run.tasks().items():
         if task.stage not in kept or event.key is None:

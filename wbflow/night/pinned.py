@@ -7,7 +7,7 @@ the role HEALTH says of each camera whether it does.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from ..graph.rows import FromPast, FromReference, Held, Rework, Role, Stage, Whi
 from ..store.cache import Cache, Receipt
 from ..store.record import Health
 from ..store.reference import Reference, put_back
-from ..task import Subject, Task
+from ..task import Subject, Task, camera_of
 from .obstacles import Impossible, Waiting, because
 from .past import Past
 from .spec import Absent, Input, Joined, Stored, Value
@@ -27,6 +27,7 @@ _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
 USELESS = frozenset({"blind", "stale", "foreign"})
 """States of a camera that shows nothing of the site tonight."""
+_HEALTH = stage_with(Role.HEALTH).name
 FEWEST = 2
 """So many cameras must stand where they did, for the reference to tell where the others are."""
 
@@ -37,7 +38,7 @@ class Pinned:
 
     cache: Cache
     cameras: Collection[str]
-    """Of the site."""
+    """Of the site, and views of those that have several."""
     stages: Collection[Stage]
     """Those that take part tonight."""
     states: dict[Task, State]
@@ -50,10 +51,14 @@ class Pinned:
     """What is wrong with cameras by what is known of their captures."""
     frame_keys: dict[Subject, str] = field(default_factory=dict)
     """Keys of tonight's frames by camera, as far as they are known."""
+    _views: dict[str, list[str]] = field(default_factory=dict, repr=False)
+    """By camera."""
     _force: bool | None = field(default=None, repr=False)
     """Do enough cameras stand where they did, once the health of all is known?"""
     _all_own: bool | None = field(default=None, repr=False)
     """Are all frames those of the reference itself, by the keys that are known?"""
+    _useless: frozenset[str] | None = field(default=None, repr=False)
+    """The cameras that show nothing of the site, until the health of another one is known."""
     _judged: dict[str, tuple[State | None, Health | None]] = field(default_factory=dict, repr=False)
     """What was read from the health of a camera, and of which state of its task."""
 
@@ -75,7 +80,7 @@ class Pinned:
         """What earlier nights found of a camera.  Raises Waiting."""
         if self.reference is None or self._own_night(task.subject):
             return Absent()
-        return Value(need.kind, self.past.figures(task.subject[0], need.figures, need.nights))
+        return Value(need.kind, self.past.figures(camera_of(task.subject[0]), need.figures, need.nights))
 
     def instead(self, stage: Stage, task: Task) -> Receipt | Rework | None:
         """What takes the place of working a task out: the reference's result, or another function.
@@ -100,24 +105,45 @@ class Pinned:
         return place if isinstance(place, Rework) else None
 
     def state_of(self, camera: str) -> str:
-        """How a camera is.  Raises Waiting."""
-        if health := self.known.get(camera):
+        """How a camera is; a view that shows nothing is of no use, else it is as its camera is.  Raises Waiting."""
+        if health := self.known.get(camera_of(camera)):
             return health.state
-        task = Task(stage_with(Role.HEALTH).name, (camera,))
+        own = self._own_state(camera)
+        others = [self._own_state(view) for view in self._views_of(camera) if view != camera] if own not in USELESS else []
+        return next((state for state in (own, *others) if state not in USELESS | {"ok"}), own)
+
+    def _own_state(self, view: str) -> str:
+        """How a view is, by itself.  Raises Waiting."""
+        task = Task(stage_with(Role.HEALTH).name, (view,))
         state = self.states.get(task)
         if state is None:
             raise Waiting(task)
         if not state.usable:
-            frame = self.states.get(Task(stage_with(Role.FRAME).name, (camera,)))
+            frame = self.states.get(Task(stage_with(Role.FRAME).name, (view,)))
             return "ok" if frame and frame.usable else "blind"
-        health = self._read(camera, state)
+        health = self._read(view, state)
         return health.state if health else "ok"
 
     def health(self, camera: str) -> Health | None:
-        """What is known of a camera's health; None where nobody has looked."""
-        if camera in self.known:
-            return self.known[camera]
-        return self._read(camera, self.states.get(Task(stage_with(Role.HEALTH).name, (camera,))))
+        """What is known of a camera's health, or of that of the camera of a view; None where nobody has looked.
+
+        Of several views, that of the first that has turned; the camera shows nothing of the site where none of them does.
+        """
+        if known := self.known.get(camera_of(camera)):
+            return known
+        found = [health for view in self._views_of(camera) if (health := self._own_health(view))]
+        of_use = [health for health in found if health.state not in USELESS]
+        return next((health for health in of_use if not health.ok), next(iter(of_use or found), None))
+
+    def _own_health(self, view: str) -> Health | None:
+        return self._read(view, self.states.get(Task(stage_with(Role.HEALTH).name, (view,))))
+
+    def _views_of(self, camera: str) -> Sequence[str]:
+        """A camera's views, or those of the camera of a view; most have one."""
+        if not self._views:
+            for view in self.cameras:
+                self._views.setdefault(camera_of(view), []).append(view)
+        return self._views.get(camera_of(camera), [camera])
 
     def _read(self, camera: str, state: State | None) -> Health | None:
         known = self._judged.get(camera)
@@ -129,15 +155,26 @@ class Pinned:
         """The cameras of which it is known that they show nothing of the site tonight."""
         if self.reference is None:
             return frozenset()
-        return frozenset(c for c in self.cameras if (health := self.health(c)) and health.state in USELESS)
+        if self._useless is None:
+            stale = {c for c in self.cameras if camera_of(c) in self.known}
+            looked = ((c, self._own_health(c)) for c in self.cameras if c not in stale)
+            self._useless = frozenset({c for c in stale if self.known[camera_of(c)].state in USELESS}).union(
+                c for c, health in looked if health and health.state in USELESS
+            )
+        return self._useless
 
     def unfit(self, subject: Subject) -> Impossible:
         """Why what one of these cameras shows is not used."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
-        if health := self.health(camera):
+        if health := self.known.get(camera_of(camera)) or self._own_health(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(stage_with(Role.FRAME).name, (camera,))
         return because(frame, self.states[frame])
+
+    def settled(self, task: Task) -> None:
+        """A task is settled: that may have been the health of a camera."""
+        if task.stage == _HEALTH:
+            self._useless = None
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """The key of tonight's frame of a camera."""
@@ -145,7 +182,7 @@ class Pinned:
 
     def lose(self, task: Task) -> None:
         """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
-        self._force = self._all_own = None
+        self._force = self._all_own = self._useless = None
         if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
             if put_back(self.cache.work, pinned):
                 return
@@ -165,19 +202,20 @@ class Pinned:
 
     def _standing(self, camera: str) -> str:
         """Is a camera's pose that of the reference, or known from it?  Raises Waiting."""
-        if self.reference is None or camera not in self.reference.placed:
+        if self.reference is None or camera_of(camera) not in self.reference.placed:
             return _LOST
         state = self.state_of(camera)
-        task = self.states.get(Task(stage_with(Role.HEALTH).name, (camera,)))
         judges = stage_with(Role.HEALTH).judges
-        if task and task.usable and task.receipt and judges and task.receipt.figures.get(judges.corrected):
-            return _TURNED
+        for view in self._views_of(camera):
+            task = self.states.get(Task(stage_with(Role.HEALTH).name, (view,)))
+            if task and task.usable and task.receipt and judges and task.receipt.figures.get(judges.corrected):
+                return _TURNED
         return _STILL if state == "ok" else _LOST
 
     def _in_force(self) -> bool:
         """Do enough cameras stand where they did?  Raises Waiting."""
         if self._force is None:
-            self._force = sum(self._standing(camera) != _LOST for camera in self.cameras) >= FEWEST
+            self._force = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
         return self._force
 
     def _own_night(self, cameras: Subject) -> bool:

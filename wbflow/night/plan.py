@@ -78,7 +78,7 @@ class Plan:
             self.misfit = misfit(self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache)
         self.reference = None if self.misfit else self.reference
         past = Past(self.cache.work, self.night, self.reference.run) if self.reference else Past()
-        cameras = [camera.id for camera in self.site.cameras]
+        cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
         known = self.site, self.captures, self.masks, self.expectations, self.cache
@@ -102,7 +102,10 @@ class Plan:
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
         self.undrawn.pop(task, None)
+        self._pinned.settled(task)
         self._agenda.settled(task)
+        if state.receipt and state.outcome != "cached":
+            self.cache.learn(state.receipt)
 
     def forget(self, task: Task) -> None:
         """Take a settled task back (its artifact turned out damaged)."""
@@ -175,7 +178,7 @@ class Plan:
         if self.pairs_known():
             return None
         stage = stage_with(Role.PAIR_GRAPH)
-        count = len(self.site.cameras)
+        count = len(self.site.views)
         wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")
         most = count * (count - 1) // 2
         return min(most, count * wanted // 2) if isinstance(wanted, int) else most
@@ -227,6 +230,7 @@ class Plan:
 
     def _found(self, task: Task, state: State) -> None:
         self.states[task] = state
+        self._pinned.settled(task)
         self._agenda.settled(task)
 
     def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, rework: Rework | None = None) -> TaskSpec:

@@ -17,7 +17,7 @@ from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
 from ..store.reference import PinnedArtifact, Reference, write_reference
 from ..store.run_folder import NoSuchRun, RunFolder
-from ..task import Task
+from ..task import Task, camera_of
 from .pin import CannotPin
 
 MOST_NIGHTS = 30
@@ -61,7 +61,7 @@ def pool(work: WorkFolder, reference: Reference, reader: FunctionReader) -> dict
     new = {task: PinnedArtifact(task, receipt.key, receipt.outcome, receipt.digest) for task, (receipt, _) in made.items()}
     better = dataclasses.replace(reference, artifacts={**reference.artifacts, **new})
     kept = [cache.by_key(task, pinned.key) for task, pinned in better.artifacts.items()]
-    write_reference(work, better, [receipt for receipt in kept if receipt])
+    write_reference(cache, better, [receipt for receipt in kept if receipt])
     reader.save()
     return {task: count for task, (_, count) in made.items()}
 
@@ -75,11 +75,12 @@ def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]
             record = folder.record()
             if reference.run not in {run, record.reference}:
                 continue
-            still = {(camera.id,) for camera in record.cameras if camera.health is None or camera.health.ok}
+            still = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
             events = folder.events()
         except NoSuchRun:  # one night less
             continue
-        made = [event for event in events if isinstance(event, TaskEvent) and event.usable and event.task.subject in still]
+        of_cameras = [event for event in events if isinstance(event, TaskEvent) and len(event.task.subject) == 1]
+        made = [event for event in of_cameras if event.usable and camera_of(event.task.subject[0]) in still]
         found[record.date] = {event.task: event.key for event in made if event.key}
     return dict(sorted(found.items())[-MOST_NIGHTS:])
 

@@ -20,7 +20,7 @@ def stated_of_site(site: Site, what: SiteValue) -> Value | Joined:
     """The same of all cameras, by id; or the `SURVEY`."""
     if what is SiteValue.SURVEY:
         return Value(SITE_TYPES[what], plain(site.survey))
-    return Joined({(camera.id,): stated(camera, what) for camera in site.cameras})
+    return Joined({(camera.id,): stated(camera, what) for camera in site.views})
 
 
 def side(need: FromStage | FromReference, task: Task) -> Subject:

@@ -26,7 +26,7 @@ class Subjects:
     def tasks(self, stage: Stage) -> list[Task]:
         """The tasks of a stage."""
         if stage.scope == "camera":
-            return [Task(stage.name, (camera.id,)) for camera in self.site.cameras]
+            return [Task(stage.name, (view.id,)) for view in self.site.views]
         if stage.scope == "pair":
             return [Task(stage.name, pair) for pair in self.pairs() or ()]
         if stage.component_parameter:
@@ -64,13 +64,13 @@ class Subjects:
         return [Task(origin.name, (c,)) for c in self.around(camera)]
 
     def camera(self, camera: str) -> SiteCamera:
-        """What the site file says of a camera."""
-        return self.site.cameras[self._position[camera]]
+        """What the site file says of a camera, or of one of its views."""
+        return self.site.views[self._position[camera]]
 
     @cached_property
     def _position(self) -> dict[str, int]:
         """Of each camera in the site file."""
-        return {camera.id: k for k, camera in enumerate(self.site.cameras)}
+        return {view.id: k for k, view in enumerate(self.site.views)}
 
     def _known_graph(self) -> _Graph | None:
         """The pair graph, indexed once for each result of its task; None while that is not settled."""

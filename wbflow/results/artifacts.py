@@ -5,19 +5,19 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError, WbflowError
-from ..graph.codec import result_of
-from ..graph.pipeline import STAGES, stage_named, stage_with
-from ..graph.rows import Role
 from ..store.cache import Cache, Receipt
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
-from ..store.ply import read_ply
 from ..store.record import CloudRecord, RunRecord
 from ..store.run_folder import RunFolder
-from ..task import Subject, Task
+from ..task import Subject, Task, camera_of
+
+if TYPE_CHECKING:  # and where they are used: a run that is the same as the one before is described without the table of stages
+    from ..graph.rows import Role
 
 
 class Gone(WbflowError):
@@ -33,11 +33,12 @@ class FinishedRun:
     record: RunRecord
     tasks: Mapping[Task, TaskEvent] = field(repr=False)
     """How each of its tasks ended."""
+    cache: Cache = field(repr=False)
 
     @staticmethod
     def open(work: WorkFolder, folder: RunFolder) -> FinishedRun:
         """Raises NoSuchRun for a folder that cannot be read."""
-        return FinishedRun(work, folder, folder.record(), folder.tasks())
+        return FinishedRun(work, folder, folder.record(), folder.tasks(), Cache(work))
 
     def receipt(self, task: Task) -> Receipt | None:
         """The receipt of a task that gave a result in this run, or None.
@@ -50,7 +51,7 @@ class FinishedRun:
         event = self.tasks.get(task)
         if event is None or not event.usable or event.key is None:
             return None
-        receipt = Cache(self.work).by_key(task, event.key)
+        receipt = self.cache.by_key(task, event.key)
         if receipt is None:
             raise Gone(f"the cache no longer holds '{task}' of run {self.folder.id}", remedy="run the night again")
         return receipt
@@ -66,16 +67,31 @@ class FinishedRun:
         receipt = self.receipt(task)
         if receipt is None:
             return None
-        cache = Cache(self.work)
+        from ..graph.codec import result_of
+        from ..graph.pipeline import stage_named
+
+        cache = self.cache
         return result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
 
     def by_role(self, role: Role, subject: Subject = ()) -> Any:
         """What the stage with a role made of a subject, or None."""
+        from ..graph.pipeline import stage_with
+
         return self.load(Task(stage_with(role).name, subject))
 
     def of_cameras(self, *roles: Role) -> Mapping[str, Any]:
-        """What the first of these roles that gave something made of each camera; read when it is asked for."""
-        return _OfSubjects(self, {camera.id: (camera.id,) for camera in self.record.cameras}, roles)
+        """What the first of these roles that gave something made of each camera, or of each of its views; read when it is asked
+        for."""
+        from ..graph.pipeline import stage_with
+        from ..graph.rows import Role
+
+        views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
+        for view in (task.subject[0] for task in self.tasks if task.stage == stage_with(Role.FRAME).name):
+            views.setdefault(camera_of(view), []).append(view)
+        names = [
+            view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
+        ]
+        return _OfSubjects(self, {name: (name,) for name in names}, roles)
 
     def of_pairs(self, *roles: Role) -> Mapping[str, Any]:
         """The same of each pair, as "left--right"."""
@@ -93,6 +109,10 @@ class FinishedRun:
         path = self.folder.cloud(cloud) if cloud else None
         if path is None or not path.is_file():
             raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
+        from ..graph.pipeline import stage_with
+        from ..graph.rows import Role
+        from ..store.ply import read_ply
+
         table = stage_with(Role.PRODUCT).table
         assert table is not None
         try:
@@ -101,8 +121,30 @@ class FinishedRun:
             raise Gone(str(error), remedy="run the night again") from None
 
 
+class LoggedTasks(Mapping[Task, TaskEvent]):
+    """How each task of a run ended, read from its log when somebody asks."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self._folder = folder
+
+    @cached_property
+    def _tasks(self) -> dict[Task, TaskEvent]:
+        return self._folder.tasks()
+
+    def __getitem__(self, task: Task) -> TaskEvent:
+        return self._tasks[task]
+
+    def __iter__(self) -> Iterator[Task]:
+        return iter(self._tasks)
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+
 class _OfSubjects(Mapping[str, Any]):
     def __init__(self, run: FinishedRun, subjects: Mapping[str, Subject], roles: tuple[Role, ...]) -> None:
+        from ..graph.pipeline import stage_with
+
         self._run = run
         tasks = {name: [Task(stage_with(role).name, subject) for role in roles] for name, subject in subjects.items()}
         made = {name: [t for t in group if (event := run.tasks.get(t)) and event.usable] for name, group in tasks.items()}
@@ -123,6 +165,8 @@ class _OfSubjects(Mapping[str, Any]):
 
 def task_named(name: str) -> Task:
     """A task as it is written: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
+    from ..graph.pipeline import STAGES
+
     stage, _, subject = name.partition(" ")
     if stage not in {row.name for row in STAGES}:
         remedy = f"stages are {', '.join(row.name for row in STAGES)}; a task is a stage and its subject: 'geometry gate--roof'"

@@ -32,6 +32,7 @@ def write_demo(
     cameras: int | None = None,
     captures: int | None = None,
     seed: int = 0,
+    lenses: str = "standard",
 ) -> None:
     """Render a demo scene into `folder`; the same arguments write the same bytes.
 
@@ -49,6 +50,8 @@ def write_demo(
         How many cameras, and captures of each; the scene's own where not given.
     seed : int
         Of everything that is drawn at random.
+    lenses : str
+        A name of `wbflow_stages.synthetic.variants.VARIANTS`.
 
     Raises
     ------
@@ -57,10 +60,8 @@ def write_demo(
     UsageError
         An unknown scene or light, or no captures.
     """
-    _write(
-        folder,
-        lambda: function(DEMO_FILES)(scene, small=small, light=light, cameras=cameras, captures=captures, seed=seed),
-    )
+    chosen = {"small": small, "light": light, "cameras": cameras, "captures": captures, "seed": seed, "lenses": lenses}
+    _write(folder, lambda: function(DEMO_FILES)(scene, **chosen))
 
 
 def write_nights(

@@ -15,7 +15,7 @@ from ..graph.rows import Role
 from ..store.atomic import write_atomic
 from .artifacts import FinishedRun, function
 
-EXTRAS = {"las": ("laspy", "lazrs", "pyproj"), "geo": ("rasterio", "pyproj")}
+EXTRAS = {"las": ("laspy", "lazrs", "pyproj"), "e57": ("pye57",), "geo": ("rasterio", "pyproj")}
 """Packages of the extras that exports may need."""
 
 

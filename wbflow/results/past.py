@@ -124,8 +124,8 @@ def looks_of(record: RunRecord) -> dict[str, dict[str, float]]:
     matched: dict[str, list[bool]] = {}
     well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one
     for pair in record.pairs:
-        if {pair.left, pair.right} <= well and (told := pair.figures.get("matched")) is not None:
-            for name in (pair.left, pair.right):
+        if {*pair.cameras} <= well and (told := pair.figures.get("matched")) is not None:
+            for name in pair.cameras:
                 matched.setdefault(name, []).append(bool(told))
     found = {}
     for camera in record.cameras:

@@ -80,7 +80,8 @@ def publish(
     with suppress(OSError):  # it costs reading cloud and functions again
         intact.save()
         night.site.reader.save()
-    return FinishedRun(work, folder, record, {event.task: event for event in journal.events if isinstance(event, TaskEvent)})
+    tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
+    return FinishedRun(work, folder, record, tasks, night.plan.cache)
 
 
 def _publish_cloud(unfinished: UnfinishedRun, cloud: Product, comments: tuple[str, ...]) -> None:
@@ -129,7 +130,7 @@ def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[st
     try:
         from .report.page import build_report
 
-        return build_report(plan.site, plan.cache.work, record, journal.events, cameras, unfinished.paths.folder)
+        return build_report(plan.site, plan.cache, record, journal.events, cameras, unfinished.paths.folder)
     except Exception as error:  # whatever is wrong in it
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())

@@ -19,6 +19,7 @@ from ..night.state import Cause, State
 from ..store.layout import cloud_name
 from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
 from ..task import Task
+from .views import by_camera, of_camera
 
 
 def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float) -> RunRecord:
@@ -38,7 +39,10 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         Memory of its largest worker.
     """
     pairs = tuple(_pair(plan, pair) for pair in _pairs(plan))
-    cameras = tuple(_camera(plan, camera.id) for camera in plan.site.cameras)
+    views: dict[str, list[CameraRecord]] = {}
+    for view in plan.site.views:
+        views.setdefault(view.camera, []).append(_camera(plan, view.id))
+    cameras = tuple(of_camera(records, _sums()) for records in views.values())
     product = stage_with(Role.PRODUCT).name
     main = plan.states.get(Task(product))
     others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == product and task.subject)
@@ -156,6 +160,11 @@ def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
     return record
 
 
+def _sums() -> frozenset[str]:
+    """Figures of a camera's views that add up to the camera's."""
+    return frozenset(name for _, reports in _reporting("camera") for name in reports.sums)
+
+
 def _reporting(scope: str) -> list[tuple[Stage, Reports]]:
     return [(stage, stage.reports) for stage in STAGES if stage.scope == scope and stage.reports]
 
@@ -199,7 +208,7 @@ def _world(plan: Plan) -> WorldRecord | None:
     if state is None or not state.usable:
         return None
     elsewhere = stage.world_reports.told_elsewhere() if stage.world_reports else set()
-    return WorldRecord({name: value for name, value in _figures(state).items() if name not in elsewhere})
+    return WorldRecord(by_camera({name: value for name, value in _figures(state).items() if name not in elsewhere}))
 
 
 def _figures(state: State | None) -> dict[str, Any]:

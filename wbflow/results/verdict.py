@@ -19,7 +19,7 @@ from ..graph.rows import Role
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
-from ..task import Task
+from ..task import Task, camera_of
 from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
 
 PLANNED_PAIRS = 0.5
@@ -149,6 +149,9 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if record.poses and camera.id in record.poses.suspects:
         remedy = "look at it; calibrate it anew if it has been moved"
         return Finding("camera-moved", subject, record.poses.suspects[camera.id], remedy=remedy)
+    if record.poses and camera.id in record.poses.doubtful:
+        remedy = "look at it; if it has been moved, calibrate it anew or leave out its pose"
+        return Finding("camera-unverified", subject, record.poses.doubtful[camera.id], remedy=remedy)
     if record.pairs and not pairs:
         text = "no other camera seems to see enough of what it sees: it is in no pair"
         return Finding("camera-alone", subject, text, remedy="look at where it points, and at `pairs:` in the site file")
@@ -173,7 +176,7 @@ def _of_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     told = {camera.id for camera in record.cameras if not camera.ok}
     groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
     for task, state in facts.failed:
-        if not (len(task.subject) == 1 and task.subject[0] in told):
+        if not (len(task.subject) == 1 and camera_of(task.subject[0]) in told):
             groups.setdefault((task.stage, state.code), []).append((task, state))
     for (_, code), tasks in groups.items():
         task, state = tasks[0]

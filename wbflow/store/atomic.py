@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
 import shutil
-import uuid
 from pathlib import Path
+from typing import BinaryIO
 
 from .room import told_full
 
+_PIECE = 1 << 20
 
-def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, ours: bool = False) -> None:
+
+def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, lasts: bool = True, ours: bool = False) -> None:
     """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
 
     Parameters
@@ -21,6 +25,8 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, ou
         What.
     settle : bool
         Make the rename last, too; not needed where another file is written to the same folder right after.
+    lasts : bool
+        After the power went, the file must not be there in part.  False where that would be noticed, and it can be made again.
     ours : bool
         The place is one of the work folder's own: a folder that somebody has put there gives way.
 
@@ -31,25 +37,31 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, ou
     """
     temporary = _beside(path)
     try:
-        with temporary.open("wb") as file:
+        with _opened(temporary) as file:
             file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if ours and path.is_dir() and not path.is_symlink():
-            clear(path)
-        temporary.replace(path)
+            if lasts:
+                file.flush()
+                os.fsync(file.fileno())
+        _into_place(temporary, path, ours)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        _drop(temporary)
         raise told_full(error, path, len(data)) from None
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        _drop(temporary)
         raise
-    if settle:
+    if settle and lasts:
         sync_folder(path.parent)
 
 
-def copy_atomic(path: Path, name: Path) -> None:
+def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
     """Put a copy of a file in the place of what bears a name there: what happens to one does not happen to the other.
+
+    Parameters
+    ----------
+    path, name : Path
+        From where to where.
+    lasts : bool
+        The power may go any moment.  False where the caller makes many copies last at once (see `sync_all`).
 
     Raises
     ------
@@ -58,15 +70,28 @@ def copy_atomic(path: Path, name: Path) -> None:
     """
     temporary = _beside(name)
     try:
-        shutil.copyfile(path, temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        if name.is_dir() and not name.is_symlink():
-            clear(name)
-        temporary.replace(name)
+        with path.open("rb") as source, _opened(temporary) as target:
+            shutil.copyfileobj(source, target, _PIECE)
+            target.flush()
+            if lasts:
+                os.fsync(target.fileno())
+        _into_place(temporary, name, gives_way=True)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        _drop(temporary)
         raise told_full(error, name, path.stat().st_size) from None
+
+
+def sync_all(folder: Path) -> None:
+    """Make all that was written to the file system of a folder last: many files at once cost what one does."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+        if syncfs is None:  # not Linux
+            os.sync()
+        elif syncfs(descriptor) != 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(folder))
+    finally:
+        os.close(descriptor)
 
 
 def clear(path: Path) -> None:
@@ -86,7 +111,32 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _beside(path: Path) -> Path:
-    """A name in the same folder that nobody else has; the folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.tmp")
+def _beside(path: Path) -> str:
+    """A name in the same folder that nobody else has."""
+    folder, name = os.path.split(path)
+    return f"{folder or '.'}/.{name}.{os.getpid()}.{os.urandom(4).hex()}.tmp"
+
+
+def _opened(temporary: str) -> BinaryIO:
+    """A new file; its folder is made where there is none."""
+    try:
+        return open(temporary, "wb")  # noqa: PTH123 (hot path)
+    except FileNotFoundError:
+        os.makedirs(os.path.dirname(temporary), exist_ok=True)  # noqa: PTH103, PTH120
+        return open(temporary, "wb")  # noqa: PTH123
+
+
+def _into_place(temporary: str, path: Path, gives_way: bool) -> None:
+    """The last step; a folder that stands in the place gives way, where it may."""
+    try:
+        os.replace(temporary, path)  # noqa: PTH105 (hot path)
+    except IsADirectoryError:
+        if not gives_way:
+            raise
+        clear(path)
+        os.replace(temporary, path)  # noqa: PTH105
+
+
+def _drop(temporary: str) -> None:
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(temporary)  # noqa: PTH108

@@ -10,7 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from ..errors import WbflowError
 from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
+from .digests import Stamp, stamp_at
 from .layout import WorkFolder
 from .outside import read_outside
 from .signed import Damaged, read_signed, write_signed
@@ -112,6 +113,11 @@ class Cache:
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
+    _known: dict[str, tuple[Stamp, Receipt]] = field(default_factory=dict, compare=False, repr=False)
+    """Receipts that were read or written, by the file that they stand in, and how that was then."""
+
+    def __reduce__(self) -> tuple[Any, ...]:  # what is known here is not sent to worker processes
+        return type(self), (self.work,)
 
     def find(self, preimage: Preimage, key: str) -> Receipt | None:
         """The receipt of a finished task, or None.  Checks the file's presence and size; who reads it checks its digest."""
@@ -176,7 +182,7 @@ class Cache:
         if data is not None and receipt.file:
             write_atomic(self._beside(receipt, receipt.file), data, settle=False, ours=True)
         place = self.work.receipt(receipt.preimage.task, receipt.key)
-        write_signed(place, self.work.place(place), asdict(receipt))
+        write_signed(place, self.work.place(place), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
     def quarantine(self, path: Path) -> None:
         """Take an artifact out of use: the receipt goes first, the file is kept for whoever wants to know why."""
@@ -189,26 +195,55 @@ class Cache:
     def _beside(self, receipt: Receipt, name: str) -> Path:
         return self.work.artifact_file(receipt.preimage.task, name)
 
+    def learn(self, receipt: Receipt) -> None:
+        """Somebody else has kept an artifact, and says with which receipt: it need not be read."""
+        place = self.work.receipt(receipt.preimage.task, receipt.key)
+        if (stamp := stamp_at(place)) is not None:
+            self._known[str(place)] = stamp, receipt
+
+    def untouched(self) -> bool:
+        """Are all receipts that were read or written through this cache as they were then?"""
+        return all(stamp_at(name) == stamp for name, (stamp, _) in self._known.items())
+
+    def copies(self, task: Task, key: str) -> list[Path]:
+        """Where the reference keeps the receipt and the artifact of a key that is known here."""
+        receipt = self.by_key(task, key)
+        names = [f"{key}.json", *([receipt.file] if receipt and receipt.file else [])]
+        return [self.work.pinned(self.work.artifact_file(task, name)) for name in names]
+
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
+        name = str(path)
+        stamp = stamp_at(name)
+        if stamp is None and not os.path.lexists(name):
+            return None
+        known = self._known.get(name)
+        if known is not None and known[0] == stamp:
+            receipt: Receipt | None = known[1]
+        else:
+            receipt = self._read(task, path)
+            if receipt is not None and stamp is not None:
+                self._known[name] = stamp, receipt
+        if receipt and receipt.file and (wrong := _wrong_size(f"{name[: name.rindex('/')]}/{receipt.file}", receipt.bytes)):
+            self.note(wrong, task)
+            return None
+        return receipt
+
+    def _read(self, task: Task | None, path: Path) -> Receipt | None:
         try:
             fields = read_signed(path, self.work.place(path))
             if fields is None:
                 return None
             fields["preimage"]["subject"] = tuple(fields["preimage"]["subject"])
-            receipt = Receipt(**{**fields, "preimage": Preimage(**fields["preimage"])})
+            return Receipt(**{**fields, "preimage": Preimage(**fields["preimage"])})
         except Damaged as damage:
             self.note(damage.what, task)
             return None
         except (TypeError, KeyError):  # of another version
             return None
-        if receipt.file and (wrong := _wrong_size(path.with_name(receipt.file), receipt.bytes)):
-            self.note(wrong, task)
-            return None
-        return receipt
 
 
-def _wrong_size(path: Path, expected: int) -> str | None:
+def _wrong_size(path: str, expected: int) -> str | None:
     """What is wrong with an artifact at first sight."""
     try:
         size = os.stat(path).st_size  # noqa: PTH116 (hot path)

@@ -95,6 +95,14 @@ def stamp_of(status: os.stat_result) -> Stamp:
     return Stamp(status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
 
 
+def stamp_at(path: str | Path) -> Stamp | None:
+    """The stamp of what lies under a path; None where nothing does."""
+    try:
+        return stamp_of(os.stat(path))  # noqa: PTH116 (hot path)
+    except (OSError, ValueError):
+        return None
+
+
 def is_settled(*times_ns: int) -> bool:
     """Do these times lie so far back that another change would show in them?"""
     return time.time_ns() - max(times_ns) > _SETTLED_NS

@@ -70,13 +70,16 @@ class Ledger:
     writes : bool
         The caller holds the lock: what is damaged or missing is made again on disk.  A reader looks at an index in memory
         instead, made for it alone.
+    records : str
+        Id of a run that the caller is about to record: it is not looked for on disk.
     """
 
-    def __init__(self, work: WorkFolder, writes: bool = False) -> None:
+    def __init__(self, work: WorkFolder, writes: bool = False, records: str = "") -> None:
         self.faults: list[str] = []
         """What was wrong with it and has been put right, or left out, in words."""
         self._work = work
         self._writes = writes
+        self._records = records
         self._db = sqlite3.connect(":memory:")
         self._in_memory = True
         self._renewed = False
@@ -98,16 +101,17 @@ class Ledger:
 
     def record_run(self, record: RunRecord, tasks: Iterable[TaskEvent]) -> None:
         """Index a run, and what each of its tasks used."""
-        seconds, counts = record.seconds, record.tasks
-        times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
-        ended = (counts.cached, counts.ran, counts.rejected, counts.failed, counts.skipped)
-        points = record.cloud.points if record.cloud else None
-        row = astuple(LedgerRun(record.run, record.date, *times, *ended, points, int(record.exit_code)))
         uses = [(record.run, task.key, task.outcome, task.reason, str(task.task)) for task in tasks]
-        self._write(
-            (f"insert or replace into runs values ({','.join('?' * len(row))})", [row]),
-            ("insert or replace into uses values (?,?,?,?,?)", uses),
-        )
+        self._write(_row(record), ("insert or replace into uses values (?,?,?,?,?)", uses))
+
+    def record_again(self, record: RunRecord, same: str) -> bool:
+        """Index a run that used what another one did; False where that one's uses are not known (any more)."""
+        if self._rows("select count(*) from uses where run = ?", same) != [(sum(record.tasks.to_json().values()),)]:
+            return False
+        outcome = "case outcome when 'ran' then 'cached' else outcome end"
+        copied = f"insert or replace into uses select ?, artifact, {outcome}, reason, task from uses where run = ?"
+        self._write(_row(record), (copied, [(record.run, same)]))
+        return True
 
     def runs(self) -> list[LedgerRun]:
         """Every run, oldest first."""
@@ -173,13 +177,13 @@ class Ledger:
         """Make all of it from what it indexes."""
         self._db.executescript(_NOTHING + _SCHEMA)
         self.record_artifacts(Cache(self._work).receipts())
-        self._add_runs(self._work.run_ids())
+        self._add_runs(run for run in self._work.run_ids() if run != self._records)
         self._db.execute(f"pragma user_version = {_FORM}")
 
     def _catch_up(self) -> None:
         """Add runs that were published, and whose process was killed before it came here."""
         known = {run for (run,) in self._db.execute("select run from runs union select run from unreadable")}
-        self._add_runs(run for run in self._work.run_ids() if run not in known)
+        self._add_runs(run for run in self._work.run_ids() if run not in known | {self._records})
 
     def _add_runs(self, names: Iterable[str]) -> None:
         for name in names:
@@ -235,6 +239,16 @@ class Ledger:
             with contextlib.suppress(FileNotFoundError):
                 path.unlink()
         self._open()
+
+
+def _row(record: RunRecord) -> tuple[str, list[Any]]:
+    """The statement that adds a run."""
+    seconds, counts = record.seconds, record.tasks
+    times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
+    ended = (counts.cached, counts.ran, counts.rejected, counts.failed, counts.skipped)
+    points = record.cloud.points if record.cloud else None
+    row = astuple(LedgerRun(record.run, record.date, *times, *ended, points, int(record.exit_code)))
+    return f"insert or replace into runs values ({','.join('?' * len(row))})", [row]
 
 
 def _is_damage(error: sqlite3.DatabaseError) -> bool:

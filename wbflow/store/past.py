@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-import statistics
 from dataclasses import dataclass, field
 
 from .layout import WorkFolder
@@ -39,6 +38,8 @@ def read_past(work: WorkFolder) -> Past:
             database.close()
     except (sqlite3.Error, ValueError, TypeError):
         return Past()
+    import statistics  # here: it takes a while
+
     stages: dict[str, list[float]] = {}
     tasks: dict[str, float] = {}
     for stage, task, wall in rows:

@@ -77,7 +77,7 @@ def write_drawing(work: WorkFolder, task: Task, key: str, drawing: Drawing, pict
     if picture is None:
         file.unlink(missing_ok=True)
     else:
-        write_atomic(file, picture, settle=False, ours=True)
+        write_atomic(file, picture, lasts=False, ours=True)  # one that is found in part is drawn again
     path = work.drawing(task, key)
     known = replace(drawing, picture=digest(picture) if picture is not None else None)
-    write_signed(path, work.place(path), asdict(known), settle=False)
+    write_signed(path, work.place(path), asdict(known), lasts=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from ..task import camera_of
 from .findings import Down as Down
 from .findings import Figures as Figures
 from .findings import Finding as Finding
@@ -16,6 +17,7 @@ from .findings import Usual as Usual
 from .findings import Verdict as Verdict
 from .findings import rounded
 
+SAME_AS = "same_as"
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -102,7 +104,7 @@ class CameraRecord:
 
 @dataclass(frozen=True)
 class PairRecord:
-    """What became of one pair of cameras."""
+    """What became of one pair of cameras, or of their views."""
 
     left: str
     right: str
@@ -114,6 +116,11 @@ class PairRecord:
     """The stage that gave nothing, where one did."""
     figures: Figures = field(default_factory=dict)
     """What the stages report of it; None where they did not come so far."""
+
+    @property
+    def cameras(self) -> tuple[str, str]:
+        """The cameras whose views these are."""
+        return camera_of(self.left), camera_of(self.right)
 
     @property
     def name(self) -> str:
@@ -169,6 +176,12 @@ class WorldRecord:
         """Cameras that the images say have changed, and how."""
         suspects: Mapping[str, str] = self.figures.get("suspects") or {}
         return suspects
+
+    @property
+    def doubtful(self) -> Mapping[str, str]:
+        """Cameras in use whose known poses are likely to be wrong, and what says so."""
+        doubtful: Mapping[str, str] = self.figures.get("doubtful") or {}
+        return doubtful
 
     @property
     def joins(self) -> tuple[str, ...]:
@@ -230,11 +243,16 @@ class RunRecord:
         """The pairs that a camera is one of."""
         return self._pairs_of.get(camera, [])
 
+    @property
+    def same_as(self) -> str:
+        """Id of the run that this one is the same as in all but its times, since nothing had changed; "" where it is its own."""
+        return str(self.later.get(SAME_AS) or "")
+
     @cached_property
     def _pairs_of(self) -> dict[str, list[PairRecord]]:
         found: dict[str, list[PairRecord]] = {}
         for pair in self.pairs:
-            for camera in dict.fromkeys((pair.left, pair.right)):
+            for camera in pair.cameras:
                 found.setdefault(camera, []).append(pair)
         return found
 

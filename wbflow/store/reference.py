@@ -18,7 +18,7 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Subject, Task
 from .artifact import file_digest
-from .atomic import clear, copy_atomic, sync_folder, write_atomic
+from .atomic import clear, copy_atomic, sync_all, write_atomic
 from .cache import Cache, Receipt
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, signed
@@ -162,13 +162,13 @@ def mend_record(work: WorkFolder) -> str | None:
     return f"{fault}: taken from {whole.name}"
 
 
-def write_reference(work: WorkFolder, reference: Reference, receipts: Iterable[Receipt]) -> None:
+def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
     """Put a reference in the place of the one that is there.  The caller holds the lock.
 
     Parameters
     ----------
-    work : WorkFolder
-        Whose.
+    cache : Cache
+        Of the work folder whose reference it is.
     reference : Reference
         What it is.
     receipts : iterable of Receipt
@@ -179,13 +179,14 @@ def write_reference(work: WorkFolder, reference: Reference, receipts: Iterable[R
     OSError
         The disk is full, or there is no right to write.
     """
+    work = cache.work
     kept = {work.reference_record, work.reference_twin}
     for receipt in receipts:
-        for path in _files(work, receipt):
-            copy_atomic(path, work.pinned(path))
+        for path in _files(cache, receipt):
+            copy_atomic(path, work.pinned(path), lasts=False)
             kept.add(work.pinned(path))
-    for folder in {path.parent for path in kept if path.parent.is_dir()}:
-        sync_folder(folder)
+    if work.reference.is_dir():
+        sync_all(work.reference)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, signed(_OF, reference.to_json(), indent=1), ours=True)
     for path in work.reference.rglob("*"):
@@ -216,7 +217,7 @@ class Restored:
     """They are nowhere."""
 
 
-def restore(work: WorkFolder, reference: Reference) -> Restored:
+def restore(cache: Cache, reference: Reference) -> Restored:
     """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
 
     Raises
@@ -224,7 +225,7 @@ def restore(work: WorkFolder, reference: Reference) -> Restored:
     OSError
         The disk is full, or there is no right to write.
     """
-    cache = Cache(work)
+    work = cache.work
     to_cache: list[Task] = []
     copied: list[Task] = []
     lost: list[Task] = []
@@ -232,8 +233,8 @@ def restore(work: WorkFolder, reference: Reference) -> Restored:
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
             (to_cache if put_back(work, pinned) else lost).append(task)
-        elif any(_differ(path, work.pinned(path)) for path in _files(work, receipt)) and _is_whole(cache, receipt):
-            for path in _files(work, receipt):
+        elif any(_differ(path, work.pinned(path)) for path in _files(cache, receipt)) and _is_whole(cache, receipt):
+            for path in _files(cache, receipt):
                 clear(work.pinned(path))
                 copy_atomic(path, work.pinned(path))
             copied.append(task)
@@ -272,10 +273,10 @@ def _differ(path: Path, copy: Path) -> bool:
         return True
 
 
-def _files(work: WorkFolder, receipt: Receipt) -> list[Path]:
+def _files(cache: Cache, receipt: Receipt) -> list[Path]:
     """An artifact, if there is one, and its receipt."""
-    artifact = [Cache(work).path(receipt)] if receipt.file else []
-    return [*artifact, work.receipt(receipt.preimage.task, receipt.key)]
+    artifact = [cache.path(receipt)] if receipt.file else []
+    return [*artifact, cache.work.receipt(receipt.preimage.task, receipt.key)]
 
 
 def _remove_empty(folder: Path) -> None:

@@ -20,7 +20,7 @@ from .events import Event, TaskEvent, event_from_json
 from .intact import Intact
 from .layout import RunPaths, WorkFolder, run_id, started_by
 from .outside import open_outside, read_outside
-from .record import CloudRecord, RunRecord
+from .record import CloudRecord, RunRecord, Verdict
 from .share import share_product, write_product
 from .signed import Unsigned, signed, unsigned
 
@@ -92,7 +92,7 @@ class RunFolder:
     def record(self) -> RunRecord:
         """run.json.  Raises NoSuchRun for one that cannot be read."""
         try:
-            return RunRecord.from_json(_told(read_outside(self.paths.record)))
+            return record_of(read_outside(self.paths.record))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -147,11 +147,11 @@ class RunFolder:
             verdict = self.record().verdict
         except NoSuchRun:
             return False
-        return verdict is None or verdict.level != "failed"
+        return _may_be_shown(verdict)
 
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
-        write_atomic(self.paths.log, read_outside(self.paths.log) + _lines([event]))
+        write_atomic(self.paths.log, read_outside(self.paths.log) + log_of([event]))
 
     def write_report(self, page: str) -> Path:
         """Put a report in the place of the one that is there."""
@@ -238,14 +238,28 @@ class UnfinishedRun:
         OSError
             The disk is full, or there is no right to write.
         """
-        write_atomic(self.paths.log, _lines(events))
-        write_atomic(self.paths.record, signed(_OF, record.to_json(), indent=1))
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
+        return self.tell(log_of(events), signed(_OF, record.to_json(), indent=1), metrics, record.verdict)
+
+    def tell(self, log: bytes, record: bytes, metrics: str, verdict: Verdict | None) -> RunFolder:
+        """The same with all that is told of the run in bytes, besides the report, which is there.
+
+        Parameters
+        ----------
+        log, record : bytes
+            What happened; run.json.
+        metrics : str
+            The run for Prometheus.
+        verdict : Verdict or None
+            What the night came to.
+        """
+        write_atomic(self.paths.log, log, settle=False)
+        write_atomic(self.paths.record, record, settle=False)
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
-        turn_links(self.work)
+        turn_links(self.work, {self.name: verdict})
         return RunFolder(final)
 
     @property
@@ -259,10 +273,16 @@ class UnfinishedRun:
         return self.work.newest_runs()
 
 
-def turn_links(work: WorkFolder) -> None:
+def turn_links(work: WorkFolder, verdicts: Mapping[str, Verdict | None] | None = None) -> None:
     """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
-    killed in between.  Raises OSError."""
-    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
+    killed in between.  verdicts: of runs whose record need not be read.  Raises OSError."""
+
+    def good(run: RunFolder) -> bool:
+        if verdicts is None or run.id not in verdicts:
+            return run.is_good()
+        return run.paths.cloud.is_file() and _may_be_shown(verdicts[run.id])
+
+    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
     for link, suits in may_show.items():
         shown = work.led_to(link)
@@ -272,6 +292,10 @@ def turn_links(work: WorkFolder) -> None:
             if suits(run):
                 work.turn(link, run.id)
                 break
+
+
+def _may_be_shown(verdict: Verdict | None) -> bool:
+    return verdict is None or verdict.level != "failed"
 
 
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
@@ -307,5 +331,16 @@ def _sha256(path: Path) -> str | None:
         return None
 
 
-def _lines(events: Iterable[Event]) -> bytes:
+def text_of(record: RunRecord) -> str:
+    """run.json without its checksum."""
+    return json.dumps({"of": _OF, **record.to_json()}, indent=1)
+
+
+def record_of(data: bytes) -> RunRecord:
+    """The record in the bytes of a run.json.  Raises ValueError, KeyError, TypeError, AttributeError."""
+    return RunRecord.from_json(_told(data))
+
+
+def log_of(events: Iterable[Event]) -> bytes:
+    """The lines of a log."""
     return "".join(json.dumps(event.to_json()) + "\n" for event in events).encode()

@@ -43,8 +43,12 @@ def signed(of: str, content: Mapping[str, Any], indent: int | None = None) -> by
         For files that people read.
     """
     separators = None if indent else (",", ":")
-    body = json.dumps({"of": of, **content}, indent=indent, separators=separators).encode()[1:]
-    return b"".join([_HEAD, digest(body).encode(), _TAIL, body])
+    return sign(json.dumps({"of": of, **content}, indent=indent, separators=separators).encode())
+
+
+def sign(body: bytes) -> bytes:
+    """The same of a JSON object that is text already, and says what it is of."""
+    return b"".join([_HEAD, digest(body[1:]).encode(), _TAIL, body[1:]])
 
 
 def unsigned(data: bytes, of: str) -> dict[str, Any]:
@@ -68,7 +72,7 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
     return content
 
 
-def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: bool = True) -> None:
+def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: bool = True, lasts: bool = True) -> None:
     """Put a signed file into its place.
 
     Parameters
@@ -79,7 +83,7 @@ def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: boo
         What it belongs to.
     content : mapping
         Its entries (see `signed`).
-    settle : bool
+    settle, lasts : bool
         See `write_atomic`.
 
     Raises
@@ -87,7 +91,7 @@ def write_signed(path: Path, of: str, content: Mapping[str, Any], *, settle: boo
     OSError
         The disk is full, or there is no right to write.
     """
-    write_atomic(path, signed(of, content), settle=settle, ours=True)
+    write_atomic(path, signed(of, content), settle=settle, lasts=lasts, ours=True)
 
 
 def read_signed(path: Path, of: str) -> dict[str, Any] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import io
 import math
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -137,6 +138,27 @@ def test_laspy_reads_the_cloud_back(crs: str) -> None:
     assert (found.to_epsg() if found else None) == (32632 if crs else None)
     assert las.header.creation_date == DAY
     assert laz_bytes(cloud, DAY, on_map) == data
+
+
+@pytest.mark.parametrize("crs", ["", LOCAL])
+def test_libe57_reads_the_cloud_back(crs: str, tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    from wbflow_stages.exports.e57 import e57_bytes
+    from wbflow_stages.exports.world import georeference
+
+    cloud = cloud_of(hill(count=2000))
+    on_map = georeference(crs) if crs else None
+    data = e57_bytes(cloud, on_map)
+    (tmp_path / "cloud.e57").write_bytes(data)
+    file = pye57.E57(str(tmp_path / "cloud.e57"))
+    read = file.read_scan_raw(0, ignore_unsupported_fields=True)
+    expected = on_map.points(cloud.points.astype(float)) if on_map else cloud.points
+    assert np.abs(np.column_stack([read[f"cartesian{axis}"] for axis in "XYZ"]) - expected).max() < 1e-5
+    assert np.array_equal(np.column_stack([read[f"color{name}"] for name in ("Red", "Green", "Blue")]), cloud.colors)
+    assert read["intensity"] == pytest.approx(cloud.confidence, abs=1e-6)
+    assert "nor:normalZ" in file.get_header(0).point_fields
+    assert file.root["coordinateMetadata"].value() == ("EPSG:32632" if crs else "")
+    assert e57_bytes(cloud, on_map) == data
 
 
 def test_rasterio_reads_the_geotiff_back() -> None:

@@ -6,9 +6,17 @@ import cv2
 import numpy as np
 
 from tests.helpers.exact_scene import make_yard
-from wbflow_stages.exports.previews import cloud_preview, disparity_preview, frame_preview, matches_preview, rectified_preview
+from wbflow_stages.exports.marks import inlier_marks, keypoint_marks
+from wbflow_stages.exports.previews import (
+    cloud_preview,
+    disparity_preview,
+    frame_large,
+    frame_preview,
+    matches_preview,
+    rectified_preview,
+)
 from wbflow_stages.fuse import fuse
-from wbflow_stages.types import Cloud, Disparity, Frame, Matches, View
+from wbflow_stages.types import Cloud, Disparity, Features, Frame, Matches, View
 
 
 def picture(data: np.ndarray) -> np.ndarray:
@@ -84,3 +92,19 @@ def test_nothing_is_no_reason_to_fail() -> None:
     nothing = np.full((10, 10), -32768, np.int16)
     confidence = np.zeros((10, 10), np.uint8)
     assert picture(disparity_preview(Disparity(nothing, nothing, confidence, confidence, 0, 0.0))).max() < 40
+
+
+def test_a_large_picture_is_as_large_as_the_frame_and_marks_are_shares_of_it() -> None:
+    large = cv2.imdecode(frame_large(frame()), cv2.IMREAD_COLOR)
+    assert large is not None and large.shape == (640, 960, 3)
+    corners = np.array([[-0.5, -0.5], [959.5, 639.5]])
+    both = np.frombuffer(inlier_marks(matches(corners, corners[::-1])), "<u2").reshape(2, -1, 2)  # type: ignore[arg-type]
+    assert both.tolist() == [[[0, 0], [65535, 65535]], [[65535, 65535], [0, 0]]]
+    xy = np.column_stack([np.linspace(0, 959, 5000), np.full(5000, 319.5)])
+    ones = np.ones(5000, np.float32)
+    found = Features(
+        xy, np.tile(np.eye(2), (5000, 1, 1)), np.ones((5000, 4), np.float32), ones, ones.astype(np.uint8), View(960, 640)
+    )
+    marks = np.frombuffer(keypoint_marks(found), "<u2").reshape(-1, 2)
+    assert len(marks) == 3000
+    assert np.ptp(marks[:, 0]) > 65000 and np.abs(marks[:, 1].astype(int) - 32768).max() <= 1

@@ -192,7 +192,7 @@ def test_who_was_shifted_in_a_chain_cannot_be_told_from_who_was_not() -> None:
     site = make_pair_site(3, noise_px=0.2)
     chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
     poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 0, 0), (0.5, 0.5, 0.5))))
-    assert not poses.suspects
+    assert not poses.suspects and not poses.doubtful
     assert "contradict each other: which is wrong cannot be told" in poses.notes[0]
 
 
@@ -203,6 +203,8 @@ def test_the_camera_that_all_contradictions_have_in_common_is_named_though_they_
     poses = solve(chain, placements(chain, c1=moved(chain, "c1", (0, 3, 0), (0.5, 0, 0))))
     assert not poses.suspects and poses.sources["c1"] == "stated"
     assert "have c1 in common. It is the likeliest to be wrong" in poses.notes[0]
+    assert list(poses.doubtful) == ["c1"]
+    assert poses.doubtful["c1"].startswith("2 of its 2 pairs contradict its known pose by up to ")
 
 
 def test_a_calibration_that_fits_nowhere_accuses_no_single_camera() -> None:

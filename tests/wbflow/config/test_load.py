@@ -329,3 +329,37 @@ def test_a_folder_of_captures_that_is_called_nearly_so_is_named(tmp_path: Path) 
 def test_a_folder_without_a_site_file_is_told_how_to_get_one(tmp_path: Path) -> None:
     with pytest.raises(SiteError, match=f"wbflow init {tmp_path}"):
         load_site(tmp_path)
+
+
+FISHEYE = """\
+site: yard
+captures: {{root: images, pattern: "{{camera}}.jpg"}}
+cameras:
+  - gate
+  - {{id: roof, model: fisheye, distortion: [0.01],
+     intrinsics: {{fx: {f}, fy: {f}, cx: 319.5, cy: 179.5, width: 640, height: 360}},
+     pose: {{position: [1, 2, 5], look_at: [10, 0, 0]}}, mask: roof.png}}
+"""
+
+
+def test_a_camera_too_wide_for_one_pinhole_has_several_views_at_its_place(tmp_path: Path) -> None:
+    (tmp_path / "roof.png").write_bytes(b"")
+    site = load_site(site_at(tmp_path, FISHEYE.format(f=204)))
+    assert [camera.id for camera in site.cameras] == ["gate", "roof"]
+    assert [view.id for view in site.views] == ["gate", "roof@1", "roof@2", "roof@3"]
+    roof = site.cameras[1]
+    for view in site.views[1:]:
+        assert (view.camera, view.mask, view.placement.C, view.lens.K) == ("roof", roof.mask, [1.0, 2.0, 5.0], roof.lens.K)
+        assert view.lens.camera == "roof"
+    looks = [view.placement.R[2] for view in site.views[1:] if view.placement.R]
+    assert roof.placement.R is not None
+    assert looks[0] == pytest.approx(roof.placement.R[2])
+    across = [sum(a * b for a, b in zip(roof.placement.R[0], look, strict=True)) for look in looks]
+    assert across[1] < -0.8
+    assert across[2] > 0.8
+
+
+def test_a_camera_that_one_pinhole_shows_stays_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "roof.png").write_bytes(b"")
+    site = load_site(site_at(tmp_path, FISHEYE.format(f=400)))
+    assert site.views == site.cameras

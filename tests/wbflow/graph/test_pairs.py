@@ -88,3 +88,18 @@ def test_a_hub_gets_no_more_pairs_than_a_view_takes_and_says_what_is_left_out() 
     assert max(dict(graph(crowd).degree).values()) == MOST_AT_A_CAMERA
     assert len(crowd.components) == 1
     assert crowd.untold + len(crowd.edges) == 45 * 44 // 2
+
+
+def test_views_of_one_camera_are_never_a_pair_and_their_camera_is_named_in_pairs() -> None:
+    names = ("gate@1", "gate@2", "gate@3", "roof", "mast@1", "mast@2")
+    pairs = list(combinations(range(6), 2))
+    shared = np.array([0.9 if {names[i], names[j]} in ({"gate@2", "roof"}, {"gate@1", "mast@1"}) else 0.3 for i, j in pairs])
+    evidence = Overlap(names, np.array(pairs, np.int32), np.full(len(pairs), math.nan), shared, "appearance")
+    chosen = select_pairs(evidence, degree=6).pairs
+    assert not any(left.split("@")[0] == right.split("@")[0] for left, right in chosen)
+    assert ("gate@2", "roof") in chosen
+    without = select_pairs(evidence, degree=6, exclude=[["mast", "gate"]]).pairs
+    assert {left.split("@")[0] + "--" + right.split("@")[0] for left, right in without} == {"gate--roof", "roof--mast"}
+    reasons = {(e.left, e.right): e.reason for e in select_pairs(evidence, degree=1, include=[["roof", "gate"]]).edges}
+    assert reasons["gate@2", "roof"] == "included by the site file"
+    assert reasons["gate@1", "roof"] != "included by the site file"

@@ -17,6 +17,7 @@ import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.store import atomic, reference
+from wbflow.store.cache import Cache
 from wbflow.store.layout import WorkFolder
 from wbflow.task import Task
 
@@ -266,13 +267,13 @@ def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySi
         monkeypatch.setattr(reference, "copy_atomic", _dying(atomic.copy_atomic, steps := iter(range(1000)), last))
         monkeypatch.setattr(reference, "write_atomic", _dying(atomic.write_atomic, steps, last))
         try:
-            pin(work, good_run(work, second))
+            pin(Cache(work), good_run(work, second))
             break
         except KeyboardInterrupt:
             assert reference.read_reference(work) == old
             assert all(work.pinned(work.receipt(t, p.key)).is_file() for t, p in old.artifacts.items()) if old else False
     monkeypatch.undo()
-    pin(work, good_run(work, second))
+    pin(Cache(work), good_run(work, second))
     now = reference.read_reference(work)
     assert now is not None
     assert now.run == second

@@ -107,7 +107,7 @@ def test_files_of_an_earlier_demo_that_are_not_written_again_go_away(tmp_path: P
 def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from wbflow_stages.synthetic import files
 
-    def stops(site: DemoSite, scene: str, light: str) -> Iterator[tuple[str, bytes]]:
+    def stops(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes]]:
         yield "captures/mast-2/2026-11-19_1.jpg", b"half"
         raise KeyboardInterrupt
 

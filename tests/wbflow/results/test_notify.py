@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from tests.wbflow.results.test_verdict import NAMES, camera, lost, night, without
+from tests.wbflow.results.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
 from wbflow.config.load import load_site
 from wbflow.config.positions import SiteError
 from wbflow.config.site import Notify
 from wbflow.results.metrics import metrics
 from wbflow.results.notify import MOST_WORDS, NotTold, notify, summary
 from wbflow.store.layout import WorkFolder
-from wbflow.store.record import RunRecord
+from wbflow.store.record import Health, RunRecord
 
 LISTENER = """\
 import json, os, sys
@@ -60,6 +61,29 @@ def test_each_state_is_told_once_and_so_is_recovery(tmp_path: Path) -> None:
     occasions = [site.tell(record) for record in nights]
     assert occasions == [None, "degraded", None, "degraded", "failed", None, "recovered", None]
     assert [entry["stdin"]["event"] for entry in site.told] == ["degraded", "degraded", "failed", "recovered"]
+
+
+def test_each_sort_of_bad_night_is_told_in_its_own_words(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    knocked = replace(camera("crane"), health=Health("moved", "turned by 1.9 degrees", remedy="look at its mount"))
+    foreign = replace(camera("mast"), health=Health("foreign", "it shows another place", remedy="look at its picture"))
+    poor = [pair(*names, *(("ok",) if k == 0 else ("rejected", False))) for k, names in enumerate(PAIRS)]
+    nights = [
+        down("roof"),
+        night(cameras=[knocked, foreign, camera("gate"), camera("roof")]),
+        all_down(),
+        night(pairs=poor),
+        night(),
+    ]
+    for record in [*nights[:2], *nights[1:]]:  # the second one twice
+        site.tell(record)
+    assert [entry["env"]["WBFLOW_SUMMARY"] for entry in site.told] == [
+        "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight",
+        "yard 2026-11-20: degraded: crane: turned by 1.9 degrees (and 1 more)",
+        "yard 2026-11-20: failed: no cloud: only camera gate has a usable capture (and 4 more)",
+        "yard 2026-11-20: degraded: mast: none of its 3 pairs could be used: 23 inliers, 30 needed (and 2 more)",
+        "yard 2026-11-20: good",
+    ]
 
 
 def test_what_is_told(tmp_path: Path) -> None:

@@ -149,6 +149,7 @@ def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night:
     for finding in night.verdict.findings:
         assert finding.text in told and finding.remedy in told
     assert texts(".verdict strong") == ["2 cameras to look at"]
+    assert texts(".tried li") == ["geometry rejected: 12 inliers, 30 needed"]
     assert browser.execute_script("return view.scene.cameras.map(c => c.id)") == ids
 
 

@@ -255,6 +255,12 @@ def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> 
     assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
 
 
+def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stays_in_use() -> None:
+    world = WorldRecord({"doubtful": {"mast": "2 of its 2 pairs contradict its known pose by up to 33.8 px"}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
+
+
 def test_a_camera_in_no_pair_gives_nothing() -> None:
     assert only(night(pairs=without("roof"))).kind == "camera-alone"
 

@@ -15,12 +15,13 @@ from wbflow.store.layout import WorkFolder
 
 @pytest.fixture
 def settled(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
-    """A site with three nights behind it, whose cloud is known to be intact, however young its files are."""
+    """A site with three nights behind it, each planned, whose cloud is known to be intact, however young its files are."""
     monkeypatch.setattr("wbflow.store.digests._SETTLED_NS", -(10**18))
     toy.keys = {"pin": "none"}  # a reference has copies, which are put back
     toy.write()
     for _ in range(3):
         toy.run()
+        WorkFolder(toy.work).unchanged_memo.unlink()  # else the next night would not be planned
     assert Intact(WorkFolder(toy.work)).earlier("cloud.ply") is not None
     return toy
 

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from ...graph.pipeline import stage_with
 from ...graph.rows import FromSite, Role, SiteValue
-from ...store.cache import Cache
 from ...store.outside import read_outside
 from ...store.run_folder import NoSuchRun, RunFolder
-from ...task import Task
+from ...task import Task, view_name
 from .sources import Sources
 
 ROOM = 6_500_000
@@ -53,13 +52,18 @@ class Album:
         return self.of_file(self.sources.work.picture(task, event.key), alt) if event and event.key else None
 
     def of_frame(self, camera: str, alt: str) -> Shown | None:
-        """What a camera saw this night."""
-        return self.of_task(Task(stage_with(Role.FRAME).name, (camera,)), alt)
+        """What a camera saw this night: of several views in the first, which shows its middle."""
+        return self.of_task(self._frame(camera), alt)
+
+    def _frame(self, camera: str) -> Task:
+        """The task that made a camera's frame."""
+        whole, first = (Task(stage_with(Role.FRAME).name, (name,)) for name in (camera, view_name(camera, 1)))
+        return first if first in self.sources.tasks else whole
 
     def of_last_good(self, camera: str) -> Shown | None:
         """What a camera saw when it was last as it should be."""
         good = self.sources.last_good(camera)
-        task = Task(stage_with(Role.FRAME).name, (camera,))
+        task = self._frame(camera)
         if good is None:
             return None
         try:
@@ -72,10 +76,10 @@ class Album:
 
     def _may_be_seen(self, task: Task, key: str) -> bool:
         """Was an earlier picture made with what is private now left out?"""
-        stated = next((camera for camera in self.sources.site.cameras if (camera.id,) == task.subject), None)
+        stated = next((view for view in self.sources.site.views if (view.id,) == task.subject), None)
         if stated is None or not stated.privacy.counts:
             return True
-        cache, tonight = Cache(self.sources.work), self.sources.tasks.get(task)
+        cache, tonight = self.sources.cache, self.sources.tasks.get(task)
         then = cache.by_key(task, key)
         now = cache.by_key(task, tonight.key) if tonight and tonight.key else None
         private = [name for name, need in stage_with(Role.FRAME).needs.items() if need == _PRIVATE]

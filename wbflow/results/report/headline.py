@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 from ...config.site import Measure
@@ -11,6 +12,9 @@ from ...task import Task
 from ..past import figures_of
 from .album import Album, Shown
 from .sources import Sources
+
+_OF_A_KIND = 4
+"""So many findings of one kind are shown; more are folded."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class ShownFinding:
     remedy: str
     pictures: tuple[tuple[Shown | None, str], ...]
     """With what is said below them; none for one that could not be read."""
+    folded: bool = False
+    """So many of its kind stand before it that it is shown on demand."""
 
 
 def headline(record: RunRecord) -> Headline:
@@ -64,8 +70,17 @@ def headline(record: RunRecord) -> Headline:
     else:
         interrupted = any(finding.kind == "interrupted" for finding in findings)
         title = "Interrupted" if interrupted else "No cloud this night"
-        words = _todo(findings) or "The reasons stand below."
+        words = _shared(record, cameras) or _todo(findings) or "The reasons stand below."
     return Headline(level, title, words, tuple(_facts(record)))
+
+
+def _shared(record: RunRecord, cameras: list[Finding]) -> str:
+    """What to do where next to all cameras have the same trouble: one of them is not to blame."""
+    kinds = {finding.kind for finding in cameras}
+    if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
+        return ""
+    whose = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
+    return f"The same is wrong with {whose}. First: look at what they share: power, network, the folder of the captures."
 
 
 def _count(number: int, thing: str) -> str:
@@ -125,12 +140,15 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
     """The findings of a night, the most important first."""
     record = sources.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
-    found = []
+    found: list[ShownFinding] = []
+    kinds = Counter[str]()
     for finding in record.verdict.findings if record.verdict else ():
+        kinds[finding.kind] += 1
+        folded = kinds[finding.kind] > _OF_A_KIND
         name = "--".join(finding.subject)
         camera = finding.subject[0] if len(finding.subject) == 1 and finding.subject[0] in numbers else None
         pictures: list[tuple[Shown | None, str]] = []
-        if camera:
+        if camera and not folded:
             tonight, then = album.of_frame(camera, f"{camera} on {record.date}"), album.of_last_good(camera)
             if tonight or then:
                 pictures = [(tonight, f"this night, {record.date}"), *([(then, then.alt)] if then else [])]
@@ -138,5 +156,5 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
             shown = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
             pictures.extend([(picture, name) for picture in shown if picture][:2])
         number = numbers.get(name, 0)
-        found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures)))
+        found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures), folded))
     return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ...config.site import Measure
 from ...graph.pipeline import STAGES
 from ...store.record import CameraRecord, RunRecord
-from ..past import figures_of, looks_of
+from ..past import figures_of
 from .charts import Chart, Value, chart
 from .sources import Sources, state_of
 
@@ -79,10 +79,9 @@ def _bytes(sources: Sources, night: RunRecord) -> float | None:
 def spark(sources: Sources, camera: str) -> list[Bar]:
     """How a camera was in the last nights: the share of its pairs that found common points, and its state."""
     bars = []
-    for night in sources.nights[-SPARK:]:
-        entry = next((c for c in night.cameras if c.id == camera), None)
-        if entry is not None:
-            share = looks_of(night).get(camera, {}).get("matched_share", 1.0 if entry.ok else 0.0)
+    for night, cameras, looks in sources.cameras_of_nights[-SPARK:]:
+        if (entry := cameras.get(camera)) is not None:
+            share = looks.get(camera, {}).get("matched_share", 1.0 if entry.ok else 0.0)
             state = state_of(entry, night)
             bars.append(Bar(night.date, state, max(0.12, share), f"{night.date}: {_words(entry, share)}"))
     return bars

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ...config.site import Site
 from ...graph.pipeline import STAGES, stage_with
 from ...graph.rows import Role
+from ...store.cache import Cache
 from ...store.events import Event, WarningEvent
 from ...store.layout import WorkFolder
 from ...store.record import RunRecord
@@ -44,11 +45,11 @@ _A_ROW = 4000
 
 def rebuild_report(site: Site, work: WorkFolder, folder: RunFolder) -> str:
     """The report of a finished run.  Raises NoSuchRun for a folder that cannot be read."""
-    return build_report(site, work, folder.record(), folder.events(), folder.cameras(), folder.paths.folder)
+    return build_report(site, Cache(work), folder.record(), folder.events(), folder.cameras(), folder.paths.folder)
 
 
 def build_report(
-    site: Site, work: WorkFolder, record: RunRecord, events: Iterable[Event], cameras: Mapping[str, Any], products: Path
+    site: Site, cache: Cache, record: RunRecord, events: Iterable[Event], cameras: Mapping[str, Any], products: Path
 ) -> str:
     """HTML of a run.
 
@@ -56,8 +57,8 @@ def build_report(
     ----------
     site : Site
         Whose run.
-    work : WorkFolder
-        Whose cache holds the pictures.
+    cache : Cache
+        Holds the pictures.
     record : RunRecord
         The run in figures.
     events : iterable of Event
@@ -67,7 +68,7 @@ def build_report(
     products : Path
         The folder in which the run's products lie now.
     """
-    return _template().render(**_content(Sources(work, record, tuple(events), cameras, products, site)))
+    return _template().render(**_content(Sources(cache, record, tuple(events), cameras, products, site)))
 
 
 def _template() -> Template:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...store.record import PairRecord
 from .place import Layout, Standing
@@ -16,6 +16,8 @@ _LONGEST = 900.0
 _MARGIN = 70.0
 _REACH = 0.16
 """How far a field of view is drawn, as a share of the map."""
+_FEW = 24
+"""Cameras whose names have room above them."""
 _WIDEST = 5.0
 """Of the line of a pair."""
 
@@ -31,6 +33,8 @@ class Dot:
     view: str
     """Corners of the field of view; "" where it is not known where it looks."""
     title: str
+    label: tuple[float, float, str] = (0.0, -14.0, "middle")
+    """Where its name stands beside it, and how it is anchored."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,11 @@ class Plan:
     absent: tuple[str, ...]
     """Cameras of which nobody knows where they stand."""
 
+    @property
+    def many(self) -> bool:
+        """Are there so many cameras that each is drawn small?"""
+        return len(self.dots) > _FEW
+
     def spot(self, at: Sequence[float]) -> tuple[float, float]:
         """Where a place in the frame of the page is in the drawing."""
         return (at[0] - self.left) * self.scale, (self.top - at[1]) * self.scale
@@ -107,11 +116,13 @@ def plan_of(sources: Sources, layout: Layout) -> Plan:
         view = " ".join(f"{a:.1f},{b:.1f}" for a, b in map(spot, _seen(camera, reach)))
         title = "; ".join(filter(None, (words[camera.id], camera.note)))
         dots.append(Dot(camera.id, camera.state, x, y, view, title))
+    if len(dots) > _FEW:
+        dots = _outside(dots)
     most = max((pair.figures.get("inliers") or 0 for pair in sources.record.pairs), default=0) or 1
     lines = [
-        _line(pair, spot(standing[pair.left].at), spot(standing[pair.right].at), most)
+        _line(pair, spot(standing[pair.cameras[0]].at), spot(standing[pair.cameras[1]].at), most)
         for pair in sorted(sources.record.pairs, key=lambda pair: pair.ok)
-        if pair.left in standing and pair.right in standing
+        if standing.keys() >= {*pair.cameras}
     ]
     spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale), m.known) for m in layout.marks]
     bar = _round_length(0.2 * WIDTH / scale)
@@ -121,6 +132,20 @@ def plan_of(sources: Sources, layout: Layout) -> Plan:
     words_of_bar = f"{bar:g} {layout.unit or 'units'}"
     drawn = tuple(dots), tuple(lines), tuple(spots)
     return Plan(WIDTH, height, left, top, scale, *drawn, bar * scale, words_of_bar, turned, layout.north, absent)
+
+
+def _outside(dots: list[Dot]) -> list[Dot]:
+    """Names away from the middle of all cameras, where many stand in a row around something."""
+    x, y = (sum(values) / len(dots) for values in ([d.x for d in dots], [d.y for d in dots]))
+    found = []
+    for dot in dots:
+        across, down = dot.x - x, dot.y - y
+        if abs(across) > 0.6 * abs(down):
+            label = (math.copysign(9.0, across), 4.0, "start" if across > 0 else "end")
+        else:
+            label = (0.0, 18.0 if down > 0 else -10.0, "middle")
+        found.append(replace(dot, label=label))
+    return found
 
 
 def _seen(camera: Standing, reach: float) -> list[tuple[float, float]]:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from ...graph.pipeline import STAGES, stage_with
 from ...graph.rows import Role
-from ...store.cache import Cache
-from ...task import Task
+from ...task import Task, camera_of, view_name
 from .made import Maker
 from .sources import Sources
 
@@ -49,22 +48,24 @@ def seen(maker: Maker, sources: Sources, keys: Mapping[Task, str], room: int) ->
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     found: list[Seen] = []
     for camera in sorted(numbers, key=lambda name: (name not in told, numbers[name])):
-        frame = Task(stage_with(Role.FRAME).name, (camera,))
+        first, whole = (Task(stage_with(Role.FRAME).name, (view,)) for view in (view_name(camera, 1), camera))
+        frame = first if first in keys else whole
         picture = maker.made(stage_with(Role.FRAME).large, frame, keys[frame]) if frame in keys else None
         if not picture:
             continue
-        marks = b"".join(_of_camera(maker, keys, camera)), b"".join(_of_pairs(maker, sources, keys, camera))
+        view = frame.subject[0]
+        marks = b"".join(_of_camera(maker, keys, view)), b"".join(_of_pairs(maker, sources, keys, view))
         data = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
         if len(data) > room:
             break
         room -= len(data)
-        found.append(Seen(numbers[camera], data, _note(sources, keys, camera) if any(marks) else ""))
+        found.append(Seen(numbers[camera], data, _note(sources, keys, view) if any(marks) else ""))
     return sorted(found, key=lambda one: one.number)
 
 
 def _note(sources: Sources, keys: Mapping[Task, str], camera: str) -> str:
     """A camera that stands as it did keeps the points of the reference: they were found in its picture of then."""
-    cache, frame = Cache(sources.work), Task(stage_with(Role.FRAME).name, (camera,))
+    cache, frame = sources.cache, Task(stage_with(Role.FRAME).name, (camera,))
     shown = cache.by_key(frame, keys[frame])
     for stage in STAGES:
         task = Task(stage.name, (camera,))
@@ -84,7 +85,9 @@ def _of_camera(maker: Maker, keys: Mapping[Task, str], camera: str) -> Iterator[
 
 def _of_pairs(maker: Maker, sources: Sources, keys: Mapping[Task, str], camera: str) -> Iterator[bytes]:
     for stage in STAGES:
-        for pair in sources.record.pairs_of(camera) if stage.marks and stage.scope == "pair" else ():
+        for pair in sources.record.pairs_of(camera_of(camera)) if stage.marks and stage.scope == "pair" else ():
+            if camera not in {pair.left, pair.right}:
+                continue  # of another view of the camera
             task = Task(stage.name, (pair.left, pair.right))
             if task in keys and (both := maker.made(stage.marks, task, keys[task])):
                 half = len(both) // 2

@@ -41,6 +41,7 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         page = read_outside(earlier).decode()
     except (OSError, ValueError):  # removed, or damaged: nothing to share
         return
+    alike = _alike(work, before[0])
     target = f"../{run}/{newest.name}"
 
     def picture(match: re.Match[str]) -> str:
@@ -54,5 +55,15 @@ def share_pictures(work: WorkFolder, run: str) -> None:
     shared = _STREAM.sub(stream, _PICTURE.sub(picture, page))
     if shared != page and all(match.group(1) != "points" for match in _STREAM.finditer(shared)):
         shared = _VIEWER.sub("", shared, count=1)
-    if shared != page:
-        RunFolder(work.run(before[0])).write_report(shared)
+    for name in alike if shared != page else ():
+        RunFolder(work.run(name)).write_report(shared)
+
+
+def _alike(work: WorkFolder, run: str) -> list[str]:
+    """A run, and those before it that show the same page under another name, since nothing had changed; not what links show."""
+    shown, found = {work.led_to(link) for link in work.links()}, [run]
+    for name in reversed([name for name in work.run_ids() if name < run]):
+        if not (work.run(name).report.exists() and work.run(name).report.samefile(work.run(run).report)):
+            break
+        found.append(name)
+    return [name for name in found if name not in shown]

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from ...config.site import Site
+from ...store.cache import Cache
 from ...store.events import Event, TaskEvent
 from ...store.layout import WorkFolder
 from ...store.record import CameraRecord, RunRecord
 from ...store.reference import BadReference, Reference, read_reference
 from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task
+from ..past import looks_of
 
 NIGHTS = 30
 """So many nights are told of."""
@@ -24,7 +26,7 @@ NIGHTS = 30
 class Sources:
     """A run and what surrounds it."""
 
-    work: WorkFolder
+    cache: Cache
     record: RunRecord
     events: tuple[Event, ...]
     cameras: Mapping[str, Any] = field(repr=False)
@@ -32,6 +34,11 @@ class Sources:
     files: Path
     """The folder in which the run's products lie now."""
     site: Site
+
+    @property
+    def work(self) -> WorkFolder:
+        """Where all of it lies."""
+        return self.cache.work
 
     @cached_property
     def tasks(self) -> dict[Task, TaskEvent]:
@@ -57,6 +64,11 @@ class Sources:
     def nights(self) -> list[RunRecord]:
         """The same and this one, oldest first."""
         return [*reversed(self.before), self.record]
+
+    @cached_property
+    def cameras_of_nights(self) -> list[tuple[RunRecord, dict[str, CameraRecord], dict[str, dict[str, float]]]]:
+        """Each of these nights, its cameras by id, and what is compared of each of them."""
+        return [(night, {camera.id: camera for camera in night.cameras}, looks_of(night)) for night in self.nights]
 
     @cached_property
     def reference(self) -> Reference | None:
@@ -105,5 +117,5 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
     if not camera.ok:
         return "bad"
     health = camera.health is None or camera.health.ok
-    suspect = record.poses is not None and camera.id in record.poses.suspects
+    suspect = record.poses is not None and camera.id in {*record.poses.suspects, *record.poses.doubtful}
     return "good" if health and not suspect and camera.down is None else "warn"

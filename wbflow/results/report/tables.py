@@ -9,7 +9,6 @@ from typing import Any
 
 from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
-from ...store.cache import Cache
 from ...store.record import CameraRecord, PairRecord
 from ...task import Task
 from ..beside import shown
@@ -247,7 +246,7 @@ def _is_picture(file: str) -> bool:
 
 def settings(sources: Sources) -> list[tuple[str, Used]]:
     """With which function and parameters each stage was run."""
-    cache, found = Cache(sources.work), dict[str, Used]()
+    cache, found = sources.cache, dict[str, Used]()
     for task, event in sources.tasks.items():
         if task.stage in found or not event.key or not (receipt := cache.by_key(task, event.key)):
             continue

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from ...graph.pipeline import STAGES
-from ...store.cache import Cache, Receipt
+from ...store.cache import Receipt
 from ...task import Task
 from .sources import Sources
 
@@ -73,7 +73,7 @@ def stage_times(sources: Sources) -> list[StageTime]:
 
 def timetable(sources: Sources) -> Timetable | None:
     """The tasks that ran this night; None where none did."""
-    cache, numbers = Cache(sources.work), {stage.name: k for k, stage in enumerate(STAGES)}
+    cache, numbers = sources.cache, {stage.name: k for k, stage in enumerate(STAGES)}
     ran: list[tuple[float, float, Task]] = []
     for task, event in sources.tasks.items():
         receipt = cache.by_key(task, event.key) if event.fresh and event.key else None

@@ -9,7 +9,7 @@ from typing import Any
 from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
 from ...graph.rows import Stage
-from ...store.cache import Cache, Receipt
+from ...store.cache import Receipt
 from ...store.record import PairRecord
 from ...task import Task
 from ..beside import number
@@ -34,7 +34,7 @@ def tried(sources: Sources, pair: PairRecord) -> tuple[Step, ...]:
 
 
 def _steps(sources: Sources, subject: tuple[str, str]) -> Iterator[Step]:
-    cache = Cache(sources.work)
+    cache = sources.cache
     for stage in (stage for stage in STAGES if stage.scope == "pair"):
         event = sources.tasks.get(Task(stage.name, subject))
         if event is None or event.outcome == "skipped":  # for what the step before says

@@ -1,0 +1,115 @@
+"""The views of a lens that sees more than one pinhole can show: how they are turned, and how far each reaches.
+
+A lens that is wide in one direction only (a frame that cuts off the circle of a fisheye) gets two or three views side by side;
+one that is wide in both gets four, or a cross: the middle, which is what other cameras mostly see, whole in one view, and one
+view on each side of it.  Neighbours overlap a little, so that windows of matching at the border of one lie within the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.lenses import lens_pixels, lens_rays, off_axis, reach
+from ..types import Float64s, Lens
+from .straight import WIDEST_DEG
+
+_SPARED_DEG = 2.0
+"""A lens that sees no more than this beyond `WIDEST_DEG` stays one view."""
+_THREE_FROM_DEG = 150.0
+"""Of what is wider than this, the middle is one view, and each side another."""
+_MIDDLE_DEG = 45.0
+"""Half the width of a middle view."""
+_OVERLAP_DEG = 3.0
+"""By so much neighbours reach over each other's border, each."""
+_FARTHEST_DEG = 95.0
+"""Nothing farther off the axis is used: there wide lenses see their own housing, and are known worst."""
+_CORNERS_DEG = 10.0
+"""How much farther a view may reach at the border of the picture."""
+_LEAST_SHARE = 0.05
+"""A view of which the lens sees less than this is none."""
+
+Span = tuple[float, float]
+"""From one angle to another, degrees."""
+
+
+def views_of_lens(
+    K: list[list[float]], distortion: list[float], width: int, height: int, model: str
+) -> list[tuple[list[list[float]], list[float]]]:
+    """What each view is, as `Lens.turn` and `Lens.window` have it in plain numbers, the one nearest to the axis first; none where
+    one pinhole shows all.
+
+    Parameters
+    ----------
+    K, distortion, width, height, model
+        As of `Lens`.
+    """
+    lens = Lens(np.array(K, dtype=np.float64), np.array(distortion, dtype=np.float64), None, width, height, model)
+    left, right, up, down = _limits(lens)
+    across, along = left + right, up + down
+    if max(across, along) <= WIDEST_DEG + _SPARED_DEG:
+        return []
+    found = []
+    for x, y in _layout((-left, right), (-up, down)):
+        turn, window = _turn(0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])), [*_slopes(x, (-left, right)), *_slopes(y, (-up, down))]
+        if _share(lens, turn, window) >= _LEAST_SHARE:
+            found.append((turn.tolist(), window))
+    found.sort(key=lambda view: -round(view[0][2][2], 6))
+    return found if len(found) > 1 else []
+
+
+def _limits(lens: Lens) -> tuple[float, float, float, float]:
+    """How far the picture reaches from the axis to the left, right, up and down, degrees."""
+    assert lens.K is not None
+    x, y = lens.K[:2, 2]
+    edges = np.array([[-0.5, y], [lens.width - 0.5, y], [x, -0.5], [x, lens.height - 0.5]])
+    seen = np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=reach(lens)))
+    left, right, up, down = (min(float(angle), _FARTHEST_DEG) for angle in seen)
+    return left, right, up, down
+
+
+def _layout(x: Span, y: Span) -> list[tuple[Span, Span]]:
+    """The views, from left to right and from top to bottom, each as what it shows to the sides and in height."""
+    columns, rows = _parts(x), _parts(y)
+    if min(len(columns), len(rows)) == 1 or len(columns) == len(rows) == 2:
+        return [(a, b) for b in rows for a in columns]
+    half = 0.5 * WIDEST_DEG
+    middle = (max(x[0], -_MIDDLE_DEG), min(x[1], _MIDDLE_DEG)), (max(y[0], -_MIDDLE_DEG), min(y[1], _MIDDLE_DEG))
+    inner = _MIDDLE_DEG - _OVERLAP_DEG
+    tall, broad = (max(y[0], -half), min(y[1], half)), (max(x[0], -half), min(x[1], half))
+    sides = [((x[0], -inner), tall), ((inner, x[1]), tall), (broad, (y[0], -inner)), (broad, (inner, y[1]))]
+    return [middle, *sides]
+
+
+def _parts(span: Span) -> list[Span]:
+    """What one direction is divided into."""
+    low, high = span
+    if high - low <= WIDEST_DEG:
+        return [span]
+    if high - low <= _THREE_FROM_DEG:
+        middle = 0.5 * (low + high)
+        return [(low, middle + _OVERLAP_DEG), (middle - _OVERLAP_DEG, high)]
+    inner = _MIDDLE_DEG - _OVERLAP_DEG
+    return [(low, -inner), (-_MIDDLE_DEG, _MIDDLE_DEG), (inner, high)]
+
+
+def _turn(right_deg: float, down_deg: float) -> Float64s:
+    """(3, 3) from camera axes to those of a view that looks so far to the right, and then so far down."""
+    a, b = np.deg2rad([right_deg, down_deg])
+    about_y = np.array([[np.cos(a), 0.0, -np.sin(a)], [0.0, 1.0, 0.0], [np.sin(a), 0.0, np.cos(a)]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
+    return np.asarray(about_x @ about_y, dtype=np.float64)
+
+
+def _slopes(span: Span, whole: Span) -> list[float]:
+    """From one border to the other of a view that shows a span and looks at its middle; at borders of the picture, whose corners
+    reach farther than the middles of its sides, a little more."""
+    half, most = 0.5 * (span[1] - span[0]), 0.5 * WIDEST_DEG
+    low, high = (min(half + (_CORNERS_DEG if edge in whole else 0.0), most) for edge in span)
+    return [-float(np.tan(np.deg2rad(low))), float(np.tan(np.deg2rad(high)))]
+
+
+def _share(lens: Lens, turn: Float64s, window: list[float]) -> float:
+    """Of a view, the part that falls on the picture."""
+    x, y = np.meshgrid(np.linspace(window[0], window[1], 24), np.linspace(window[2], window[3], 24))
+    found = lens_pixels(lens, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ turn)
+    return float(((found > -0.5) & (found < (lens.width - 0.5, lens.height - 0.5))).all(axis=1).mean())

@@ -1,0 +1,121 @@
+"""A cloud as E57 (ASTM E2807), by libE57Format: a scan of scaled integers, colours, normals, and the confidence as intensity.
+
+References
+----------
+ASTM E2807-11, Standard Specification for 3D Imaging Data Exchange, 2011; surface normals: the extension E57_NOR of libe57.org.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import uuid
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from pye57 import libe57
+
+from ..io.clouds import coordinate_step
+from ..types import Cloud, Float64s
+from .world import Georeference
+
+_NORMALS = "nor", "http://www.libe57.org/E57_NOR_surface_normals.txt"
+_AT_ONCE = 1_000_000
+"""Points in memory twice."""
+
+
+def e57_bytes(cloud: Cloud, georeference: Georeference | None = None) -> bytes:
+    """E57 of a cloud, in the map's coordinates where there is a georeference.  The same cloud gives the same bytes."""
+    points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
+    where = ""
+    if georeference is not None:
+        points, normals = georeference.points(points), georeference.directions(points, normals)
+        where = f"EPSG:{georeference.epsg}"
+    columns: dict[str, npt.NDArray[np.float64]] = {
+        **{f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")},
+        **{f"color{name}": cloud.colors[:, k].astype(np.float64) for k, name in enumerate(("Red", "Green", "Blue"))},
+        "intensity": cloud.confidence.astype(np.float64),
+        **{f"nor:normal{axis}": normals[:, k] for k, axis in enumerate("XYZ")},
+    }
+    with tempfile.TemporaryDirectory() as folder:  # the library writes files only
+        path = Path(folder) / "cloud.e57"
+        _write(str(path), columns, points, where)
+        return path.read_bytes()
+
+
+def _write(path: str, columns: dict[str, npt.NDArray[np.float64]], points: Float64s, where: str) -> None:
+    file = libe57.ImageFile(path, "w")
+    try:
+        named = uuid.UUID(bytes=hashlib.sha256(b"".join(c.tobytes() for c in columns.values())).digest()[:16])
+        scan = _scan(file, columns, points, str(named), where)
+        buffers, held = libe57.VectorSourceDestBuffer(), {name: np.empty(_AT_ONCE) for name in columns}
+        for name, values in held.items():
+            buffers.append(libe57.SourceDestBuffer(file, name, values, _AT_ONCE, True, True))
+        writer = scan.writer(buffers)
+        for start in range(0, len(points), _AT_ONCE):
+            count = min(_AT_ONCE, len(points) - start)
+            for name, values in held.items():
+                values[:count] = columns[name][start : start + count]
+            writer.write(count)
+        writer.close()
+    finally:
+        file.close()
+
+
+def _scan(
+    file: libe57.ImageFile, columns: dict[str, npt.NDArray[np.float64]], points: Float64s, named: str, where: str
+) -> libe57.CompressedVectorNode:
+    """The tree of the file, and the node that its points go into.
+
+    Parameters
+    ----------
+    file
+        Open for writing.
+    columns
+        What each point has, by name.
+    points
+        (n, 3) where they are.
+    named
+        A name that no other cloud has.
+    where
+        The coordinate system; "" for a local one.
+    """
+    file.extensionsAdd("", libe57.E57_V1_0_URI)
+    file.extensionsAdd(*_NORMALS)
+    root = file.root()
+    root.set("formatName", libe57.StringNode(file, "ASTM E57 3D Imaging Data File"))
+    root.set("guid", libe57.StringNode(file, f"{{{named}}}"))
+    root.set("versionMajor", libe57.IntegerNode(file, libe57.E57_FORMAT_MAJOR))
+    root.set("versionMinor", libe57.IntegerNode(file, libe57.E57_FORMAT_MINOR))
+    root.set("coordinateMetadata", libe57.StringNode(file, where))
+    scans = libe57.VectorNode(file, True)
+    root.set("data3D", scans)
+    root.set("images2D", libe57.VectorNode(file, True))
+    scan = libe57.StructureNode(file)
+    scan.set("guid", libe57.StringNode(file, f"{{{named}-0}}"))
+    scan.set("name", libe57.StringNode(file, "cloud"))
+    scan.set("description", libe57.StringNode(file, "wbflow; intensity is the confidence of a point, 0 to 1"))
+    low, high, step = points.min(axis=0), points.max(axis=0), coordinate_step(points)
+    bounds, colours, shade = (libe57.StructureNode(file) for _ in range(3))
+    form = libe57.StructureNode(file)
+    for k, axis in enumerate("XYZ"):
+        bounds.set(f"{axis.lower()}Minimum", libe57.FloatNode(file, float(low[k])))
+        bounds.set(f"{axis.lower()}Maximum", libe57.FloatNode(file, float(high[k])))
+        offset = float(np.floor(low[k]))
+        most = int(np.ceil((high[k] - offset) / step)) + 1
+        form.set(f"cartesian{axis}", libe57.ScaledIntegerNode(file, 0, 0, most, step, offset))
+    for name in (name for name in columns if name.startswith("color")):
+        form.set(name, libe57.IntegerNode(file, 0, 0, 255))
+        colours.set(f"{name}Minimum", libe57.IntegerNode(file, 0))
+        colours.set(f"{name}Maximum", libe57.IntegerNode(file, 255))
+    for name, least in (("intensity", 0.0), *((f"nor:normal{axis}", -1.0) for axis in "XYZ")):
+        form.set(name, libe57.FloatNode(file, 0.0, libe57.E57_SINGLE, least, 1.0))
+    shade.set("intensityMinimum", libe57.FloatNode(file, 0.0))
+    shade.set("intensityMaximum", libe57.FloatNode(file, 1.0))
+    for name, node in (("cartesianBounds", bounds), ("colorLimits", colours), ("intensityLimits", shade)):
+        scan.set(name, node)
+    found = libe57.CompressedVectorNode(file, form, libe57.VectorNode(file, True))
+    scan.set("points", found)
+    scans.append(scan)
+    return found

@@ -1,0 +1,42 @@
+"""What has arrived for a night: its captures and masks by digest, and which cameras deliver what is not of tonight."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+
+from ..config.site import Site
+from ..store.digests import Digests
+from ..store.layout import WorkFolder
+from ..store.record import Health
+from ..store.seen import Seen
+from .captures import CaptureFile, find_captures, find_masks, night
+from .staleness import look_at
+
+
+@dataclass
+class Arrivals:
+    """What is there for one night, before anything is planned."""
+
+    date: datetime.date
+    """The captures' date."""
+    captures: dict[str, list[CaptureFile]]
+    """By camera."""
+    masks: dict[str, CaptureFile]
+    digests: Digests
+    """To be saved by a run."""
+    seen: Seen
+    """To be saved by a run that comes to its end."""
+    stale: dict[str, Health]
+    """Cameras whose captures are not of tonight."""
+    notes: dict[str, str]
+    """What is to be said of a camera's captures."""
+
+
+def arrivals(site: Site, date: datetime.date | None = None) -> Arrivals:
+    """Look at what there is for a night; nothing is written.  date: the newest that has captures, if not given."""
+    work = WorkFolder(site.work)
+    digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
+    date = night(site, date)
+    delivered = look_at(site, date, find_captures(site, date, digests), digests, seen)
+    return Arrivals(date, delivered.captures, find_masks(site, digests), digests, seen, delivered.stale, delivered.notes)
