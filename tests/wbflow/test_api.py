@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from tests.helpers.toy_site import ToySite
 from wbflow.errors import UsageError, WbflowError
 from wbflow.store.events import Event, TaskEvent, WarningEvent
 from wbflow.store.layout import WorkFolder
+from wbflow.store.ledger import Ledger
 from wbflow.store.lock import Locked, hold
 from wbflow.store.run_folder import NoSuchRun
 from wbflow.task import Task
@@ -93,13 +95,25 @@ def test_a_report_that_cannot_be_built_is_told_of(toy: ToySite, monkeypatch: pyt
     assert "ink" in (warning.trace or "")
 
 
-def test_a_ledger_that_cannot_be_written_is_told_of(toy: ToySite) -> None:
+def test_a_ledger_that_is_no_file_is_told_of_and_made_again(toy: ToySite) -> None:
     toy.work.mkdir(parents=True)
     WorkFolder(toy.work).ledger.mkdir()
     run = wbflow.run(toy.file, jobs=1)
     assert run.record.cloud
     assert any("ledger" in warning.what for warning in warnings(run))
-    assert "warning: " in toy.wbflow("run", "-q").stderr
+    assert WorkFolder(toy.work).ledger.is_file()
+    assert toy.wbflow("run", "-q").stderr == ""
+
+
+def test_a_ledger_that_cannot_be_written_is_told_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    monkeypatch.setattr(Ledger, "record_run", broken)
+    run = wbflow.run(toy.file, jobs=1)
+    assert run.record.cloud
+    (warning,) = warnings(run)
+    assert warning.what == "the ledger was not written: disk I/O error"
 
 
 def test_a_damaged_artifact_that_was_made_again_is_told_of(toy: ToySite) -> None:

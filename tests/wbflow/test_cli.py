@@ -159,8 +159,9 @@ def test_nothing_to_do_costs_little(toy: ToySite, tmp_path: Path) -> None:
     assert (after.ru_utime + after.ru_stime) - (before.ru_utime + before.ru_stime) < 1.0
     told = subprocess.run(again, env={**env, "PYTHONPROFILEIMPORTTIME": "1"}, capture_output=True, text=True, check=True).stderr
     imported = {line.rpartition("|")[2].strip() for line in told.splitlines() if line.startswith("import time:")}
-    assert "wbflow.night.run" in imported
-    assert not imported & {"numpy", "cv2", "scipy", "open3d", "networkx", "numba", "wbflow.night.supervisor"}
+    assert "wbflow.results.again" in imported
+    dear = {"numpy", "cv2", "scipy", "open3d", "networkx", "numba", "pydantic", "yaml", "rich", "jinja2"}
+    assert not imported & {*dear, "wbflow.night.plan", "wbflow.night.supervisor"}
 
 
 def test_an_unwritable_work_folder_is_told_plainly(toy: ToySite) -> None:

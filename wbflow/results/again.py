@@ -10,7 +10,7 @@ import datetime
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from ..graph.installed import installed_code
@@ -50,28 +50,8 @@ class Basis:
     @staticmethod
     def of(site: Site) -> Basis:
         """The basis of what a site does now."""
-        told = [
-            site.name,
-            site.root,
-            site.pattern,
-            site.cameras,
-            site.views,
-            site.resolution,
-            site.bounds,
-            site.pairs,
-            site.stages,
-        ]
-        told += [
-            site.work,
-            site.survey,
-            site.expected,
-            site.keep,
-            site.notes,
-            site.pin,
-            site.health,
-            site.zones,
-            site.file.resolve(),
-        ]
+        told = [getattr(site, field.name) for field in fields(site) if field.name not in {"document", "reader", "notify"}]
+        told.append(site.file.resolve())
         return Basis(installed_code(), digest(repr(told).encode(errors="surrogateescape")))
 
     def with_captures(self, date: str, captures: Mapping[str, Any], masks: Mapping[str, Any], *said: object) -> str:
