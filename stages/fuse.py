@@ -24,14 +24,10 @@ from .fusion.subsampled import natural_voxel, nearest_views, subsample
 from .fusion.visibility import CrossCheck, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
-from .types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame
+from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
-_COMPANY_OF_ONE, _COMPANY_OF_MORE = 0.3, 0.1
-"""What a single pair shows must lie on one surface with so much of its surroundings; what several pairs show, with so much, as a
-thin bar does."""
-
-_SECOND_CHANCE = 0.4
-"""What refinement does not vouch for is believed where it lies on one surface with so much of what is believed around it."""
+_LEAST_COMPANY = 0.2
+"""What a single pair shows must lie on one surface with so much of its surroundings."""
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
 """Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
@@ -108,8 +104,18 @@ def fuse(
 
 
 def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int) -> Samples:
-    """The points of one view that its own and the other views' evidence leaves standing."""
-    y, x = np.nonzero(_supported(frame, depth, check, min_pairs))
+    """The points of one view that its own and the other views' evidence leaves standing.
+
+    A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
+    refinement put there on the word of a single pair is nobody's: where one pattern repeats, both its views agree on a wrong one.
+    """
+    supported = frame.mask & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
+    if min_pairs > 1:
+        supported &= check.agreeing >= min_pairs
+    supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
+    supported &= np.isfinite(depth.depth) & (2 * check.violating <= check.agreeing)
+    supported &= (check.pairs > 1) | (company(depth, supported) >= _LEAST_COMPANY)
+    y, x = np.nonzero(supported)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     return Samples(
         backproject(camera, np.column_stack([x, y]).astype(np.float64), z),
@@ -121,25 +127,6 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, g
         (z / camera.K[0, 0]).astype(np.float32),
         depth_variance(depth, check, y, x).astype(np.float32),
     )
-
-
-def _supported(frame: Frame, depth: DepthMap, check: CrossCheck, min_pairs: int) -> Bools:
-    """(h, w) bool: depths that the evidence of all views and of the surroundings leaves standing.
-
-    A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
-    refinement put there on the word of a single pair is nobody's: where one pattern repeats, both its views agree on a wrong one.
-    It gets a second chance where it continues a surface that is believed: of two depths with the same share of their surroundings
-    on their plane, one that was vouched for and one that was not, the one is right hardly more often than the other.
-    """
-    usable = frame.mask & np.isfinite(depth.depth) & (check.pairs >= min_pairs) & (2 * check.violating <= check.agreeing)
-    usable &= 4 * (check.agreeing + 1.0) >= check.visible + 1.0
-    if min_pairs > 1:
-        usable &= check.agreeing >= min_pairs
-    believed = usable & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
-    vouched = np.where(check.pairs > 1, np.float32(_COMPANY_OF_MORE), np.float32(_COMPANY_OF_ONE))
-    least = np.where(believed, vouched, np.float32(_SECOND_CHANCE))
-    believed |= usable & (company(depth, believed, usable) >= _SECOND_CHANCE)
-    return np.asarray(usable & (company(depth, believed, usable) >= least))
 
 
 def _confidence(check: CrossCheck, depth: DepthMap, y: np.ndarray, x: np.ndarray) -> Float32s:

@@ -11,24 +11,23 @@ _REACH, _STRIDE = 6, 2
 """How far away, in pixels of an image 768 wide, and how densely neighbours are asked; as far in larger ones."""
 
 
-def company(depth: DepthMap, believed: Bools, asked: Bools) -> Float32s:
-    """(h, w) share of the neighbours of each pixel that is asked for that are believed and lie on its plane; 0 elsewhere.
+def company(depth: DepthMap, usable: Bools) -> Float32s:
+    """(h, w) share of the neighbours of each usable pixel that are usable, too, and lie on its plane; 0 elsewhere.
 
     On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
     """
-    spacing = max(1, round(max(asked.shape) / 768))
-    there, here = (np.where(of, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32) for of in (believed, asked))
+    spacing = max(1, round(max(usable.shape) / 768))
+    inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
-    share = np.zeros(asked.shape, np.float32)
-    _count(there, here, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
+    share = np.zeros(usable.shape, np.float32)
+    _count(inverse, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
     return share
 
 
 @kernel
 def _count(
-    believed: Float32s, inverse: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int,
-    share: Float32s,
-) -> None:  # fmt: skip
+    inverse: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int, share: Float32s
+) -> None:
     h, w = inverse.shape
     asked = np.float32((2 * (reach // stride) + 1) ** 2 - 1)
     for y in range(h):
@@ -39,7 +38,7 @@ def _count(
                 if dx == 0 and dy == 0:
                     continue
                 first, last = max(0, -dx), min(w, w - dx)
-                there = believed[y + dy, first + dx :]
+                there = inverse[y + dy, first + dx :]
                 here, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
                 sigma, count = relative[y, first:], share[y, first:]
                 fx, fy = np.float32(dx), np.float32(dy)

@@ -179,20 +179,6 @@ def test_what_refinement_adds_on_the_word_of_one_pair_is_not_believed() -> None:
     assert isinstance(fuse(three.frames, three.cameras, three.depths(), exactly_refined(three, 0b11, sure=False)), Cloud)
 
 
-@pytest.mark.parametrize(("factor", "closed"), [(1.0, True), (1.1, False)])
-def test_what_goes_on_a_believed_surface_gets_a_second_chance(factor: float, closed: bool) -> None:
-    two = make_yard((-10, 10))
-    refined = exactly_refined(two, 0b01, sure=True)
-    whole = fuse(two.frames, two.cameras, two.depths(), refined)
-    for found in refined.values():
-        found.sure[:, 60:66] = False
-        found.depth[:, 60:66] *= np.float32(factor)
-    cloud = fuse(two.frames, two.cameras, two.depths(), refined)
-    assert isinstance(whole, Cloud) and isinstance(cloud, Cloud)
-    assert (two.distance(cloud.points) < 0.1).all()
-    assert (len(cloud.points) > 0.98 * len(whole.points)) == closed
-
-
 def test_a_pair_does_not_show_what_stands_behind_something_in_its_other_view() -> None:
     yard = make_yard((-10, 10))
     refined = exactly_refined(yard, 0b01, sure=True)
