@@ -96,6 +96,13 @@ def test_it_asks_nobody_and_complains_of_nothing(browser: Any, page: Path) -> No
     assert "taken" not in browser.title
 
 
+def test_what_is_hidden_is_not_shown(browser: Any) -> None:
+    make = "const image = document.createElement('img'); image.hidden = true; document.body.append(image);"
+    assert browser.execute_script(f"{make} return getComputedStyle(image).display") == "none", "a layer of the map, for one"
+    shown = "return [...document.querySelectorAll('[hidden]')].filter(e => getComputedStyle(e).display !== 'none').length"
+    assert browser.execute_script(shown) == 0
+
+
 def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
     drawn, first = settled(browser, lambda: None)
     assert drawn > 500
