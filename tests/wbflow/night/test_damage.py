@@ -230,7 +230,7 @@ def test_what_stands_in_the_place_of_a_file_and_is_none_gives_way(toy: ToySite) 
         (link, one("depth/*/*.json")),
     ]
     for put, path in obstacles:
-        path.unlink()
+        path.unlink(missing_ok=True)
         put(path)
     toy.parameters = {"disparity": {"tolerance": 2.0}}
     toy.write()
