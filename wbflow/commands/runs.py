@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from ..errors import ExitCode, UsageError
 from ..screen import say, stop
 from .common import PATH, json_option, load, place_of, run_argument, say_json, site_argument, work_option
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command()

@@ -14,7 +14,8 @@ from ..store.outside import is_file, is_folder
 from .calibrated import Calibrated, CalibrationError, is_number, is_rotation, is_size, lens_fault, text_of
 from .camera_files import document_of, read_camera_file
 from .colmap import read_colmap
-from .positions import SiteError, parse_yaml
+from .places import SiteError
+from .positions import parse_yaml
 
 __all__ = ["Calibrated", "CalibrationError", "find_camera", "read_calibration"]
 

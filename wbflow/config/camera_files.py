@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from .calibrated import Calibrated, CalibrationError, Matrix, is_number, is_rotation, is_size, lens_fault
-from .positions import Document, Place, SiteError, parse_yaml
+from .places import Document, Place, SiteError
+from .positions import parse_yaml
 
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx", "K", "k")
 _D = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "dist", "distortion", "D", "d")

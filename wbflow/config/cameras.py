@@ -13,7 +13,7 @@ from ..store.digests import stamp_at
 from ..store.outside import is_file
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import LocalFrame
-from .positions import Document, Place, SiteProblem
+from .places import Document, Place, SiteProblem
 from .schema import CameraSection, SiteSection
 from .site import SiteCamera, StatedLens, StatedPlacement, StatedPrivacy
 

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from ..errors import printable
 from .calibrated import COEFFICIENTS
 from .geodesy import PLACE_REMEDY, ControlPoint
-from .positions import Document, Place, SiteProblem
+from .places import Document, Place, SiteProblem
 from .schema import (
     CameraSection,
     CapturesSection,

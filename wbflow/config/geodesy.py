@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from .positions import Document, Place, SiteProblem
+from .places import Document, Place, SiteProblem
 
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 GEODETIC = ("latitude", "longitude", "height")

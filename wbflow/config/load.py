@@ -17,7 +17,8 @@ from ..store.outside import is_folder
 from .cameras import beside, is_name, read_cameras
 from .explain import explained, similar, without_faults
 from .geodesy import Position, local_frame
-from .positions import Document, Place, SiteError, SiteProblem, load_yaml
+from .places import Document, Place, SiteError, SiteProblem
+from .positions import load_yaml
 from .schema import SiteSection
 from .site import Expected, Notify, Site, SiteCamera, StageSettings
 from .stages import read_stages

@@ -13,11 +13,7 @@ from yaml.events import CollectionEndEvent, CollectionStartEvent
 from ..errors import printable
 from ..store.artifact import digest
 from ..store.outside import MOST_TEXT_BYTES, Unreadable, read_outside
-from .places import Document as Document
-from .places import Place as Place
-from .places import SiteError as SiteError
-from .places import SiteProblem as SiteProblem
-from .places import spell as spell
+from .places import Document, Place, SiteError, SiteProblem, spell
 
 try:
     from yaml import CSafeLoader as _Loader

@@ -11,7 +11,7 @@ from ..graph.functions import FunctionReader
 from ..graph.modules import FunctionError
 from ..graph.pipeline import STAGES
 from ..graph.rows import Stage
-from .positions import Document, Place, SiteProblem
+from .places import Document, Place, SiteProblem
 from .site import StageSettings
 
 

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from .geodesy import ControlPoint, LocalFrame
-from .positions import Document, Place, SiteProblem
+from .places import Document, Place, SiteProblem
 from .site import StatedSurvey
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from wbflow.config.load import Site, load_site
-from wbflow.config.positions import SiteError
+from wbflow.config.places import SiteError
 from wbflow.graph import pipeline
 from wbflow.graph.rows import Renamed
 

@@ -13,7 +13,7 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from tests.wbflow.results.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
 from wbflow.config.load import load_site
-from wbflow.config.positions import SiteError
+from wbflow.config.places import SiteError
 from wbflow.config.site import Notify
 from wbflow.results.metrics import metrics
 from wbflow.results.notify import MOST_WORDS, NotTold, notify, summary
