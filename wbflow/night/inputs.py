@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from ..config.site import Site, SiteCamera
 from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
-from ..store.cache import Cache, Receipt
+from ..store.cache import Receipt
 from ..task import Subject, Task
 from .captures import CaptureFile
 from .obstacles import Impossible, Waiting, because
@@ -28,7 +28,6 @@ class Inputs:
     captures: dict[str, list[CaptureFile]]
     masks: dict[str, CaptureFile]
     expectations: dict[str, str]
-    cache: Cache
     subjects: Subjects
     stages: Collection[Stage]
     """Those that take part tonight."""
@@ -101,7 +100,7 @@ class Inputs:
         part = need.part
         if part and origin.scope == "site" and stage.scope != "site":
             camera = side(need, task)
-            part = dataclasses.replace(part, entry="--".join(camera or task.subject))
+            part = Part(part.field, "--".join(camera or task.subject))
         return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, among)
 
     def upstreams(self, task: Task, needs: Mapping[str, Need]) -> list[Task]:
@@ -140,7 +139,7 @@ class Inputs:
     def _found(self, upstream: Task, part: Part | None, receipt: Receipt) -> Stored:
         known = self._resolved.get((upstream, part))
         if known is None or known[0] is not receipt:
-            known = receipt, Stored(upstream, part).resolved(self.cache, receipt)
+            known = receipt, Stored(upstream, part).resolved(receipt)
             self._resolved[upstream, part] = known
         return known[1]
 
@@ -174,9 +173,9 @@ class Inputs:
         """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question."""
         assert need.part
         items: dict[Subject, Value | Stored] = {}
+        optional = dataclasses.replace(need, optional=True)
         for camera in self.subjects.around(task.subject[0]):
-            part = dataclasses.replace(need.part, entry=camera)
-            stored = self._stored(Task(origin.name), dataclasses.replace(need, optional=True), part, set())
+            stored = self._stored(Task(origin.name), optional, Part(need.part.field, camera), set())
             if isinstance(stored, Stored):
                 items[camera,] = stored
         if not items:
