@@ -61,7 +61,8 @@ class VoxelGrid:
         return np.asarray(_NEAR * self.edge * 2.0 ** self._levels(footprint), dtype=np.float64)
 
     def _levels(self, footprint: Float32s) -> Int64s:
-        return np.clip(np.floor(np.log2(np.maximum(footprint / self.edge, 1.0))), 0, _LEVELS - 1).astype(np.int64)
+        level = np.floor(np.log2(np.maximum(footprint / self.edge, 1.0)))
+        return np.asarray(np.clip(level, 0, _LEVELS - 1), dtype=np.int64)
 
     def add(self, samples: Samples) -> None:
         """Merge in the samples of one view; what lies beyond half a million edges from the origin is left out."""
