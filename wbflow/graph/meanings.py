@@ -67,7 +67,7 @@ MEANINGS: Mapping[str, Meaning] = {
     "lost_without": Meaning("lost without", "share of the ground that fewer than two would see without this camera", share=True),
     "area_m2": Meaning("ground, m²", "the area of the ground that is looked at"),
     "error_m": Meaning("expected error, m", "of a point on the ground, from how far away and at which angle it is seen; median"),
-    "count": Meaning("changes", "things that are new, have vanished or were moved"),
+    "count": Meaning("things changed", "things that are new, have vanished or were moved"),
     "changed_share": Meaning("changed", "share of the surface that could be compared which belongs to changes", share=True),
     "unknown_share": Meaning("unknown", "share of the reference's surface of which this night tells nothing", share=True),
     "noise": Meaning(
