@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from .core.bending import straight_frames
 from .core.cameras import backproject, camera_id, project
 from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
 from .core.jit import kernel
@@ -67,7 +68,7 @@ def find_coverage(
         Pairs of cameras tell depth where their rays meet at angles between these.
     """
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
-    better = refined or {}
+    better, frames = refined or {}, straight_frames(frames, cameras)
     source = {name: better if name in better else depths for name in cameras if name in better or name in depths}
     points = [_surface(cameras[name], depth_of[name]) for name, depth_of in source.items()]
     if not sum(map(len, points)):

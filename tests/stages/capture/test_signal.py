@@ -23,7 +23,7 @@ def scene() -> Uint8s:
     colours = cv2.GaussianBlur(rng.standard_normal((HEIGHT, WIDTH, 3)), (0, 0), 12.0)
     picture += 4 * colours / colours.std()
     picture = 118 + 36 * picture / picture.std()
-    return np.clip(picture, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(picture, 0, 255), dtype=np.uint8)
 
 
 def frame_of(picture: Uint8s, quality: int = 95) -> Frame:
