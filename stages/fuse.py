@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from .core.bending import straight_frames
 from .core.cameras import backproject
 from .fusion.certainty import depth_variance
 from .fusion.company import company
@@ -74,7 +75,7 @@ def fuse(
     check_views
         Each view is compared with so many others that see most of the same.
     """
-    better = refined or {}
+    better, frames = refined or {}, straight_frames(frames, cameras)
     known = {*depths, *better}
     cameras = {name: camera for name, camera in cameras.items() if camera.component == component and name in known}
 
