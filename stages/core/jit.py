@@ -3,7 +3,8 @@
 A kernel's compiled form is kept on disk beside its source (or in NUMBA_CACHE_DIR).  numba looks only at that one file's time
 stamp, so a kernel may call other kernels of *its own file* only.
 
-Processes that start side by side compile each kernel once between them: who comes second waits, and reads what the first has left.
+Processes that start side by side compile each kernel once between them: who comes second waits, and reads what the first has
+left.
 
 No fast mathematics: with leave to reorder sums, code that had just been compiled and the same code read back from the disk gave
 disparities that differed in the last bits, and so clouds of other bytes.
@@ -12,7 +13,7 @@ disparities that differed in the last bits, and so clouds of other bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -58,15 +59,13 @@ def _alone(dispatcher: Any) -> Iterator[None]:
     folder, function = dispatcher.stats.cache_path, dispatcher.py_func
     name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>", "")
     try:
-        file = open(Path(folder) / name, "wb") if folder and fcntl else None  # noqa: SIM115 (closed below)
+        file = (Path(folder) / name).open("wb") if folder and fcntl else None
     except OSError:
         file = None
     if file is None:
         yield
         return
     with file:
-        try:
+        with suppress(OSError):  # a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
-        except OSError:  # a file system without locks
-            pass
         yield
