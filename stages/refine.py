@@ -17,6 +17,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from .core.bending import straight_frame, straight_frames
 from .core.cameras import ray_angles, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
@@ -85,6 +86,7 @@ def refine(
     max_cost, noise_px
         Keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels, standard deviation.
     """
+    frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
     around = _sources(camera, others, depth, min_angle_deg, max_angle_deg)[: min(max_sources, 32)]
     if not around:
