@@ -28,12 +28,12 @@ def viewpoints(count: int, every: int = 1) -> tuple[Viewpoint, ...]:
         found.append(
             Viewpoint(
                 f"c{k:03d}",
-                tuple(float(x) for x in centre),
-                tuple(float(x) for x in target),
+                (float(centre[0]), float(centre[1]), float(centre[2])),
+                (float(target[0]), float(target[1]), float(target[2])),
                 float(random.uniform(60.0, 72.0)),
                 lens,
                 roll_deg=float(random.uniform(-1.5, 1.5)),
-                shift=tuple(float(x) for x in random.uniform(-1, 1, 2)),
+                shift=(float(random.uniform(-1, 1)), float(random.uniform(-1, 1))),
             )
         )
     return tuple(found[::every])

@@ -51,7 +51,7 @@ def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
         u, v = without_distortion(lens, np.column_stack([x.ravel(), y.ravel()])).T.astype(np.float32).reshape(2, height, width)
         image = np.asarray(cv2.remap(frame.image, u, v, cv2.INTER_LINEAR), np.uint8)
         bent.append(replace(frame, image=image))
-    found = rectify(None, *lenses, None, *bent)
+    found = rectify(None, lenses[0], lenses[1], None, bent[0], bent[1])
     assert isinstance(found, Rectification) and found.verified == "dense"
     assert found.bend1 is not None and found.bend2 is not None
     asis = rectify(None, ONE, TWO, None, *FRAMES)
@@ -62,7 +62,7 @@ def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
         np.column_stack(bent_pixels(bend, *points.T))
         for bend, points in zip((found.bend1, found.bend2), (matched.x1, matched.x2), strict=True)
     ]
-    by_matches = rectify(replace(matched, x1=there[0].astype(np.float64), x2=there[1].astype(np.float64)), *lenses)
+    by_matches = rectify(replace(matched, x1=there[0].astype(np.float64), x2=there[1].astype(np.float64)), lenses[0], lenses[1])
     assert isinstance(by_matches, Rectification) and by_matches.vertical_px < 0.05
 
 

@@ -107,7 +107,8 @@ def _promising(
         if (a := group(one)) != (b := group(other)):
             groups[a] = b
             keep[row] = True
-    return rows[keep]
+    chosen: np.ndarray = rows[keep]
+    return chosen
 
 
 def _among_best(pairs: np.ndarray, promise: np.ndarray, most: int) -> np.ndarray:

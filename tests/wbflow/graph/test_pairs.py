@@ -11,7 +11,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbflow.graph.pairs import MOST_AT_A_CAMERA, PairGraph, select_pairs
+from wbflow.graph.choice import MOST_AT_A_CAMERA
+from wbflow.graph.pairs import PairGraph, select_pairs
 from wbflow_stages.types import Overlap
 
 
