@@ -167,7 +167,7 @@ def _uncertain(adjusted: Adjusted, pairs: Iterable[Pair]) -> dict[str, float]:
     for pair in pairs:
         if not set(pair) <= set(adjusted.cameras):
             continue
-        expected = predict(*(adjusted.cameras[name] for name in pair))
+        expected = predict(adjusted.cameras[pair[0]], adjusted.cameras[pair[1]])
         if expected is None:
             continue
         sigma = float(np.median(adjusted.row_sigmas_px(pair, expected.x1, expected.x2)))

@@ -12,7 +12,8 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -155,6 +156,7 @@ def run(
     wait: bool = False,
     backend: str = "processes",
     scheduler: str | None = None,
+    worker_roots: Iterable[str] = (),
     memory: str | None = None,
     time_limit: float | None = None,
     stop_at: datetime.datetime | None = None,
@@ -179,6 +181,8 @@ def run(
         Wait for another run of the same work folder.
     backend, scheduler : str
         Where tasks run: processes, threading or dask; the address of Dask's scheduler.
+    worker_roots : iterable of str
+        "/srv=/mnt/srv": what the workers of the cluster call folders of this machine.
     memory : str, optional
         What all workers together may hold: "4GB"; four fifths of what the machine has, if not given.
     time_limit : float, optional
@@ -206,14 +210,11 @@ def run(
     """
     site = site if isinstance(site, Site) else load(Path(site))
     most = _size(memory) if memory else None
-    options = Options(date, jobs or os.cpu_count() or 1, until, tuple(force), wait, backend, scheduler, most, time_limit, stop_at)
+    workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
+    options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, most, time_limit, stop_at)
     options.check()
-    try:
+    with _faults_of_the_disk(site):
         return _run(site, options, listen or _quiet, watch)
-    except OSError as error:
-        what = f"{error.filename or site.work}: {error.strerror or error}"
-        remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
-        raise WbflowError(what, remedy=remedy) from error
 
 
 def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
@@ -261,6 +262,16 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
         from .results.through import through  # here: a night on which nothing has changed has no use for it
 
         return Run(through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal), basis))
+
+
+@contextmanager
+def _faults_of_the_disk(site: Site) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        what = f"{error.filename or site.work}: {error.strerror or error}"
+        remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
+        raise WbflowError(what, remedy=remedy) from error
 
 
 def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:

@@ -32,8 +32,8 @@ class ExitCode(IntEnum):
 
 
 def worst(codes: Iterable[int]) -> int:
-    """The exit code of several runs: interrupted, else no cloud, else degraded, else good."""
-    order = (ExitCode.GOOD, ExitCode.DEGRADED, ExitCode.FAILED, ExitCode.INTERRUPTED)
+    """The exit code of several runs: interrupted, else no cloud, else a site not begun, else degraded, else good."""
+    order = (ExitCode.GOOD, ExitCode.DEGRADED, ExitCode.LOCKED, ExitCode.USAGE, ExitCode.FAILED, ExitCode.INTERRUPTED)
     return max(codes, key=lambda code: order.index(ExitCode(code)), default=ExitCode.GOOD)
 
 

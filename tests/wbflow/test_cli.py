@@ -14,6 +14,8 @@ from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cli import main
+from wbflow.store.layout import WorkFolder
+from wbflow.store.writing import hold_to_write
 
 COMMANDS = ["run", "status", "check", "report", "history", "clean", "demo", "compare"]
 
@@ -112,6 +114,21 @@ def test_an_old_name_in_the_site_file_is_told_on_screen_and_in_the_log(toy: ToyS
     log = toy.work / "runs" / "latest" / "log.jsonl"
     warnings = [event for line in log.read_text().splitlines() if (event := json.loads(line))["event"] == "warning"]
     assert [f"{toy.file}:" in event["what"] and "write max_keypoints" in event["remedy"] for event in warnings] == [True]
+
+
+def test_what_is_wrong_with_one_of_several_sites_costs_the_others_nothing(toy: ToySite, tmp_path: Path) -> None:
+    wrong, locked = ToySite(tmp_path / "wrong", ["gate"], keys={"cameras": 5}), ToySite(tmp_path / "locked", ["gate"])
+    runner = CliRunner()
+    with hold_to_write(WorkFolder(locked.work), wait=False):
+        files = [str(site.file) for site in (wrong, locked, toy)]
+        result = runner.invoke(main, ["run", *files, "--jobs", "1", "--json", "--until", "frames"], env=toy.env())
+    assert result.exit_code == 2
+    assert [record["site"] for record in json.loads(result.stdout)] == ["toy"]
+    assert f"{wrong.file}:" in result.stderr
+    assert f"{locked.file}: another run" in result.stderr
+    refused = runner.invoke(main, ["run", *files, "--work", str(tmp_path / "work")])
+    assert refused.exit_code == 2
+    assert "--work is the folder of one site" in refused.output
 
 
 def test_json_prints_the_record_and_nothing_else(toy: ToySite) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import UsageError
+from ..errors import ExitCode, UsageError, WbflowError, worst
 from ..screen import say
 
 if TYPE_CHECKING:
@@ -112,6 +113,26 @@ def load(path: Path, work: Path | None, notes: bool = True, remembered: bool = F
         count = len(error.problems)
         what = f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done"
         raise UsageError(what, remedy=f"then: wbflow check {path}") from None
+
+
+def each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
+    """Do something for several sites, one after the other: the worst exit code.  What is wrong with one is said, and costs the
+    others nothing; what is wrong with the only one is raised."""
+    if len(sites) == 1:
+        return work(sites[0])
+    codes = []
+    for site in sites:
+        try:
+            codes.append(work(site))
+        except WbflowError as error:
+            say(f"{site}: {error}", err=True)
+            codes.append(error.exit_code)
+        except Exception as error:  # a fault of ours
+            say(f"{site}: wbflow itself failed: {type(error).__name__}: {error}\n  wbflow run {site} -v  shows where", err=True)
+            codes.append(ExitCode.FAILED)
+        if codes[-1] == ExitCode.INTERRUPTED:
+            break
+    return worst(codes)
 
 
 def place_of(site: Site) -> WorkFolder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +13,11 @@ from ..errors import ExitCode, UsageError, worst
 from ..screen import findings, next_command, say, summary
 from .common import (
     BACKENDS,
+    PATH,
     Clock,
     Day,
     date_option,
+    each,
     force_option,
     jobs_option,
     json_option,
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@site_argument
+@click.argument("sites", metavar="SITE.yaml...", type=PATH, nargs=-1, required=True)
 @date_option
 @click.option("--since", type=Day(), metavar="DAY", help="All nights from this day on that have captures, one after the other.")
 @work_option
@@ -46,71 +49,104 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
+@click.option(
+    "--worker-root", "worker_roots", multiple=True, metavar="HERE=THERE", help="What Dask's workers call a folder: /srv=/mnt/srv."
+)
 @click.option("--memory", metavar="SIZE", help="What all workers together may hold: 4GB (default: 80 % of what there is).")
 @click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")
 @verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Only what went wrong.")
-def run(
-    site: Path,
-    date: datetime.date | None,
-    since: datetime.date | None,
-    work: Path | None,
-    dry_run: bool,
-    as_json: bool,
-    verbose: bool,
-    quiet: bool,
-    **asked: Any,
-) -> None:
+def run(sites: tuple[Path, ...], dry_run: bool, as_json: bool, verbose: bool, quiet: bool, **asked: Any) -> None:
     """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
-    With --since, the nights of a machine that was off are caught up with, one run for each; the exit code is that of the worst.
+    Several sites are worked through one after the other; what is wrong with one costs the others nothing.  With --since, the
+    nights of a machine that was off are caught up with, one run for each.  The exit code is that of the worst.
 
     \b
     wbflow run site.yaml                          the newest night
     wbflow run site.yaml --date yesterday -q      for cron: says only what went wrong
+    wbflow run sites/*.yaml -q                    several sites
     wbflow run site.yaml --force 'matches gate--roof' --until poses
     wbflow run site.yaml --since -7 --stop-at 06:00
     """
-    if date and since:
-        raise UsageError("--date and --since name two things to do", remedy=f"give one of them: wbflow run {site} --since DAY")
-    loaded = load(site, work, notes=dry_run, remembered=not dry_run)
+    if asked["date"] and asked["since"]:
+        raise UsageError("--date and --since name two things to do", remedy="give one of them: wbflow run SITE.yaml --since DAY")
+    if asked["work"] and len(sites) > 1:
+        what = "--work is the folder of one site, and several are named"
+        raise UsageError(what, remedy="name it as `work:` in each site file")
     if dry_run:
-        for day in _nights(loaded, date, since):
-            _explain(loaded, day, asked["until"], asked["force"])
-        return
+        code = each(sites, lambda site: _foretell(site, **asked))
+        sys.exit(code)
+    telling = _Telling(verbose, quiet or as_json, bool(asked["since"]) or len(sites) > 1)
+    records: list[Any] = []
+    code = each(sites, lambda site: _work_through(site, telling, records, **asked))
+    if as_json:
+        say_json(records if telling.several else records[0])
+    sys.exit(code)
+
+
+@dataclass(frozen=True)
+class _Telling:
+    """What is said of runs on the way."""
+
+    verbose: bool
+    quiet: bool
+    """Nothing but what went wrong."""
+    several: bool
+    """Each run says which it is."""
+
+
+def _foretell(
+    path: Path, date: datetime.date | None, since: datetime.date | None, work: Path | None, until: str | None, **asked: Any
+) -> int:
+    """What would run for a site."""
+    site = load(path, work)
+    for day in _nights(site, date, since):
+        _explain(site, day, until, asked["force"])
+    return ExitCode.GOOD
+
+
+def _work_through(
+    path: Path,
+    telling: _Telling,
+    records: list[Any],
+    date: datetime.date | None,
+    since: datetime.date | None,
+    work: Path | None,
+    **asked: Any,
+) -> int:
+    """The nights of a site that were asked for.  Adds their records, and gives the worst exit code."""
     import json
 
     from ..api import run as work_through
     from ..screen.watch import watching
     from ..store.events import OnlyWarnings
 
+    site = load(path, work, notes=False, remembered=True)
     codes: list[int] = []
-    records = []
-    nights = _nights(loaded, date, since)
+    nights = _nights(site, date, since)
     for day in nights:
         if codes and (at := asked["stop_at"]) and at <= type(at).now():
             say(f"{len(nights) - len(codes)} nights were not begun: the run was to stop at {at:%H:%M}", err=True)
             codes.append(ExitCode.DEGRADED)
             break
-        with watching(loaded.name, verbose, quiet or as_json) as watch:
-            listen = OnlyWarnings(watch.hear) if (quiet or as_json) and not verbose else watch.hear
-            finished = work_through(loaded, date=day, listen=listen, watch=watch.hear, **asked)
+        with watching(site.name, telling.verbose, telling.quiet) as watch:
+            listen = OnlyWarnings(watch.hear) if telling.quiet and not telling.verbose else watch.hear
+            finished = work_through(site, date=day, listen=listen, watch=watch.hear, **asked)
         record = finished.record
         codes.append(record.exit_code)
         records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
-        if since and not (quiet or as_json):
-            say(f"night {record.date}, run {record.run}:")
-        if not (quiet or as_json):
+        if telling.several and not telling.quiet:
+            say(f"{record.site}, night {record.date}, run {record.run}:")
+        if not telling.quiet:
             summary(finished)
-        if record.exit_code or not (quiet or as_json):
+        if record.exit_code or not telling.quiet:
             findings(record)
         if record.exit_code == ExitCode.INTERRUPTED:
             break
-    if not (quiet or as_json):
-        say(f"next    {next_command(finished, site)}")
-    if as_json:
-        say_json(records if since else records[0])
-    sys.exit(worst(codes))
+    if not telling.quiet:
+        say(f"next    {next_command(finished, path)}")
+    return worst(codes)
 
 
 def _nights(site: Site, date: datetime.date | None, since: datetime.date | None) -> list[datetime.date | None]:

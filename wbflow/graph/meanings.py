@@ -65,6 +65,9 @@ MEANINGS: Mapping[str, Meaning] = {
     "seen_by_one": Meaning("seen by one", "share of the ground that at least one camera sees", share=True),
     "seen_by_two": Meaning("seen by two", "share of the ground that at least two cameras see", share=True),
     "lost_without": Meaning("lost without", "share of the ground that fewer than two would see without this camera", share=True),
+    "area_m2": Meaning("ground, m²", "the area of the ground that is looked at"),
+    "error_m": Meaning("expected error, m", "of a point on the ground, from how far away and at which angle it is seen; median"),
+    "count": Meaning("things changed", "things that are new, have vanished or were moved"),
     "changed_share": Meaning("changed", "share of the surface that could be compared which belongs to changes", share=True),
     "unknown_share": Meaning("unknown", "share of the reference's surface of which this night tells nothing", share=True),
     "noise": Meaning(

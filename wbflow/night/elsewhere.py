@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
 from concurrent import futures
 from typing import Any
 
 from ..errors import WbflowError
 from ..store.cache import Cache
+from ..store.layout import WorkFolder
+from .hand import PIXELS, THREADS
+from .mounts import Mount, moved
 from .same_code import code_here, named_functions
 from .spec import TaskSpec
 from .state import Cause
 from .supervisor import Report
 from .worker import Done, run_lane
 
-PATIENCE_SECONDS = 10
-"""How long a cluster is waited for."""
+PATIENCE_SECONDS = 4
+"""How long a scheduler is waited for, and as long again for its first worker."""
 
 
 class Threads:
@@ -50,16 +54,22 @@ class Cluster:
     does nothing, and is not asked again.
     """
 
-    def __init__(self, scheduler: str, cache: Cache) -> None:
+    def __init__(self, scheduler: str, cache: Cache, mounts: Sequence[Mount] = ()) -> None:
         distributed: Any = importlib.import_module("distributed")
         self._wait = distributed.wait
         try:
             self._client = distributed.Client(scheduler, timeout=PATIENCE_SECONDS)
-            self._client.wait_for_workers(1, timeout=PATIENCE_SECONDS)
         except (OSError, TimeoutError, ValueError) as error:
-            what = f"no Dask cluster with a worker answers at {scheduler}"
-            raise WbflowError(what, remedy=f"start the scheduler and its workers, or correct --scheduler ({error})") from None
-        self._cache = cache
+            what = f"no Dask scheduler answers at {scheduler}: {error}"
+            raise WbflowError(what, remedy="start one (dask scheduler), or correct --scheduler") from None
+        try:
+            self._client.wait_for_workers(1, timeout=PATIENCE_SECONDS)
+        except TimeoutError:
+            self._client.close(timeout=PATIENCE_SECONDS)
+            what = f"the Dask scheduler at {scheduler} has no workers"
+            raise WbflowError(what, remedy=f"start some: dask worker {scheduler} --nthreads 1") from None
+        self._mounts = tuple(mounts)
+        self._cache = Cache(WorkFolder(moved(cache.work.root, mounts)))
         self._lanes: dict[Any, list[TaskSpec]] = {}
         self._refused: dict[str, str] = {}
 
@@ -71,8 +81,9 @@ class Cluster:
                 told = "; ".join(f"{address}: {why}" for address, why in sorted(self._refused.items()))
                 raise WbflowError(f"no worker of the cluster runs the same code: {told}", remedy="install the same on all")
             code = code_here(named_functions(lane), lane[0].folder)
+            theirs = moved(lane, self._mounts)
             future = self._client.submit(
-                _lane_of_same_code, lane, self._cache, code, pure=False, workers=workers if self._refused else None
+                _lane_of_same_code, theirs, self._cache, code, pure=False, workers=workers if self._refused else None
             )
             self._lanes[future] = lane
 
@@ -89,7 +100,8 @@ class Cluster:
                 self.submit([lane])
                 continue
             else:
-                yield from (Report(lane, done) for done in told)
+                back = [mount.back for mount in self._mounts]
+                yield from (Report(lane, moved(done, back)) for done in told)
             yield Report(lane, None)
 
     def close(self) -> None:
@@ -108,7 +120,8 @@ class _Refused:
 
 
 def _lane_of_same_code(lane: list[TaskSpec], cache: Cache, code: dict[str, str]) -> list[Done] | _Refused:
-    """In a worker of the cluster."""
+    """In a worker of the cluster, which does as many lanes at once as it has threads: none takes more than its own."""
+    os.environ |= PIXELS | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
     here = code_here(named_functions(lane), lane[0].folder)
     other = [name for name in code if here.get(name) != code[name]]
     if other:

@@ -10,6 +10,7 @@ from ..store.past import read_past
 from ..task import Task
 from . import machine
 from .limits import Limits
+from .mounts import Mount
 from .options import Options
 from .spec import TaskSpec
 from .supervisor import Report, Supervisor
@@ -56,7 +57,7 @@ def executor(
     if options.backend == "dask":
         from .elsewhere import Cluster
 
-        return Cluster(options.scheduler or "", cache)
+        return Cluster(options.scheduler or "", cache, [Mount.parse(root) for root in options.worker_roots])
     memory = options.memory or machine.memory()
     limits = Limits(memory, options.time_limit, read_past(cache.work), options.stop_at)
     return Supervisor(options.jobs, cache, limits, warn, begun)

@@ -8,6 +8,7 @@ import importlib.util
 from dataclasses import dataclass
 
 from ..errors import UsageError
+from .mounts import Mount
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Options:
     """Where tasks run: processes (loky is another word for it), threading or dask."""
     scheduler: str | None = None
     """Address of the Dask scheduler."""
+    worker_roots: tuple[str, ...] = ()
+    """HERE=THERE: what the cluster's workers call folders of this machine."""
     memory: int | None = None
     """Bytes that all workers together may hold; None: four fifths of what the machine has."""
     time_limit: float | None = None
@@ -44,6 +47,10 @@ class Options:
         """Raises UsageError for what cannot be meant."""
         if not self.plain:
             self._check_stages()
+        if self.worker_roots and self.backend != "dask":
+            raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
+        for root in self.worker_roots:
+            Mount.parse(root)
         if self.backend == "dask" and not self.scheduler:
             remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
             raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)

@@ -79,9 +79,17 @@ class _Lane:
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
     """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
+    clock: Callable[[], float] = time.process_time
+    """CPU seconds."""
 
 
-def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt], kept: Kept) -> Iterator[Done]:
+def do_lane(
+    specs: list[TaskSpec],
+    cache: Cache,
+    receipts: Mapping[Task, Receipt],
+    kept: Kept,
+    clock: Callable[[], float] = time.process_time,
+) -> Iterator[Done]:
     """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
 
     Parameters
@@ -94,9 +102,11 @@ def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt
         Of earlier tasks of the lane, where it goes on after a worker was lost.
     kept : Kept
         What the worker keeps from lane to lane.
+    clock : callable
+        CPU seconds: of the process, or of the thread where others work beside it.
     """
     offer(specs[0].folder)
-    lane = _Lane(cache, kept, dict(receipts))
+    lane = _Lane(cache, kept, dict(receipts), clock=clock)
     for spec in specs:
         done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
         yield done
@@ -106,8 +116,8 @@ def do_lane(specs: list[TaskSpec], cache: Cache, receipts: Mapping[Task, Receipt
 
 
 def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
-    """The same, all at once."""
-    return list(do_lane(specs, cache, {}, Kept()))
+    """The same, all at once, in one of several threads."""
+    return list(do_lane(specs, cache, {}, Kept(), time.thread_time))
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
@@ -153,7 +163,7 @@ def _trace() -> str:
 
 
 def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall, cpu = time.perf_counter(), lane.clock()
     arguments = {name: _load(value, lane) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
     nothing: Any = load(REJECTED)
@@ -173,7 +183,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         code=_code(result) if rejected else None,
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
-        cpu=time.process_time() - cpu,
+        cpu=lane.clock() - cpu,
         peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )

@@ -131,7 +131,7 @@ def _of_cameras(record: RunRecord) -> Iterator[Finding]:
     for camera in record.cameras:
         if trouble := _trouble(camera, record):
             down = camera.down
-            nights = f"; {down}" if down and down.nights > 1 else ""
+            nights = f"; {down.told(left_out=not camera.ok)}" if down and down.nights > 1 else ""
             figures = {"since": down.since, "nights": down.nights} if down else {}
             yield replace(trouble, text=trouble.text + nights, figures={**trouble.figures, **figures})
 

@@ -11,8 +11,11 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.errors import UsageError, WbflowError
 from wbflow.night import elsewhere
-from wbflow.night.spec import TaskSpec
+from wbflow.night.captures import CaptureFile
+from wbflow.night.mounts import Mount, moved
+from wbflow.night.spec import Files, Joined, Stored, TaskSpec
 from wbflow.store.cache import Cache
 from wbflow.store.layout import WorkFolder
 from wbflow.task import Task
@@ -20,16 +23,32 @@ from wbflow.task import Task
 distributed = pytest.importorskip("distributed", reason="the extra wbflow[dask] is not installed")
 
 
-def test_two_worker_processes_of_a_cluster_make_the_same_cloud(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_three_worker_processes_of_a_cluster_make_the_same_cloud_though_one_is_killed(
+    toy: ToySite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     toy.run()
     cloud = toy.cloud
     shutil.rmtree(toy.work)
     for name, value in toy.env().items():
         monkeypatch.setenv(name, value)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        result = toy.wbflow("run", "--backend", "dask", "--scheduler", cluster.scheduler_address)
+    toy.fault("once", "matches")
+    (tmp_path / "mounted").symlink_to(toy.folder)
+    roots = f"{toy.folder}={tmp_path / 'mounted'}"
+    with distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        result = toy.wbflow("run", "--backend", "dask", "--scheduler", cluster.scheduler_address, "--worker-root", roots)
     assert result.returncode == 0, result.stderr
+    assert not (toy.folder / "faults" / "once").exists()  # somebody was killed
     assert toy.cloud == cloud
+
+
+def test_a_cluster_without_workers_and_one_that_is_not_there_are_told_apart(tmp_path: Path) -> None:
+    cache = Cache(WorkFolder(tmp_path))
+    with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as cluster:
+        with pytest.raises(WbflowError, match="has no workers"):
+            elsewhere.Cluster(cluster.scheduler_address, cache)
+        address = cluster.scheduler_address
+    with pytest.raises(WbflowError, match=f"no Dask scheduler answers at {address}"):
+        elsewhere.Cluster(address, cache)
 
 
 def test_a_worker_with_other_stage_code_is_refused_and_stores_nothing(
@@ -60,16 +79,41 @@ class _Client:
 
     def __init__(self) -> None:
         self.asked: list[list[str] | None] = []
+        self.given: list[tuple[list[TaskSpec], Cache]] = []
 
     def wait_for_workers(self, count: int, timeout: float) -> None: ...
 
     def nthreads(self) -> dict[str, int]:
         return {"old": 1, "new": 1}
 
-    def submit(self, function: Any, lane: Any, *rest: Any, pure: bool, workers: list[str] | None) -> Any:
+    def submit(self, function: Any, lane: Any, cache: Cache, *rest: Any, pure: bool, workers: list[str] | None) -> Any:
         self.asked.append(workers)
+        self.given.append((lane, cache))
         told = elsewhere._Refused("old", "its matcher is not what the run has") if workers is None else ["done"]
         return _Future("finished", lambda: told)
+
+
+def test_workers_are_told_of_folders_as_they_call_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = _Client()
+    monkeypatch.setattr(distributed, "Client", lambda *positional, **named: client)
+    captures = (CaptureFile("gate.png", tmp_path / "gate.png", "d1g35t"), CaptureFile("roof.png", Path("/other/roof.png"), ""))
+    files = Files("Capture", captures)
+    here = Stored(Task("frames", ("gate",)), path=tmp_path / "work" / "frame.wbf")
+    spec = TaskSpec(
+        Task("poses", ()),
+        "toy_stages:solve",
+        "code",
+        {"folder": "as it is"},
+        {"files": files, "frames": Joined({("gate",): here})},
+    )
+    cluster = elsewhere.Cluster("tcp://somewhere", Cache(WorkFolder(tmp_path / "work")), [Mount.parse(f"{tmp_path}=/mnt/site")])
+    cluster.submit([[spec]])
+    (theirs,), cache = client.given[0]
+    assert cache.work.root == Path("/mnt/site/work")
+    assert str(theirs).replace("/mnt/site", str(tmp_path)) == str(spec) != str(theirs)
+    assert moved(theirs, [Mount.parse(f"{tmp_path}=/mnt/site").back]) == spec
+    with pytest.raises(UsageError, match="write HERE=THERE"):
+        Mount.parse("/srv")
 
 
 def test_what_a_worker_was_refused_for_another_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,38 @@
+"""A night on a Slurm cluster: workers are jobs of their own, through dask-jobqueue (pip install dask-jobqueue).
+
+python scripts/cluster/slurm.py /srv/harbour/site.yaml --workers 40 --partition night
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import subprocess
+import sys
+from typing import Any
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sites", nargs="+", help="site files, on a folder that all nodes have")
+    parser.add_argument("--workers", type=int, default=16, help="one processor each")
+    parser.add_argument("--memory", default="4GB", help="of each worker")
+    parser.add_argument("--walltime", default="06:00:00", help="after which Slurm may end a worker")
+    parser.add_argument("--partition", help="Slurm's partition (queue)")
+    parser.add_argument("--show", action="store_true", help="print the job that Slurm would be given, and end")
+    asked = parser.parse_args()
+    jobqueue: Any = importlib.import_module("dask_jobqueue")
+    with jobqueue.SLURMCluster(
+        queue=asked.partition, cores=1, processes=1, memory=asked.memory, walltime=asked.walltime, log_directory="slurm-logs"
+    ) as cluster:
+        if asked.show:
+            print(cluster.job_script())
+            return
+        cluster.scale(jobs=asked.workers)
+        cluster.wait_for_workers(1)  # the queue's patience, not wbflow's
+        night = ["wbflow", "run", *asked.sites, "--backend", "dask", "--scheduler", cluster.scheduler_address]
+        sys.exit(subprocess.run(night, check=False).returncode)
+
+
+if __name__ == "__main__":
+    main()
