@@ -93,15 +93,17 @@ def refine(
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
-    around = _sources(camera, others, depth, min_angle_deg, max_angle_deg)[: min(max_sources, 32)]
-    if not around:
+    useful = _sources(camera, others, depth, min_angle_deg, max_angle_deg)
+    if not useful:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    finer = {other: _finer(camera, cameras[other], depth) for other in around}
+    finer = {other: _finer(camera, cameras[other], depth) for other in useful}
+    # what a view shows that sees much less fits at many depths: it is asked only where there is no other
+    around = ([other for other in useful if finer[other] * _UNLIKE >= 1] or useful)[: min(max_sources, 32)]
     reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
     spacing, far = max(1, round(max(image.shape) / 768)), max(2, round(5 * max(image.shape) / 768))
-    if (coarser := 1 / float(np.median(list(finer.values())))) > _UNLIKE:
+    if (coarser := 1 / float(np.median([finer[other] for other in around]))) > _UNLIKE:
         spacing = max(spacing, round(coarser))
     if then_depth is not None and not _stands(camera, then_camera, depth, then_depth):
         then_depth = None

@@ -21,7 +21,7 @@ _SMOOTH_PX = 2.5
 """Neighbouring pixels whose disparities differ by no more lie on one surface."""
 
 _UNLIKE = 2.0
-"""Where one view of a pair shows so many times more to the rectified pixel than the other, a match is as exact as these pixels."""
+"""Where a rectified pixel covers so many times more of one frame than of the other, rectified pixels say how exact a match is."""
 
 _SAME_STEP = 0.3
 """Steps from row to row are those of one slope if they differ by no more than this share."""
