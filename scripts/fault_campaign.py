@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import sys
 import tempfile
 import time
@@ -41,13 +42,22 @@ def main() -> None:
         for name, fault in CAMPAIGN.items():
             if options.only and name not in options.only:
                 continue
-            began = time.monotonic()
+            began, busy = time.monotonic(), _busy()
             row = fault(bench, options.reduced)
+            row.cpu_s = _busy() - busy
             rows.append(row)
-            print(f"{row}   {time.monotonic() - began:6.0f} s", flush=True)
+            print(f"{row}   {row.cpu_s:6.0f} CPU s, {time.monotonic() - began:.0f} s", flush=True)
+        print(
+            f"in all {sum(row.tries for row in rows):,} tries, {sum(len(row.losses) for row in rows)} losses, {_busy():.0f} CPU s"
+        )
     if options.json:
         options.json.write_text(json.dumps([row.to_json() for row in rows], indent=1))
     sys.exit(any(row.losses for row in rows))
+
+
+def _busy() -> float:
+    """Processor seconds of this process and of all that it has waited for."""
+    return sum(t.ru_utime + t.ru_stime for t in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
 
 
 if __name__ == "__main__":

@@ -36,9 +36,13 @@ CHECK
 install_project() { # install_project EXTRAS
   [ -x "$VENV/bin/python" ] || python3 -m venv "$VENV"
   echo "Installing wbflow into $VENV"
-  "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".${1:-}"
-  # an editable install leaves the project uncompiled: every process of every run would compile it anew where caches of it are not written
+  "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --editable ".${1:-}"
+  # Every process of every run would compile the project anew where caches of it are not written: an editable install leaves it as it
+  # is.  What it needs is compiled with it, on all processors: pip would do so on one, and with the tests of all libraries.
+  local libraries
+  libraries="$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
   "$VENV/bin/python" -m compileall -q wbflow stages tests
+  "$VENV/bin/python" -m compileall -q -j 0 -x '/(tests?|plotly|fontTools)/' "$libraries" >/dev/null || true # some hold what is no Python
 }
 
 install_browser() { # for the tests of the report's page alone, which are skipped without

@@ -1,7 +1,8 @@
 """How well the cameras see the ground: how many see each place, at what angle, how exactly; and what the loss of one would cost.
 
 The surface is tonight's: the lowest that was found over each cell, else the ground plane.  A camera sees a place that lies in its
-image, is not masked, and has nothing in front of it in the camera's depth map.
+image, is not masked, and has nothing in front of it in the camera's depth map.  One without a depth map tonight sees nothing: it
+is down, or none of its pairs could be used.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def find_coverage(
     Parameters
     ----------
     poses
-        Of the cameras; those of the main component count.
+        Of the cameras; those of the main component that have a depth map count.
     frames
         For their masks; looked at one at a time.
     depths, refined
@@ -67,12 +68,14 @@ def find_coverage(
     min_angle_deg, max_angle_deg
         Pairs of cameras tell depth where their rays meet at angles between these.
     """
-    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
-    better, frames = refined or {}, straight_frames(frames, cameras)
-    source = {name: better if name in better else depths for name in cameras if name in better or name in depths}
+    better = refined or {}
+    placed = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    source = {name: better if name in better else depths for name in placed if name in better or name in depths}
+    cameras = {name: placed[name] for name in source}
+    frames = straight_frames(frames, cameras)
     points = [_surface(cameras[name], depth_of[name]) for name, depth_of in source.items()]
     if not sum(map(len, points)):
-        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
+        return Rejected(Reason.NO_DEPTH, {"cameras": float(len(placed))})
     surface = np.concatenate(points)
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
@@ -83,8 +86,7 @@ def find_coverage(
     known = np.flatnonzero(np.isfinite(X).all(axis=1))
     seen = np.zeros((len(cameras), len(known)), bool)
     for k, (name, camera) in enumerate(cameras.items()):
-        frame, depth = frames.get(name), source[name][name] if name in source else None
-        seen[k] = _sees(camera, frame, depth, X[known], grid.cell)
+        seen[k] = _sees(camera, frames.get(name), source[name][name], X[known], grid.cell)
     whole = _whole_cameras(cameras)
     seen = np.stack([seen[rows].any(axis=0) for rows in whole.values()])
     firsts = [list(cameras.values())[rows[0]] for rows in whole.values()]
@@ -184,7 +186,7 @@ def _low_plane(flat: Float64s, heights: Float64s, up: Float64s) -> Float64s:
     return np.append(normal, -found[2])
 
 
-def _sees(camera: Camera, frame: Frame | None, depth: DepthMap | None, X: Float64s, cell: float) -> Bools:
+def _sees(camera: Camera, frame: Frame | None, depth: DepthMap, X: Float64s, cell: float) -> Bools:
     """(n,) bool: is a point X (n, 3) in a camera's image, unmasked, and is nothing in front of it?"""
     x, z = project(camera, X)
     inside = (z > 0) & (x > -0.5).all(axis=1) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
@@ -192,10 +194,9 @@ def _sees(camera: Camera, frame: Frame | None, depth: DepthMap | None, X: Float6
     free = np.ones(len(at), bool)
     if frame is not None:
         free &= frame.mask[at[:, 1], at[:, 0]]
-    if depth is not None:
-        there, sigma = depth.depth[at[:, 1], at[:, 0]], depth.sigma[at[:, 1], at[:, 0]]
-        tolerance = 3.0 * sigma + 0.02 * z[inside] + cell
-        free &= ~(there < z[inside] - tolerance)  # where nothing is known, nothing is known to be in front
+    there, sigma = depth.depth[at[:, 1], at[:, 0]], depth.sigma[at[:, 1], at[:, 0]]
+    tolerance = 3.0 * sigma + 0.02 * z[inside] + cell
+    free &= ~(there < z[inside] - tolerance)  # where nothing is known, nothing is known to be in front
     seen = np.zeros(len(X), bool)
     seen[inside] = free
     return seen

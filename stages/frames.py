@@ -87,10 +87,7 @@ def clean_frame(
             for name, image in _pictures(capture, lens, video_step, max_captures):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
                     camera = Straight.of(image, _as_written(lens, capture, image), name, whole_field)
-                area = private_area(privacy, camera.width, camera.height, name)
-                signal, (image, repair) = signal_of(image), put_right(image)
-                straight = _resized(camera.undistort(blanked(image, area)), *camera.working_size(resolution))
-                clean.append(_Clean(camera, name, straight, area, signal, repair))
+                clean.append(_cleaned(image, camera, name, privacy, resolution))
         except BadCapture as error:
             if len(captures) == 1:
                 raise
@@ -180,6 +177,13 @@ class _Clean:
     """What electronics and coding have done to the capture."""
     repair: str
     """What was done about that; "" where nothing."""
+
+
+def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Clean:
+    area = private_area(privacy, camera.width, camera.height, name)
+    signal, (image, repair) = signal_of(image), put_right(image)
+    straight = _resized(camera.undistort(blanked(image, area)), *camera.working_size(resolution))
+    return _Clean(camera, name, straight, area, signal, repair)
 
 
 def _pictures(capture: Capture, lens: Lens, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:

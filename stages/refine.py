@@ -103,10 +103,14 @@ def refine(
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
     spacing, far = max(1, round(max(image.shape) / 768)), max(2, round(5 * max(image.shape) / 768))
+<<<<<<< HEAD
     if (coarser := 1 / float(np.median([finer[other] for other in around]))) > _UNLIKE:
         spacing = max(spacing, round(coarser))
     if then_depth is not None and not _stands(camera, then_camera, depth, then_depth):
         then_depth = None
+=======
+    then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
+>>>>>>> main
     planes = _planes_of(depth)
     if then_depth is not None:
         planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
@@ -135,9 +139,9 @@ def _planes_of(depth: DepthMap) -> Float32s:
     return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
 
 
-def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap) -> bool:
+def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap | None) -> bool:
     """Does the camera see each place in the same pixel as in the reference?"""
-    if then is None or depth.depth.shape != then_depth.depth.shape:
+    if then is None or then_depth is None or depth.depth.shape != then_depth.depth.shape:
         return False
     return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
 

@@ -8,6 +8,24 @@ import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
 
+SLOWEST = (
+    "wbflow/test_yard.py",
+    "wbflow/test_fountain.py",
+    "wbflow/store/test_clean.py",
+    "wbflow/night/test_reference.py",
+    "wbflow/night/test_run.py",
+    "test_readme.py",
+    "wbflow/results/test_export.py",
+    "wbflow/night/test_plugins.py",
+)
+"""Files that take more than a minute."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The slowest files come first: else one process still works on them when the other has nothing left to do."""
+    first = {Path(__file__).parent / name: place for place, name in enumerate(SLOWEST)}
+    items.sort(key=lambda item: first.get(item.path, len(first)))
+
 
 @pytest.fixture
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:

@@ -36,6 +36,7 @@ class Row:
     tries: int = 0
     losses: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
+    cpu_s: float = 0.0
 
     HEAD: ClassVar[str] = f"{'fault':38} {'tries':>6}  {'  '.join(KINDS)}"
 

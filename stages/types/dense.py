@@ -143,6 +143,8 @@ class DepthMap:
     """The other cameras of its pairs."""
     sure: Bools
     """(h, w) False where the depth must not be believed unless another view's depth agrees."""
+    left_out: tuple[str, ...] = ()
+    """The other cameras of pairs that would have been too many."""
 
 
 @short_repr

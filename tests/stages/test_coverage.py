@@ -62,6 +62,14 @@ def test_what_is_said_of_a_lost_camera_comes_true() -> None:
     assert coverage.lost_without[lost] == pytest.approx(fell.sum() / np.isfinite(coverage.heights).sum(), abs=0.02)
 
 
+def test_a_camera_without_depth_sees_nothing_tonight() -> None:
+    depths = {name: depth for name, depth in DEPTHS.items() if name != "cam+0"}
+    coverage = find_coverage(POSES, YARD.frames, depths, scene=Scene())
+    assert isinstance(coverage, Coverage)
+    assert coverage.views.max() == 4
+    assert "cam+0" not in coverage.lost_without
+
+
 def test_masked_pixels_see_nothing() -> None:
     frames = {name: replace(frame, mask=np.zeros_like(frame.mask)) for name, frame in YARD.frames.items()}
     blind = find_coverage(POSES, frames, DEPTHS)

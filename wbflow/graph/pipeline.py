@@ -163,6 +163,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.PAIR_GRAPH,
         section="pairs",
         lists="pairs",
+        world_reports=WorldReports(camera_notes="crowded"),
         held=_STILL,
     ),
     Stage(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..graph.meanings import meaning
+from ..graph.meanings import MEANINGS, meaning
 from ..graph.pipeline import STAGES
 from ..graph.rows import Stage
 from ..night.journal import Journal
@@ -90,7 +90,7 @@ def _intact(path: Path, digest: str) -> bytes:
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Figures of a stage for people: name and value."""
     for name, value in figures.items():
-        title, written = _title(name), _percent if meaning(name).share else spoken
+        title, written = titled(name), _percent if meaning(name).share else spoken
         if isinstance(value, Mapping) and value and not any(isinstance(entry, Mapping) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
             yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered)
@@ -98,9 +98,10 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield title, written(value)
 
 
-def _title(name: str) -> str:
-    if meaning(name).share:
-        return meaning(name).title
+def titled(name: str) -> str:
+    """What a figure is called."""
+    if name in MEANINGS:
+        return MEANINGS[name].title
     words, _, unit = name.rpartition("_")
     return (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
 

@@ -119,7 +119,11 @@ class Down:
     """How many nights by now."""
 
     def __str__(self) -> str:
-        return f"down since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
+        return self.told()
+
+    def told(self, left_out: bool = True) -> str:
+        """In words; a camera that is used all the same is not down."""
+        return f"{'down' if left_out else 'so'} since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
 
     def to_json(self) -> dict[str, Any]:
         return dict(vars(self))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from .outside import read_outside
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +44,7 @@ def read_ply(path: Path) -> dict[str, npt.NDArray[Any]]:
         Another PLY format, list properties, or fewer bytes than the header promises.
     """
     try:
-        return columns_of(path.read_bytes())
+        return columns_of(read_outside(path, most=sys.maxsize))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

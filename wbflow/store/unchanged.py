@@ -18,6 +18,7 @@ from pathlib import Path
 from .artifact import digest
 from .atomic import write_atomic
 from .layout import WorkFolder
+from .outside import read_outside
 from .signed import Damaged, read_signed, write_signed
 
 _OF = "the last whole night"
@@ -58,7 +59,7 @@ def recall(work: WorkFolder, rests_on: str) -> Unchanged | None:
         told = read_signed(work.unchanged_memo, _OF)
         if not told or told["rests_on"] != rests_on:
             return None
-        data = work.unchanged_data.read_bytes()
+        data = read_outside(work.unchanged_data)
         if told["data"] != digest(data):
             return None
         texts, end = [], 0

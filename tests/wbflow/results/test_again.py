@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,11 @@ def flipped(path: Path) -> None:
     path.write_bytes(data[:-3] + bytes([data[-3] ^ 1]) + data[-2:])
 
 
+def piped(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
 def stated(toy: ToySite) -> None:
     site = json.loads(toy.file.read_text())
     toy.file.write_text(json.dumps({**site, "expect": {"points": 0.5}}))
@@ -78,6 +84,7 @@ TOUCHED: dict[str, Callable[[ToySite], object]] = {
     "the report is gone": lambda toy: (toy.work / "runs" / "latest" / "report.html").unlink(),
     "what is remembered is damaged": lambda toy: flipped(WorkFolder(toy.work).unchanged_memo),
     "what goes with it is damaged": lambda toy: flipped(WorkFolder(toy.work).unchanged_data),
+    "a pipe is in its place": lambda toy: piped(WorkFolder(toy.work).unchanged_data),
     "a capture is another": lambda toy: toy.capture("roof").write_text("another view"),
     "the site file says something else": stated,
 }

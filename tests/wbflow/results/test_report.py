@@ -8,6 +8,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import pytest
 
 from tests.helpers import made_up_run
-from wbflow.store.record import RunRecord
+from wbflow.store.record import Finding, RunRecord, Verdict
 
 webdriver = pytest.importorskip("selenium.webdriver")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -147,7 +148,7 @@ def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night:
         return found
 
     ids = [camera.id for camera in night.cameras]
-    assert texts(".card h3 a") == ids
+    assert texts("#cameras .card h3 a") == [ids[-2], ids[-1], *ids[:-2]], "those to look at come first"
     assert texts("#map .dot > text") == ids
     assert texts("table.pairs tbody td:first-child") == [pair.name for pair in night.pairs]
     assert len(texts("#map line.pair")) == len(night.pairs)
@@ -209,6 +210,7 @@ def test_a_hundred_cameras_have_room(tmp_path: Path) -> None:
     assert told.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
     assert told.count('<g class="dot') == 100
     assert all(html.escape(pair.name) in told for pair in night.pairs)
+    assert "98 cameras as they should be" in told, "two to look at stand before them"
     assert 'class="elsewhere" href="../../cache/' in told, "what has no room is led to"
 
 
@@ -220,3 +222,14 @@ def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path:
     assert "No cloud this night" in told
     assert "No two cameras were matched." in told
     assert '<script type="application/octet-stream"' not in told
+
+
+def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_shows_nothing(tmp_path: Path) -> None:
+    ids = made_up_run.names(5)
+    lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
+    night = made_up_run.record(ids, cloud=None, pairs=(), verdict=Verdict("failed", tuple(lost)), exit_code=1)
+    night = replace(night, later={"changes": {"compared": False, "count": 0, "noise": 1.0, "files": [], "reason": None}})
+    told = made_up_run.page(tmp_path, night, nights=0).read_text()
+    assert "The same is wrong with every camera." in told
+    assert f"4 more like these: {', '.join(ids[1:])}" in told
+    assert "There was nothing to compare this night with." in told and "<dt>noise</dt>" not in told

@@ -11,6 +11,7 @@ from ...store.record import Finding, RunRecord
 from ...task import Task
 from ..past import figures_of
 from .album import Album, Shown
+from .since import since_last_good
 from .sources import Sources
 
 _OF_A_KIND = 4
@@ -55,9 +56,9 @@ class ShownFinding:
     """So many of its kind stand before it that it is shown on demand."""
 
 
-def headline(record: RunRecord) -> Headline:
+def headline(sources: Sources) -> Headline:
     """The verdict, what to do first, and how much there is."""
-    verdict = record.verdict
+    record, verdict = sources.record, sources.record.verdict
     level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
     findings = verdict.findings if verdict else ()
     cameras = [finding for finding in findings if finding.kind.startswith("camera-")]
@@ -71,7 +72,7 @@ def headline(record: RunRecord) -> Headline:
         interrupted = any(finding.kind == "interrupted" for finding in findings)
         title = "Interrupted" if interrupted else "No cloud this night"
         words = _shared(record, cameras) or _todo(findings) or "The reasons stand below."
-    return Headline(level, title, words, tuple(_facts(record)))
+    return Headline(level, title, words, tuple(_facts(sources)))
 
 
 def _shared(record: RunRecord, cameras: list[Finding]) -> str:
@@ -97,7 +98,8 @@ def _todo(findings: tuple[Finding, ...]) -> str:
     return f"First: {'--'.join(first.subject) + ': ' if first.subject else ''}{first.remedy}{end}"
 
 
-def _facts(record: RunRecord) -> list[Fact]:
+def _facts(sources: Sources) -> list[Fact]:
+    record = sources.record
     usual = record.usual.figures if record.usual else {}
     now = figures_of(record)
     whose = "reference" if record.usual and record.usual.reference else "usual"
@@ -118,7 +120,9 @@ def _facts(record: RunRecord) -> list[Fact]:
             found.append(Fact(f"{now[stage.name]:,.0f} {expects.unit}", expects.words, words, _grade(now[stage.name], base)))
         told = record.later.get(stage.name) or {}
         if isinstance(told, dict) and told.get("compared") and isinstance(told.get("count"), int):
-            found.append(Fact(str(told["count"]), f"change{'s' * (told['count'] != 1)} since the reference"))
+            since, words = since_last_good(record, sources, stage.name), f"change{'s' * (told['count'] != 1)} since the reference"
+            newer = f"{told['count'] - len(since.then)} since {since.date}" if since and told["count"] else ""
+            found.append(Fact(str(told["count"]), words, newer))
     seconds = record.seconds.wall
     found.append(
         Fact(
@@ -141,10 +145,11 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
     record = sources.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     found: list[ShownFinding] = []
-    kinds = Counter[str]()
-    for finding in record.verdict.findings if record.verdict else ():
+    kinds, all_told = Counter[str](), record.verdict.findings if record.verdict else ()
+    shown = 1 if _shared(record, [finding for finding in all_told if finding.kind.startswith("camera-")]) else _OF_A_KIND
+    for finding in all_told:
         kinds[finding.kind] += 1
-        folded = kinds[finding.kind] > _OF_A_KIND
+        folded = kinds[finding.kind] > shown
         name = "--".join(finding.subject)
         camera = finding.subject[0] if len(finding.subject) == 1 and finding.subject[0] in numbers else None
         pictures: list[tuple[Shown | None, str]] = []
@@ -153,8 +158,8 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
             if tonight or then:
                 pictures = [(tonight, f"this night, {record.date}"), *([(then, then.alt)] if then else [])]
         elif len(finding.subject) == 2:
-            shown = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
-            pictures.extend([(picture, name) for picture in shown if picture][:2])
+            of_pair = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
+            pictures.extend([(picture, name) for picture in of_pair if picture][:2])
         number = numbers.get(name, 0)
         found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures), folded))
     return found

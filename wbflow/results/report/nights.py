@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ...config.site import Measure
+from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
 from ...store.record import CameraRecord, RunRecord
+from ..beside import titled
 from ..past import figures_of
 from .charts import Chart, Value, chart
 from .sources import Sources, state_of
@@ -34,7 +36,10 @@ def trends(sources: Sources) -> list[Chart]:
     found = [_chart(sources, titles.get(name, name), [figures_of(n).get(name) for n in nights]) for name in _names(nights)]
     for title, stage, name in _told(nights):
         values = [_number((night.later.get(stage) or {}).get(name)) for night in nights]
-        found.append(_chart(sources, title, values))
+        if meaning(name).share:
+            found.append(_chart(sources, title, [None if value is None else 100 * value for value in values], "%"))
+        else:
+            found.append(_chart(sources, title, values))
     found.append(_chart(sources, "time", [night.seconds.wall for night in nights], "s"))
     found.append(_chart(sources, "CPU", [night.seconds.cpu for night in nights], "s"))
     found.append(_chart(sources, "size of the night's files", [_bytes(sources, night) for night in nights], "MB"))
@@ -53,7 +58,7 @@ def _told(nights: list[RunRecord]) -> Iterator[tuple[str, str, str]]:
             continue
         for name in stage.reports.fields:
             if any(_number((night.later.get(stage.name) or {}).get(name)) is not None for night in nights):
-                yield f"{stage.name}: {name.replace('_', ' ')}", stage.name, name
+                yield titled(name), stage.name, name
 
 
 def _number(value: object) -> float | None:

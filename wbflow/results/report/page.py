@@ -104,7 +104,7 @@ def _content(sources: Sources) -> dict[str, Any]:
         "style": Markup(cssmin(_asset("style.css"))),
         "viewer": Markup(jsmin("\n".join(map(_asset, _VIEWER)))),
         "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
-        "headline": headline(record),
+        "headline": headline(sources),
         "findings": findings(sources, album),
         "layout": layout,
         "plan": plan,

@@ -18,6 +18,8 @@ _REACH = 0.16
 """How far a field of view is drawn, as a share of the map."""
 _FEW = 24
 """Cameras whose names have room above them."""
+_LETTER, _LINE = 6.0, 11.0
+"""Width of a letter, and height of a line, of names where there are many."""
 _WIDEST = 5.0
 """Of the line of a pair."""
 
@@ -35,6 +37,8 @@ class Dot:
     title: str
     label: tuple[float, float, str] = (0.0, -14.0, "middle")
     """Where its name stands beside it, and how it is anchored."""
+    named: bool = True
+    """Is there room for its name?"""
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,23 @@ def _outside(dots: list[Dot]) -> list[Dot]:
         else:
             label = (0.0, 18.0 if down > 0 else -10.0, "middle")
         found.append(replace(dot, label=label))
-    return found
+    return _apart(found)
+
+
+def _apart(dots: list[Dot]) -> list[Dot]:
+    """Names that lie over others are left out (a pointer on the camera tells them); those of cameras to look at come first."""
+    taken: list[tuple[float, float, float]] = []
+    bare = set()
+    for dot in sorted(dots, key=lambda dot: dot.state == "good"):
+        across, down, anchor = dot.label
+        half = _LETTER * len(dot.id) / 2
+        x = dot.x + across + {"start": half, "middle": 0.0, "end": -half}[anchor]
+        y = dot.y + down
+        if any(abs(x - a) < half + b and abs(y - c) < _LINE for a, b, c in taken):
+            bare.add(dot.id)
+        else:
+            taken.append((x, half, y))
+    return [replace(dot, named=dot.id not in bare) for dot in dots]
 
 
 def _seen(camera: Standing, reach: float) -> list[tuple[float, float]]:

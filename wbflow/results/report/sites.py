@@ -17,6 +17,7 @@ from ...graph.pipeline import stage_with
 from ...graph.rows import Role
 from ...store.findings import Finding
 from ...store.layout import WorkFolder
+from ...store.outside import MOST_TEXT_BYTES, read_outside
 from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task
 from ..history import Entry, history
@@ -95,7 +96,7 @@ def page(places: Sequence[Path], out: Path) -> str:
 def _is_one(file: Path) -> bool:
     """Does a YAML file describe a site?  (Others may lie beside it; one that is meant to, and is wrong, is told of.)"""
     try:
-        text = file.read_text(errors="replace")
+        text = read_outside(file, MOST_TEXT_BYTES).decode(errors="replace")
     except OSError:
         return False
     return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None

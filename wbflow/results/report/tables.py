@@ -40,6 +40,8 @@ class CameraCard:
     """A camera."""
 
     id: str
+    number: int
+    """In the site file, from 1."""
     state: str
     badge: str
     words: str
@@ -121,9 +123,9 @@ def _shown(value: Any) -> str:
 
 
 def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
-    """Each camera, in the order of the site file."""
+    """Each camera: those that have given nothing first, then those to look at; else in the order of the site file."""
     found = []
-    for camera in sources.record.cameras:
+    for number, camera in enumerate(sources.record.cameras, 1):
         state = state_of(camera, sources.record)
         numbers = {name: value for name, value in camera.figures.items() if isinstance(value, int | float)}
         figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool) and name != "points")
@@ -134,8 +136,9 @@ def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
         bars = tuple(spark(sources, camera.id))
         main = (used, *(c for c in (cell("points", camera.figures.get("points")),) if c.value), *_given(sources, camera.id))
         counted = _seen(camera, pairs)
-        found.append(CameraCard(camera.id, state, badge, _words(camera), camera.notes, picture, bars, counted, main, figures))
-    return found
+        told, notes = _words(camera, sources.record.reference is None), camera.notes
+        found.append(CameraCard(camera.id, number, state, badge, told, notes, picture, bars, counted, main, figures))
+    return sorted(found, key=lambda card: ("bad", "warn", "good").index(card.state))
 
 
 def _seen(camera: CameraRecord, pairs: list[PairRecord]) -> str:
@@ -146,10 +149,11 @@ def _seen(camera: CameraRecord, pairs: list[PairRecord]) -> str:
     return ", ".join([*said, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
 
 
-def _words(camera: CameraRecord) -> str:
-    health = camera.health.text if camera.health else ""
+def _words(camera: CameraRecord, alone: bool) -> str:
+    """How it was; nothing of one that is well on a night that is compared with none."""
+    health = camera.health.text if camera.health and not (alone and camera.health.ok) else ""
     said = health if camera.ok else camera.reason or camera.outcome
-    return "; ".join(filter(None, (said, str(camera.down) if camera.down else "")))
+    return "; ".join(filter(None, (said, camera.down.told(left_out=not camera.ok) if camera.down else "")))
 
 
 def _given(sources: Sources, camera: str) -> Iterator[Cell]:
@@ -203,9 +207,12 @@ def parts(sources: Sources, album: Album) -> list[Part]:
             since = since_last_good(sources.record, sources, stage.name)
             unit = "m" if sources.record.poses is None or sources.record.poses.metric else ""
             things = tuple(thing for value in told.values() for thing in _things(value, files, album, since, unit))
+            reason, over = str(told.get("reason") or ""), _over(since, unit) if since else ""
+            if told.get("compared") is False:
+                found.append(Part(stage.title, reason, None, (), (), files, "There was nothing to compare this night with."))
+                continue
             picture = album.of_task(Task(stage.name), stage.title)
-            over = _over(since, unit) if since else ""
-            found.append(Part(stage.title, str(told.get("reason") or ""), picture, tuple(shown(told)), things, files, over))
+            found.append(Part(stage.title, reason, picture, tuple(shown(told)), things, files, over))
     return found
 
 

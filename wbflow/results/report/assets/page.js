@@ -28,6 +28,8 @@
     if (words) cell.title = words;
   });
 
+  if (matchMedia("(max-width: 700px)").matches) for (const fold of $$("details.at-length")) fold.open = false; // a phone scrolls long enough
+
   addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
 
   const told = $("#scene"), root = $("#view");
