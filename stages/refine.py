@@ -102,15 +102,9 @@ def refine(
     reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
-    spacing, far = max(1, round(max(image.shape) / 768)), max(2, round(5 * max(image.shape) / 768))
-<<<<<<< HEAD
-    if (coarser := 1 / float(np.median([finer[other] for other in around]))) > _UNLIKE:
-        spacing = max(spacing, round(coarser))
-    if then_depth is not None and not _stands(camera, then_camera, depth, then_depth):
-        then_depth = None
-=======
+    spacing = _spacing_px(max(image.shape), [finer[other] for other in around])
+    far = max(2, round(5 * max(image.shape) / 768))
     then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
->>>>>>> main
     planes = _planes_of(depth)
     if then_depth is not None:
         planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
@@ -188,6 +182,12 @@ def _sources(
         if other.component == camera.component:
             angles.append((float(np.degrees(np.median(ray_angles(camera.C - points, other.C - points)))), name))
     return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
+
+
+def _spacing_px(side: int, finer: list[float]) -> int:
+    """Of the pixels of a patch, in an image so long: as far apart as those of views that see much less."""
+    coarser = 1 / float(np.median(finer))
+    return max(1, round(side / 768), round(coarser) if coarser > _UNLIKE else 1)
 
 
 def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:
