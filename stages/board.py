@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from .capture.files import BadCapture, decode
+from .capture.lens_fit import STARTS, fit_lens
 from .capture.video import is_video, pictures
 from .types import Capture, Float32s, Float64s, Uint8s
 
@@ -26,6 +27,8 @@ _CELLS = (8, 6)
 """Of the picture, across and down, in which corners are counted."""
 _GOOD_PX, _BAD_PX = 0.3, 1.0
 """Residuals that are drawn green, and from which on they are red."""
+_POOR_PX = 1.0
+"""A lens that misses corners by more, rms, is of another kind than was asked for, or the board is not flat."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ def board_files(
     board
         Fields of `Board` by name.
     model
-        "brown" or "rational".
+        "brown", "rational" (as OpenCV fits them), or a key of `lens_fit.STARTS`.
 
     Raises
     ------
@@ -106,6 +109,8 @@ def board_files(
     }
     whole = float(np.sqrt(np.mean(np.concatenate([(r**2).sum(axis=1) for r in residuals]))))
     words = [f"{len(seen)} pictures, {whole:.2f} px rms, corners in {100 * covered:.0f} % of the picture's cells", *notes]
+    if whole > _POOR_PX:
+        words.append(f"{whole:.1f} px is much: another --model may fit this lens, or the board is not flat")
     plot = cv2.imencode(".png", _plot(seen, residuals, size))[1].tobytes()
     return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, words
 
@@ -137,6 +142,10 @@ def _corners(name: str, grey: Uint8s, board: Board) -> _Seen | None:
 
 def _fitted(seen: Sequence[_Seen], size: tuple[int, int], model: str) -> tuple[Float64s, Float64s, list[Float64s]]:
     """K, coefficients, and residuals (n, 2) of each picture, pixels."""
+    if model in STARTS:
+        return fit_lens(
+            [each.board.astype(np.float64) for each in seen], [each.image.astype(np.float64) for each in seen], size, model
+        )
     board: list[Any] = [each.board[:, None] for each in seen]
     image: list[Any] = [each.image[:, None] for each in seen]
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational" else 0

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from .change.blobs import Blob, Over, find_blobs, over_ground, paired
 from .change.epoch import Epoch
 from .change.evidence import Evidence, gather, judged, noise_of, seen_by
+from .core.bending import straight_frames
 from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, preferred_above, quantile_by_cell
 from .types import (
@@ -112,7 +113,7 @@ def find_changes(
         Edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
     """
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
-    tonight = Epoch(cloud, cameras, frames, depths, refined or {})
+    tonight = Epoch(cloud, cameras, straight_frames(frames, cameras), depths, refined or {})
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
     if then_poses is None or then_cloud is None or not len(then_cloud.points) or not len(cloud.points):
@@ -120,7 +121,7 @@ def find_changes(
     old = {name: camera for name, camera in then_poses.cameras.items() if camera.component == 0}
     if not _same_world(cameras, old, cloud):
         return _nothing(axes, poses)
-    then = Epoch(then_cloud, old, then_frames or {}, then_depths or {}, then_refined or {})
+    then = Epoch(then_cloud, old, straight_frames(then_frames or {}, old), then_depths or {}, then_refined or {})
     spacing = max(_spacing(tonight.points), _spacing(then.points))
     grid = grid_over(np.vstack([n.points[::_SOME] for n in (tonight, then)]), axes, cell_m or preferred_above(_CELL * spacing))
     sides = gather(tonight, then, spacing, registration_m)

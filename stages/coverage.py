@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from .core.bending import straight_frames
 from .core.cameras import backproject, camera_id, project
 from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
 from .core.jit import kernel
@@ -71,6 +72,7 @@ def find_coverage(
     placed = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
     source = {name: better if name in better else depths for name in placed if name in better or name in depths}
     cameras = {name: placed[name] for name in source}
+    frames = straight_frames(frames, cameras)
     points = [_surface(cameras[name], depth_of[name]) for name, depth_of in source.items()]
     if not sum(map(len, points)):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(placed))})

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .fusion.pair_depth import NoiseModel, fuse_pairs, pair_depth
+from .fusion.pair_depth import MOST_PAIRS, NoiseModel, fuse_pairs, pair_depth, usable_pixels
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
-from .types import Camera, DepthMap, Disparity, Pair, Rectification
+from .types import Camera, DepthMap, Disparity, Float32s, Pair, Rectification
+
+
+@dataclass(frozen=True, eq=False)
+class _PairDepth:
+    """What one pair says of the view."""
+
+    partner: str
+    depth: Float32s
+    gain: Float32s
+    pixels: int
+    """How many it knows well enough; 0 where nobody asks."""
 
 
 def view_depth(
@@ -29,21 +41,27 @@ def view_depth(
     cameras
         Of the views that it makes pairs with, by id.
     rectifications, disparities
-        Of the pairs that the view is part of; looked at one at a time.
+        Of the pairs that the view is part of; looked at one at a time.  Of more than 32 those are taken that know most pixels
+        well enough; `left_out` of the result names the others.
     noise_px
         Assumed error of a disparity in pixels, standard deviation.
     """
-    depths, gains, partners = [], [], []
+    noise = NoiseModel(noise_px=noise_px)
+    found: list[_PairDepth] = []
+    left_out: list[str] = []
     for pair in disparities:
         side: Side = 1 if pair[1] in cameras else 2
         other = pair[2 - side]
         if pair not in rectifications or other not in cameras or cameras[other].component != camera.component:
             continue
         depth, gain = pair_depth(camera, cameras[other], rectifications[pair], disparities[pair], side)
-        depths.append(depth)
-        gains.append(gain)
-        partners.append(other)
-    found = fuse_pairs(camera, depths, gains, partners, NoiseModel(noise_px=noise_px)) if depths else None
-    if found is None or not np.isfinite(found.depth).any():
-        return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})
-    return found
+        found.append(_PairDepth(other, depth, gain, usable_pixels(depth, gain, noise) if len(disparities) > MOST_PAIRS else 0))
+        if len(found) > MOST_PAIRS:
+            worst = min(found, key=lambda pair: pair.pixels)
+            found.remove(worst)
+            left_out.append(worst.partner)
+    if found:
+        fused = fuse_pairs(camera, [p.depth for p in found], [p.gain for p in found], [p.partner for p in found], noise)
+        if np.isfinite(fused.depth).any():
+            return replace(fused, left_out=tuple(left_out)) if left_out else fused
+    return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})

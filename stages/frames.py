@@ -18,6 +18,7 @@ from .capture.background import merge
 from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
 from .capture.looks import looks, weigh
 from .capture.privacy import around, blanked, private_area
+from .capture.signal import Signal, put_right, signal_of
 from .capture.straight import Straight, working_size
 from .capture.video import is_video, pictures
 from .io.exif import focal_in_long_sides, taken_at
@@ -85,9 +86,7 @@ def clean_frame(
             for name, image in _pictures(capture, lens, video_step, max_captures):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
                     camera = Straight.of(image, _as_written(lens, capture, image), name, whole_field)
-                area = private_area(privacy, camera.width, camera.height, name)
-                straight = camera.undistort(blanked(image, area))
-                clean.append(_Clean(camera, name, _resized(straight, *camera.working_size(resolution)), area))
+                clean.append(_cleaned(image, camera, name, privacy, resolution))
         except BadCapture as error:
             if len(captures) == 1:
                 raise
@@ -126,6 +125,8 @@ def _one_frame(
     allowed = usable & ~private
     weights, words = weigh(images, names, allowed)
     background = merge(images, weights)
+    signal = Signal.median([each.signal for each in clean])
+    notes.extend([*_repairs(clean), *signal.words()])
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     trusted = allowed & ~background.doubtful
@@ -141,6 +142,7 @@ def _one_frame(
         camera.view(width, height),
         (*notes, *words),
         **vars(looks(background.image, allowed)),
+        **vars(signal),
         frames_used=len(images) - len(words),
         doubtful=float((background.doubtful & allowed).mean()),
         unchanged=background.unchanged,
@@ -148,6 +150,13 @@ def _one_frame(
         taken_last=taken[-1].isoformat() if taken else "",
         taken_in_order=list(taken) == sorted(taken),
     )
+
+
+def _repairs(clean: Sequence[_Clean]) -> Iterator[str]:
+    """What was wrong with the rows of captures, and put right."""
+    for repair in dict.fromkeys(each.repair for each in clean if each.repair):
+        count = sum(each.repair == repair for each in clean)
+        yield f"{count} of {len(clean)} captures are combed: {repair}"
 
 
 @dataclass(frozen=True)
@@ -160,6 +169,17 @@ class _Clean:
     """At working resolution, undistorted, without what nobody may see."""
     private: Bools | None
     """What that is, in the capture."""
+    signal: Signal
+    """What electronics and coding have done to the capture."""
+    repair: str
+    """What was done about that; "" where nothing."""
+
+
+def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Clean:
+    area = private_area(privacy, camera.width, camera.height, name)
+    signal, (image, repair) = signal_of(image), put_right(image)
+    straight = _resized(camera.undistort(blanked(image, area)), *camera.working_size(resolution))
+    return _Clean(camera, name, straight, area, signal, repair)
 
 
 def _pictures(capture: Capture, lens: Lens, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from .core.bending import straight_frames
 from .core.cameras import backproject
 from .fusion.certainty import depth_variance
 from .fusion.company import company
@@ -28,6 +29,13 @@ from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
 _LEAST_COMPANY = 0.2
 """What a single pair shows must lie on one surface with so much of its surroundings."""
+
+_GOOD_COMPANY, _SHALLOW = 0.4, 0.3
+"""Where pixels lie further apart on a slanted surface than voxels look for others, a point is kept that has so much of its
+surroundings on its plane, and a standard deviation below this share of the way to the next pixel (chosen on the demo yard)."""
+
+_GRAZING = 0.05
+"""Cosine of the lowest angle at which the way to the next pixel is still reckoned with."""
 
 _IN_MEMORY, _IN_MEMORY_PX = 8, 12_000_000
 """Depth maps kept at hand, at least, and more while they are small: the next view is mostly compared with the same ones."""
@@ -63,11 +71,11 @@ def fuse(
     voxel_m
         Edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of depth.
     neighbours
-        A point needs so many others within three voxels.
+        A point needs so many others within three voxels, or many in the picture where these lie further apart.
     check_views
         Each view is compared with so many others that see most of the same.
     """
-    better = refined or {}
+    better, frames = refined or {}, straight_frames(frames, cameras)
     known = {*depths, *better}
     cameras = {name: camera for name, camera in cameras.items() if camera.component == component and name in known}
 
@@ -88,7 +96,7 @@ def fuse(
     given: dict[str, int] = {}
     for name, camera in cameras.items():
         check = cross_check(name, near[name], cameras, depth_of)
-        samples = _samples(frames[name], camera, depth_of(name), check, gains[name], min_consistent_pairs)
+        samples = _samples(frames[name], camera, depth_of(name), check, gains[name], min_consistent_pairs, grid)
         given[name] = len(samples.points)
         grid.add(samples)
         del samples
@@ -103,7 +111,9 @@ def fuse(
     return Cloud(**arrays, given=given)
 
 
-def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int) -> Samples:
+def _samples(
+    frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int, grid: VoxelGrid
+) -> Samples:
     """The points of one view that its own and the other views' evidence leaves standing.
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
@@ -114,19 +124,31 @@ def _samples(frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, g
         supported &= check.agreeing >= min_pairs
     supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
     supported &= np.isfinite(depth.depth) & (2 * check.violating <= check.agreeing)
-    supported &= (check.pairs > 1) | (company(depth, supported) >= _LEAST_COMPANY)
+    share = company(depth, supported)
+    supported &= (check.pairs > 1) | (share >= _LEAST_COMPANY)
     y, x = np.nonzero(supported)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
+    points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
+    footprint, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
+    spacing = footprint / np.maximum(_cosines(camera, points, normals), _GRAZING)
+    accompanied = (spacing >= grid.reach(footprint)) & (variance < (_SHALLOW * spacing) ** 2) & (share[y, x] >= _GOOD_COMPANY)
     return Samples(
-        backproject(camera, np.column_stack([x, y]).astype(np.float64), z),
-        world_normals(camera, depth, y, x).astype(np.float32),
+        points,
+        normals.astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
         (1.0 / sigma**2).astype(np.float32),
         _confidence(check, depth, y, x),
         check.cameras[y, x].astype(np.float32),
-        (z / camera.K[0, 0]).astype(np.float32),
-        depth_variance(depth, check, y, x).astype(np.float32),
+        footprint,
+        variance.astype(np.float32),
+        accompanied,
     )
+
+
+def _cosines(camera: Camera, points: Float64s, normals: Float64s) -> Float64s:
+    """(n,) of the angles between surfaces' normals and the rays on which they are seen."""
+    rays = camera.C - points
+    return np.asarray(np.abs(np.sum(rays * normals, axis=1)) / np.linalg.norm(rays, axis=1), dtype=np.float64)
 
 
 def _confidence(check: CrossCheck, depth: DepthMap, y: np.ndarray, x: np.ndarray) -> Float32s:

@@ -1,24 +1,28 @@
 """Which views share ground: judged from poses where they are known, from appearance where they aren't.
 
-With poses, rays of each view are sampled out to the distance at which the cameras' axes pass nearest each other, and projected
-into the other view.  No length enters but ratios, so a desk and a quarry are treated alike.
+With poses, rays of each view are followed into the others (`twoview.shared_ground`).
 
 Without, the descriptors of each view's *largest* keypoints are compared: a few hundred of them rank the pairs better than twice
 as many of the strongest, since what is large survives a change of viewpoint (rank correlation with the angle between views on two
 photographed sites: .98 and .91 against .91 and .89).  What counts is not how many resemble each other, since some always do, but
-how many of those resemblances are mutual and distinctive.
+how many of those resemblances are mutual and distinctive.  Of many views only those are compared that look most alike as wholes
+(`matching.likeness`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
-from math import radians
 
 import numpy as np
 
-from .core.cameras import backproject, project, ray_angles, same_camera
-from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Overlap, Placement, View
+from .core.cameras import camera_id
+from .matching.likeness import most_alike
+from .twoview.shared_ground import shared_ground
+from .types import Bools, Camera, Features, Float32s, Int32s, Int64s, Overlap, Placement, View
+
+_FEW = 32
+"""Up to so many views all pairs are compared."""
 
 
 def estimate_overlap(
@@ -28,6 +32,7 @@ def estimate_overlap(
     *,
     descriptors: int = 800,
     ratio: float = 0.85,
+    candidates: int = 24,
 ) -> Overlap:
     """Estimate for every pair of cameras how much of one view the other sees.
 
@@ -43,33 +48,47 @@ def estimate_overlap(
         So many of a view's largest keypoints are compared.
     ratio
         A resemblance counts when its distance is below this share of the second nearest's, both ways.
+    candidates
+        Of more than 32 views without a pose, each is compared with so many that look most like it, and those like which it looks.
 
     Returns
     -------
     Overlap
-        A row for each pair of cameras about which something is known; none for two views of one camera.  `source` is "poses",
-        "appearance" or "mixed".
+        A row for each pair of cameras about which something is known; none for two views of one camera, and of more than 32 views
+        none for those that share nothing.  `source` is "poses", "appearance" or "mixed".
     """
     names = tuple(views)
-    cameras = {name: camera for name in names if (camera := _camera(views[name], placements.get(name))) is not None}
-    posed = _pose_evidence(names, cameras)
-    seen = {name: _largest(features[name], descriptors) for name in names if name in features}
-    rows: list[tuple[int, int, float, float]] = []
-    sources = set()
-    for i, j in combinations(range(len(names)), 2):
-        left, right = names[i], names[j]
-        if same_camera(views[left], views[right]):
-            continue
-        if left in cameras and right in cameras:
-            rows.append((i, j, *posed[i, j]))
-            sources.add("poses")
-        elif left in seen and right in seen:
-            rows.append((i, j, np.nan, _resemblance(seen[left], seen[right], ratio)))
-            sources.add("appearance")
-    pairs = np.array([row[:2] for row in rows], np.int32).reshape(-1, 2)
-    angle, shared = np.array([row[2:] for row in rows], np.float64).reshape(-1, 2).T
-    source = sources.pop() if len(sources) == 1 else "mixed" if sources else "appearance"
-    return Overlap(names, pairs, np.degrees(angle), shared, source)
+    cameras = {i: camera for i, name in enumerate(names) if (camera := _camera(views[name], placements.get(name))) is not None}
+    posed = np.array(list(cameras), np.int64)
+    pairs, angle, shared = shared_ground(list(cameras.values()))
+    by_pose = _different(views, posed[pairs])
+    pairs, angle, shared = posed[pairs][by_pose], angle[by_pose], shared[by_pose]
+    seen = {i: _largest(features[name], descriptors) for i, name in enumerate(names) if name in features}
+    alike = _to_compare(seen, cameras, candidates)
+    alike = alike[_different(views, alike)]
+    likeness = np.array([_resemblance(seen[i], seen[j], ratio) for i, j in alike.tolist()], np.float64)
+    source = "mixed" if len(pairs) and len(alike) else "poses" if len(pairs) else "appearance"
+    every = np.concatenate([pairs, alike])
+    order = np.lexsort(every.T[::-1])
+    angle, shared = np.concatenate([angle, np.full(len(alike), np.nan)]), np.concatenate([shared, likeness])
+    return Overlap(names, every[order].astype(np.int32), np.degrees(angle[order]), shared[order], source)
+
+
+def _different(views: Mapping[str, View], pairs: Int64s) -> Bools:
+    """(m,) which pairs (m, 2) of positions are of two cameras: two views of one tell no depth."""
+    number: dict[str, int] = {}
+    camera = np.array([number.setdefault(camera_id(name, view), len(number)) for name, view in views.items()], np.int64)
+    return np.asarray(camera[pairs[:, 0]] != camera[pairs[:, 1]])
+
+
+def _to_compare(seen: Mapping[int, Float32s], posed: Mapping[int, Camera], candidates: int) -> Int64s:
+    """(m, 2) positions of the views whose looks are compared: all where one has no pose, or those that look most alike."""
+    if len(seen) <= _FEW:
+        pairs: Sequence[tuple[int, int]] = list(combinations(seen, 2))
+    else:
+        which = list(seen)
+        pairs = [(which[i], which[j]) for i, j in most_alike([seen[i] for i in which], candidates)]
+    return np.array([(i, j) for i, j in pairs if not (i in posed and j in posed)], np.int64).reshape(-1, 2)
 
 
 def _camera(view: View, placement: Placement | None) -> Camera | None:
@@ -77,73 +96,6 @@ def _camera(view: View, placement: Placement | None) -> Camera | None:
     if placement is None or placement.R is None or placement.C is None or view.K is None:
         return None
     return Camera(view.K, placement.R, placement.C, view.width, view.height)
-
-
-def _pose_evidence(names: tuple[str, ...], cameras: Mapping[str, Camera]) -> dict[tuple[int, int], tuple[float, float]]:
-    """(convergence angle in radians, shared part) of each pair of posed cameras, by positions in `names`."""
-    index = [i for i, name in enumerate(names) if name in cameras]
-    posed = [cameras[names[i]] for i in index]
-    n = len(posed)
-    if n < 2:
-        return {}
-    distances = _scene_distances(posed)
-    angle, seen = np.full((n, n), np.nan), np.zeros((n, n))
-    for i, camera in enumerate(posed):
-        points = _probes(camera, distances[i])
-        for j, other in enumerate(posed):
-            if i != j:
-                visible = _visible(other, points)
-                seen[i, j] = visible.mean()
-                angle[i, j] = _median_angle(points[visible] if visible.any() else points, camera.C, other.C)
-    return {
-        (index[i], index[j]): (float(0.5 * (angle[i, j] + angle[j, i])), float(0.5 * (seen[i, j] + seen[j, i])))
-        for i, j in combinations(range(n), 2)
-    }
-
-
-def _scene_distances(cameras: list[Camera]) -> Float64s:
-    """(n,) how far along each optical axis the scene lies: the median of where other axes pass nearest in front of both.
-
-    Cameras whose axis meets no other take the others' median; if no axes meet at all (a row of parallel cameras, or cameras that
-    look outward) five times the median distance to the nearest camera: the angle between neighbours is then about 11 degrees.
-    """
-    C = np.stack([camera.C for camera in cameras])
-    axes = np.stack([camera.R[2] for camera in cameras])
-    between = C[None, :, :] - C[:, None, :]
-    cosine = axes @ axes.T
-    along = np.einsum("ijk,ik->ij", between, axes)
-    along_other = np.einsum("ijk,jk->ij", between, axes)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = (along - cosine * along_other) / (1.0 - cosine**2)
-        at_other = (cosine * along - along_other) / (1.0 - cosine**2)
-    meets = (at > 0) & (at_other > 0) & (np.abs(cosine) < np.cos(radians(2.0)))
-    distances = np.array([np.median(at[i, meets[i]]) if meets[i].any() else np.nan for i in range(len(cameras))])
-    baseline = np.linalg.norm(between, axis=2)
-    nearest = np.where(baseline > 0, baseline, np.inf).min(axis=1)
-    nearest = nearest[np.isfinite(nearest)]
-    fallback = 5.0 * float(np.median(nearest)) if nearest.size else 1.0
-    known = np.isfinite(distances)
-    return np.where(known, distances, float(np.median(distances[known])) if known.any() else fallback)
-
-
-def _probes(camera: Camera, distance: float) -> Float64s:
-    """(n, 3) world points on a grid of rays, at depths from half to twice the scene's distance."""
-    x = (np.arange(8) + 0.5) / 8 * camera.width - 0.5
-    y = (np.arange(6) + 0.5) / 6 * camera.height - 0.5
-    depths = distance * 2.0 ** np.linspace(-1, 1, 5)
-    u, v, z = (axis.ravel() for axis in np.meshgrid(x, y, depths, indexing="ij"))
-    return backproject(camera, np.column_stack([u, v]), z)
-
-
-def _visible(camera: Camera, points: Float64s) -> Bools:
-    x, depth = project(camera, points)
-    inside = (x[:, 0] >= -0.5) & (x[:, 1] >= -0.5) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
-    return np.asarray(inside & (depth > 0))
-
-
-def _median_angle(points: Float64s, C1: Float64s, C2: Float64s) -> float:
-    """Median angle in radians at which two centres see the points."""
-    return float(np.median(ray_angles(points - C1, points - C2)))
 
 
 def _largest(features: Features, count: int) -> Float32s:

@@ -8,7 +8,7 @@ named, with how far it seems off, and solved like an unknown one.  What one pair
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,8 @@ import numpy as np
 from .core.cameras import camera_of
 from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
+from .rectification.predicted import predict
+from .sfm.adjusted import Adjusted
 from .sfm.baseline import without_baseline
 from .sfm.overruled import NewPose, overruled
 from .sfm.pose_check import (
@@ -35,6 +37,8 @@ from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Pose
 
 MOST_NAMES = 6
 """A sentence lists so many cameras at most."""
+MOST_ROW_SIGMA_PX = 1.0
+"""Dense matching finds what lies on the row, and to about a pixel beside it."""
 
 
 def solve_poses(
@@ -80,7 +84,8 @@ def solve_poses(
     sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
-    cameras, moved = _believed(known, sigmas, seen)
+    adjusted, moved = _believed(known, sigmas, seen)
+    cameras = adjusted.cameras
     if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
     told = Witnesses.of(tuple(cameras), seen).evidence(cameras)
@@ -91,6 +96,32 @@ def solve_poses(
     found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected):
         return found
+    found = replace(found, uncertain=_uncertain(adjusted, geometries))
+    return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
+
+
+def _checked(
+    found: Poses,
+    stages: tuple[Mapping[str, Camera], Mapping[str, Camera], Mapping[str, Camera]],
+    moved: Mapping[str, NewPose],
+    seen: Mapping[Pair, Geometry],
+    told: list[Evidence],
+    max_epipolar_px: float,
+) -> Poses:
+    """What the images say of known poses, with the cameras that were found.
+
+    Parameters
+    ----------
+    found
+        All cameras.
+    stages
+        Known cameras as stated; those that were not overruled, as adjusted; and these with those that have no witnesses.
+    moved, seen, told
+        What was overruled; the pairs of known cameras; and what they say of the adjusted ones.
+    max_epipolar_px
+        See `solve_poses`.
+    """
+    known, cameras, trusted = stages
     checks = check_cameras(cameras, seen, told)
     unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
@@ -111,13 +142,29 @@ def solve_poses(
 
 def _believed(
     known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]
-) -> tuple[dict[str, Camera], dict[str, NewPose]]:
+) -> tuple[Adjusted, dict[str, NewPose]]:
     """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
-    cameras = adjust_within(known, sigmas, geometries)
+    adjusted = adjust_within(known, sigmas, geometries)
+    cameras = adjusted.cameras
     moved = _with_views_beside(cameras, overruled(cameras, Witnesses.of(tuple(cameras), geometries)))
     if moved:
-        cameras = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
-    return cameras, moved
+        adjusted = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
+    return adjusted, moved
+
+
+def _uncertain(adjusted: Adjusted, pairs: Iterable[Pair]) -> dict[str, float]:
+    """The cameras none of whose pairs has rows that are known well enough to match along them; the least standard deviation."""
+    least: dict[str, float] = {}
+    for pair in pairs:
+        if not set(pair) <= set(adjusted.cameras):
+            continue
+        expected = predict(adjusted.cameras[pair[0]], adjusted.cameras[pair[1]])
+        if expected is None:
+            continue
+        sigma = float(np.median(adjusted.row_sigmas_px(pair, expected.x1, expected.x2)))
+        for name in pair:
+            least[name] = min(sigma, least.get(name, np.inf))
+    return {name: sigma for name, sigma in least.items() if sigma > MOST_ROW_SIGMA_PX}
 
 
 def _with_views_beside(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose]) -> dict[str, NewPose]:

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from .core.bending import bend_of, straight_points
 from .core.cameras import rays
 from .core.methods import bind
 from .core.order_statistics import median, percentiles
@@ -123,14 +124,35 @@ def rectify(
     ----------
     Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
+    geometry = _straight(geometry, left, right)
     fitted = partial(_fitted, (geometry, left, right), method, fallback, options)
     limits = min_matches, max_row_error_px, min_angle_deg, range_margin
     by_matches, matches = _by_matches(geometry, left, right, check, fitted, limits)
     enough = matches >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
     if enough or left is None or right is None or left_frame is None or right_frame is None:
-        return _reaching_ground(by_matches, geometry, (left, right), scene, fitted)
+        return _bent(_reaching_ground(by_matches, geometry, (left, right), scene, fitted), left, right)
     by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fitted, min_angle_deg)
-    return by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
+    return _bent(_first_usable(by_cameras, by_matches), left, right)
+
+
+def _first_usable(*found: Rectification | Rejected) -> Rectification | Rejected:
+    """The first that is a rectification; else the first reason."""
+    return next((one for one in found if isinstance(one, Rectification)), found[0])
+
+
+def _straight(geometry: Geometry | None, left: Camera | None, right: Camera | None) -> Geometry | None:
+    """With matches where straight frames have them, where both cameras are known."""
+    if geometry is None or left is None or right is None or (bend_of(left) is None and bend_of(right) is None):
+        return geometry
+    return replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
+
+
+def _bent(found: Rectification | Rejected, left: Camera | None, right: Camera | None) -> Rectification | Rejected:
+    """With what the lenses of two known cameras still bend in their frames."""
+    if isinstance(found, Rejected) or left is None or right is None:
+        return found
+    bend1, bend2 = bend_of(left), bend_of(right)
+    return found if bend1 is None and bend2 is None else replace(found, bend1=bend1, bend2=bend2)
 
 
 def _by_matches(
@@ -185,7 +207,7 @@ def _from_cameras(
     reach = to_rectified(first[0], 1, expected.ends1)[:, 0] - to_rectified(first[0], 2, expected.ends2)[:, 0]
     low, high = percentiles(reach[np.isfinite(reach)], 2, 98)
     likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
-    witness = ask_witness(*frames, likely)
+    witness = ask_witness(*frames, replace(likely, bend1=bend_of(cameras[0]), bend2=bend_of(cameras[1])))
     rows = witness.rows
     right = rows.passed(_LEAST_ROW_SHARE, _LEAST_ROW_RATIO) or rows.shows_ground(_LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO)
     if not right or len(witness.x1) < _FEWEST_POINTS:

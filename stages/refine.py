@@ -17,6 +17,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from .core.bending import straight_frame, straight_frames
 from .core.cameras import ray_angles, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
@@ -85,6 +86,7 @@ def refine(
     max_cost, noise_px
         Keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels, standard deviation.
     """
+    frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
     around = _sources(camera, others, depth, min_angle_deg, max_angle_deg)[: min(max_sources, 32)]
     if not around:
@@ -92,8 +94,7 @@ def refine(
     image, sources = luminance(frame.image), _stack([luminance(frames[other].image) for other in around])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, cameras[other]) for other in around), strict=True))
     spacing, far = max(1, round(max(image.shape) / 768)), max(2, round(5 * max(image.shape) / 768))
-    if then_depth is not None and not _stands(camera, then_camera, depth, then_depth):
-        then_depth = None
+    then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
     planes = _planes_of(depth)
     if then_depth is not None:
         planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
@@ -122,9 +123,9 @@ def _planes_of(depth: DepthMap) -> Float32s:
     return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
 
 
-def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap) -> bool:
+def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap | None) -> bool:
     """Does the camera see each place in the same pixel as in the reference?"""
-    if then is None or depth.depth.shape != then_depth.depth.shape:
+    if then is None or then_depth is None or depth.depth.shape != then_depth.depth.shape:
         return False
     return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
 

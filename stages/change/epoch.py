@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from ..types import Camera, Cloud, DepthMap, Float64s, Frame
 from .likeness import Photograph
+
+_IN_MEMORY, _IN_MEMORY_PX = 4, 6_000_000
+"""Depth maps of a night kept at hand, at least, and more while they are small: each is asked several times."""
 
 
 @dataclass(frozen=True)
@@ -24,25 +28,32 @@ class Epoch:
     refined: Mapping[str, DepthMap]
     """Taken instead of `depths` where there is one."""
 
-    @property
+    @cached_property
     def seeing(self) -> list[str]:
         """The cameras with a depth map."""
         return [name for name in self.cameras if name in self.refined or name in self.depths]
 
-    def depth(self, name: str) -> DepthMap:
-        """What a camera saw."""
-        return self.refined[name] if name in self.refined else self.depths[name]
+    @cached_property
+    def depth(self) -> Callable[[str], DepthMap]:
+        """What a camera saw, by its name."""
+        largest = max((camera.width * camera.height for camera in self.cameras.values()), default=1)
+
+        @lru_cache(maxsize=max(_IN_MEMORY, _IN_MEMORY_PX // largest))
+        def depth_of(name: str) -> DepthMap:
+            return self.refined[name] if name in self.refined else self.depths[name]
+
+        return depth_of
 
     def photograph(self, name: str) -> Photograph:
         """A camera with its frame."""
         return Photograph(self.cameras[name], self.frames[name])
 
-    @property
+    @cached_property
     def points(self) -> Float64s:
         """(n, 3) of the cloud."""
         return np.asarray(self.cloud.points, dtype=np.float64)
 
-    @property
+    @cached_property
     def sigma(self) -> Float64s:
         """(n,) of the cloud's points, world lengths."""
         return np.asarray(self.cloud.sigma_mm, dtype=np.float64) / 1000.0

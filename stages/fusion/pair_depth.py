@@ -16,6 +16,9 @@ from ..core.jit import kernel
 from ..rectification.warping import Side, disparity_px, from_rectified, to_rectified
 from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
+MOST_PAIRS = 32
+"""So many pairs of one view are fused: each has a bit of what supports a pixel."""
+
 _SMOOTH_PX = 2.5
 """Neighbouring pixels whose disparities differ by no more lie on one surface."""
 
@@ -163,8 +166,8 @@ def fuse_pairs(
     partners
         The other camera of each pair, in the same order.
     """
-    if len(depths) > 32:
-        raise ValueError(f"{len(depths)} pairs of one view, at most 32 can be fused")
+    if len(depths) > MOST_PAIRS:
+        raise ValueError(f"{len(depths)} pairs of one view, at most {MOST_PAIRS} can be fused")
     Z, G = np.stack(depths), np.stack(gains)
     h, w = Z.shape[1:]
     depth, sigma = np.full((h, w), np.nan, np.float32), np.full((h, w), np.nan, np.float32)
@@ -172,6 +175,12 @@ def fuse_pairs(
     _agree(Z, G, noise.noise_px, noise.floor, noise.limit, depth, sigma, support)
     slope_x, slope_y = inverse_depth_slopes(depth, camera.K[0, 0])
     return DepthMap(depth, sigma, slope_x, slope_y, support, tuple(partners), np.isfinite(depth))
+
+
+def usable_pixels(depth: Float32s, gain: Float32s, noise: NoiseModel) -> int:
+    """How many pixels of a pair's depth are exact enough to be fused."""
+    square = (noise.noise_px * gain) ** 2 + (noise.floor * depth) ** 2
+    return int(np.count_nonzero(square <= (noise.limit * depth) ** 2))  # never where one is nan
 
 
 @kernel

@@ -35,6 +35,8 @@ class CrossCheck:
     """...and the sum of the squares of their differences from this view's, as shares of the depth."""
 
 
+_UNCOUNTED = 255
+"""The number of pairs that go uncounted."""
 _SAME_SURFACE = 0.016
 """Depths that differ by no more than this share are of one surface: beyond it nothing agrees."""
 
@@ -67,9 +69,12 @@ def cross_check(
     for other in others:
         M, b = transfer(cameras[name], cameras[other])
         seen = depth_of(other)
+        theirs = numbers.of(other, seen)
+        if numbers.words > len(pairs):
+            pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
         _compare(
             *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
-            *(numbers.of(other, seen), numbers.of_pair(name, other), visible, agreeing, violating, compared, scatter, pairs),
+            *(theirs, numbers.of_pair(name, other), visible, agreeing, violating, compared, scatter, pairs),
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
@@ -77,30 +82,36 @@ def cross_check(
 
 
 class _PairNumbers:
-    """Numbers of the pairs that can support a point, as they are met; at most 64, further ones go uncounted.
+    """Numbers of the pairs that can support a point, as they are met.  At most 255: seventeen views that all have 32 pairs could
+    meet twice as many, but a point that has more than a hundred needs no further ones.
 
-    cameras_of_pairs: (64, 2) uint8, the two cameras of each pair as small numbers.
+    cameras_of_pairs: (255, 2) uint16, the two cameras of each pair as small numbers.
     """
 
     def __init__(self) -> None:
-        self.cameras_of_pairs = np.zeros((64, 2), np.uint8)
+        self.cameras_of_pairs = np.zeros((_UNCOUNTED, 2), np.uint16)
         self._numbers: dict[frozenset[str], int] = {}
         self._cameras: dict[str, int] = {}
 
     @property
     def met(self) -> int:
-        return min(len(self._numbers), 64)
+        return min(len(self._numbers), _UNCOUNTED)
+
+    @property
+    def words(self) -> int:
+        """Of 64 bits each, that have a bit for each of these pairs."""
+        return max(1, -(-self.met // 64))
 
     def of_pair(self, one: str, other: str) -> int:
         """The number of a pair; 255: it supports nothing that is counted."""
-        return self._numbers.get(frozenset((one, other)), 255)
+        return min(self._numbers.get(frozenset((one, other)), _UNCOUNTED), _UNCOUNTED)
 
     def of(self, view: str, depth: DepthMap) -> Uint8s:
         """(n,) uint8: the number of the pair with each of a view's n partners (255: not counted)."""
-        table = np.full(len(depth.partners), 255, np.uint8)
+        table = np.full(len(depth.partners), _UNCOUNTED, np.uint8)
         for k, partner in enumerate(depth.partners):
             number = self._numbers.setdefault(frozenset((view, partner)), len(self._numbers))
-            if number < 64:
+            if number < _UNCOUNTED:
                 table[k] = number
                 ends = [self._cameras.setdefault(end, len(self._cameras)) for end in (view, partner)]
                 self.cameras_of_pairs[number] = ends
@@ -109,13 +120,14 @@ class _PairNumbers:
 
 @kernel
 def _own_pairs(support: Uint32s, bits: Uint8s) -> Uint64s:
+    """(words, h, w): bit k of word m is set where the pair of number 64 m + k supports the depth; a view has one word full."""
     h, w = support.shape
-    pairs = np.zeros((h, w), np.uint64)
+    pairs = np.zeros((1, h, w), np.uint64)
     for y in range(h):
         for x in range(w):
             for k in range(len(bits)):
                 if (support[y, x] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
-                    pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
+                    pairs[0, y, x] |= np.uint64(1) << np.uint64(bits[k])
     return pairs
 
 
@@ -143,7 +155,10 @@ def _compare(
     other_h, other_w = other_depth.shape
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
     b0, b1, b2 = b
-    common = np.uint64(0) if number > 63 else np.uint64(1) << np.uint64(number)
+    last = min(64 * len(pairs), _UNCOUNTED)
+    common, common_word = np.uint64(0), 0
+    if number < last:
+        common, common_word = np.uint64(1) << np.uint64(number % 64), number // 64
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
@@ -167,32 +182,33 @@ def _compare(
                 compared[y, x] += 1
                 scatter[y, x] += np.float32((there / z - 1.0) ** 2)
             if there < z - tolerance:  # hidden: then that view cannot have seen it
-                pairs[y, x] &= ~common
+                pairs[common_word, y, x] &= ~common
                 continue
             visible[y, x] += 1
             if there <= z + tolerance:
                 agreeing[y, x] += 1
                 for k in range(len(bits)):
-                    if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < 64:
-                        pairs[y, x] |= np.uint64(1) << np.uint64(bits[k])
+                    if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < last:
+                        pairs[bits[k] // 64, y, x] |= np.uint64(1) << np.uint64(bits[k] % 64)
             elif there > z + 4.0 * tolerance:
                 violating[y, x] += 1
 
 
 @kernel
-def _count(pairs: Uint64s, pair_index: Uint8s, count: Uint8s, cameras: Uint16s) -> None:
+def _count(pairs: Uint64s, pair_index: Uint16s, count: Uint8s, cameras: Uint16s) -> None:
     """Set bits, and distinct cameras of the pairs they stand for."""
-    h, w = pairs.shape
-    stamp = np.full(256, -1, np.int64)
+    words, h, w = pairs.shape
+    stamp = np.full(2 * len(pair_index) + 1, -1, np.int64)
     for y in range(h):
         for x in range(w):
-            if pairs[y, x] == 0:
-                continue
-            for k in range(len(pair_index)):
-                if (pairs[y, x] >> np.uint64(k)) & np.uint64(1):
-                    count[y, x] += 1
-                    for end in range(2):
-                        camera = pair_index[k, end]
-                        if stamp[camera] != y * w + x:
-                            stamp[camera] = y * w + x
-                            cameras[y, x] += 1
+            for m in range(words):
+                if pairs[m, y, x] == 0:
+                    continue
+                for k in range(64 * m, min(64 * m + 64, len(pair_index))):
+                    if (pairs[m, y, x] >> np.uint64(k - 64 * m)) & np.uint64(1):
+                        count[y, x] += 1
+                        for end in range(2):
+                            camera = pair_index[k, end]
+                            if stamp[camera] != y * w + x:
+                                stamp[camera] = y * w + x
+                                cameras[y, x] += 1

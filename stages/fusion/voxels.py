@@ -2,6 +2,9 @@
 
 A voxel's level doubles its edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges goes
 to level 1, 2, ...  Sites in which near and far things are seen at once keep both.
+
+A lonely voxel is one with few others near it.  Pixels of a surface seen at a low angle lie further apart than that along one
+direction, however right they are: such samples bring the word of their neighbours in the picture with them.
 """
 
 from __future__ import annotations
@@ -20,16 +23,18 @@ Int64s = npt.NDArray[np.int64]
 _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
 _BLOCK = 1 << 18
-_COLUMNS, _BEST = 15, 13
+_NEAR = 3
+"""Others are looked for within so many edges."""
+_COLUMNS, _BEST = 16, 13
 """Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, variance; from
-`_BEST` on the largest values: confidence, cameras."""
+`_BEST` on the largest values: confidence, cameras, accompanied."""
 
 
 @dataclass(frozen=True)
 class Samples:
     """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2, confidence 0 to 1,
-    number of cameras, edge of the pixel's footprint in world lengths, and squared standard deviation along the ray as other views
-    show it (the weight is what it was expected to be)."""
+    number of cameras, edge of the pixel's footprint in world lengths, squared standard deviation along the ray as other views
+    show it (the weight is what it was expected to be), and whether a sample need not be near others (see `VoxelGrid.reach`)."""
 
     points: Float64s
     normals: Float32s
@@ -39,10 +44,11 @@ class Samples:
     cameras: Float32s
     footprint: Float32s
     variance: Float32s
+    accompanied: Bools
 
 
 class VoxelGrid:
-    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 68 bytes for each."""
+    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 72 bytes for each."""
 
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
@@ -50,9 +56,17 @@ class VoxelGrid:
         self._keys = np.zeros(0, np.int64)
         self._sums = np.zeros((0, _COLUMNS), np.float32)
 
+    def reach(self, footprint: Float32s) -> Float64s:
+        """(n,) how far away others may be that keep a sample from being lonely, by the edge (n,) of its pixel's footprint."""
+        return np.asarray(_NEAR * self.edge * 2.0 ** self._levels(footprint), dtype=np.float64)
+
+    def _levels(self, footprint: Float32s) -> Int64s:
+        level = np.floor(np.log2(np.maximum(footprint / self.edge, 1.0)))
+        return np.asarray(np.clip(level, 0, _LEVELS - 1), dtype=np.int64)
+
     def add(self, samples: Samples) -> None:
         """Merge in the samples of one view; what lies beyond half a million edges from the origin is left out."""
-        level = np.clip(np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0))), 0, _LEVELS - 1).astype(np.int64)
+        level = self._levels(samples.footprint)
         keys, away = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
         _locate(samples.points, level, self.origin, self.edge, keys, away)
         order = np.flatnonzero(keys >= 0)
@@ -64,17 +78,18 @@ class VoxelGrid:
         sums = np.empty((len(starts), _COLUMNS), np.float32)
         _sum(
             order, np.append(starts, len(order)), away, samples.normals, samples.colors,
-            samples.weight, samples.confidence, samples.cameras, samples.variance, sums,
+            samples.weight, samples.confidence, samples.cameras, samples.variance, samples.accompanied, sums,
         )  # fmt: skip
         self._merge(keys[starts], sums)
 
     def merged(self, neighbours: int) -> Iterator[Samples]:
-        """One sample for each voxel that has at least so many occupied ones within three edges of it, some at a time.
+        """One sample for each voxel that has at least so many occupied ones within three edges of it, or a sample that need not,
+        some at a time.
 
         Position and normal are means by weight, the colour by confidence; `weight` and `variance` are the samples' means, not
         what would follow if their errors were independent: views share pairs; confidence and cameras are the best sample's.
         """
-        kept = np.flatnonzero(sociable(self._keys, neighbours))
+        kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 15] > 0))
         for first in range(0, len(kept), _BLOCK):
             rows = kept[first : first + _BLOCK]
             keys, sums = self._keys[rows], self._sums[rows]
@@ -89,6 +104,7 @@ class VoxelGrid:
                 sums[:, 14].copy(),
                 (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
                 sums[:, 12] / sums[:, 11],
+                sums[:, 15] > 0,
             )
 
     def _merge(self, keys: Int64s, sums: Float32s) -> None:
@@ -131,6 +147,7 @@ def _sum(
     confidence: Float32s,
     cameras: Float32s,
     variance: Float32s,
+    accompanied: Bools,
     sums: Float32s,
 ) -> None:
     """Sums of each voxel over its samples, which stand together in `order` from one of `starts` to the next."""
@@ -150,6 +167,7 @@ def _sum(
             row[12] += variance[s]
             row[13] = max(row[13], c)
             row[14] = max(row[14], cameras[s])
+            row[15] = max(row[15], np.float32(accompanied[s]))
 
 
 @kernel

@@ -1,6 +1,7 @@
 """Moving points and images between a frame and its rectified image, whatever the method of rectification.
 
-`side` is 1 for the left image and 2 for the right one.  Points are (n, 2) float64 (x, y), pixel centres at integers.
+`side` is 1 for the left image and 2 for the right one.  Points are (n, 2) float64 (x, y), pixel centres at integers; those of a
+frame that its lens still bends are where the straight frame has them, and its images are looked up where they are.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ..core.bending import bent_pixels
 from ..core.jit import kernel
 from ..twoview.epipolar import apply_homography
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
@@ -143,6 +145,13 @@ def _angle_of_row(polar: PolarRows, row: Float64s) -> Float64s:
 
 def _source_of_pixels(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
     """Frame coordinates (h, w) of every pixel of the rectified image, float32; far outside the frame where there is none."""
+    x, y = _straight_source(rectification, side)
+    bend = rectification.bend1 if side == 1 else rectification.bend2
+    return (x, y) if bend is None else bent_pixels(bend, x, y)
+
+
+def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:
+    """The same of the straight frame."""
     width, height = rectified_size(rectification, side)
     polar, H = _maps(rectification, side)
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import poselib
 
+from ..core.bending import without_distortion
 from ..core.cameras import backproject, project, ray_angles
 from ..twoview.epipolar import triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust
 from .rigs import beside
-from .tracks import Edge, Tracks, spread_tracks, straightened, without_distortion
+from .tracks import Edge, Tracks, spread_tracks, straightened
 from .triangulation import angles, posed, residuals, triangulate
 
 LOOSE_PX = 4.0

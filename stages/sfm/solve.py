@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.bending import BENT_PX, bent_px
 from ..core.cameras import relative_pose
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
@@ -15,15 +16,13 @@ from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey,
 from .incremental import refine
 from .pose_check import BELIEVED, confirmed
 from .support import straight_error_px, without_unsupported
-from .tracks import Edge, without_distortion
+from .tracks import Edge
 from .view_graph import ViewGraph
 from .world import World, to_world
 
 WORSE = 1.25
 """A pair is flagged where the adjusted F is worse on its inliers than its own by this factor and by `WORSE_PX`."""
 WORSE_PX = 0.1
-BENT_PX = 1.0
-"""A solved lens that moves the corners of its frame by more than this is worth taking out."""
 
 
 def solve_from_pairs(
@@ -120,9 +119,11 @@ def _collect(
     checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
     unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
     notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
-    if bent := {name: px for name in order if (px := _bent_px(cameras[name])) > BENT_PX}:
+    if bent := {name: px for name in order if (px := bent_px(cameras[name])) > BENT_PX}:
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
-        notes.append(f"{what}: that is taken out of the frames once these solved cameras are the calibration")
+        notes.append(
+            f"{what}: that is taken out of what follows; once these solved cameras are the calibration, of what is matched, too"
+        )
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     return Poses(
         cameras={name: cameras[name] for name in order},
@@ -170,12 +171,6 @@ def _check(
     if why is not None:
         return PairCheck(False, why.reason, why.code, own, adjusted, off, flagged, "solved")
     return PairCheck(True, note, "", own, adjusted, off, flagged, "solved")
-
-
-def _bent_px(camera: Camera) -> float:
-    """How far the solved distortion moves the corners of the frame."""
-    corners = np.array([[x, y] for x in (0.0, camera.width - 1.0) for y in (0.0, camera.height - 1.0)])
-    return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
 def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected], unsupported: set[str]) -> str:

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.bending import without_distortion
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry
 from .incremental import Model, refine
 from .rigs import rigs_of
-from .tracks import Edge, without_distortion
+from .tracks import Edge
 
 
 def straight_error_px(left: Camera, right: Camera, geometry: Geometry) -> float:

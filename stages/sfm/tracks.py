@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.bending import without_distortion
 from ..core.jit import kernel
 from ..types import Bools, Camera, Float64s, Geometry, Int32s, Int64s
 
@@ -45,22 +46,6 @@ def straightened(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
             rows = tracks.view == view
             xy[rows] = without_distortion(camera, xy[rows])
     return replace(tracks, xy=xy)
-
-
-def without_distortion(camera: Camera, x: Float64s) -> Float64s:
-    """(n, 2) pixels of the frame, moved to where a pinhole would have them."""
-    if not any(camera.radial):
-        return x
-    centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
-    distorted = (x - centre) / f
-    radius = np.linalg.norm(distorted, axis=1)
-    straight = radius.copy()
-    k1, k2 = camera.radial
-    for _ in range(20):  # Newton; the slope is bounded, since the model folds over far outside the image
-        square = straight**2
-        slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
-        straight -= (straight * (1 + k1 * square + k2 * square**2) - radius) / slope
-    return np.asarray(centre + f * distorted * (straight / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
 
 
 def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:

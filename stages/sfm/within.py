@@ -13,6 +13,7 @@ from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector, skew
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Bools, Camera, Float64s, Geometry, Pair
+from .adjusted import Adjusted, Place
 from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, Sigma, Witnesses, slack_px
 from .rigs import between, rigs_of
 from .tracks import Edge, Tracks, build_tracks
@@ -35,9 +36,7 @@ MIN_ANGLE = np.radians(1.0)
 """Rays that meet at less than this don't make a point."""
 
 
-def adjust_within(
-    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]
-) -> dict[str, Camera]:
+def adjust_within(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]) -> Adjusted:
     """The most probable cameras, given their stated poses with their standard deviations and the matches that these allow.
 
     Parameters
@@ -49,11 +48,6 @@ def adjust_within(
     geometries
         Matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the epipolar
         lines than the standard deviations allow.
-
-    Returns
-    -------
-    dict[str, Camera]
-        None of them farther than three standard deviations from where it is stated.
     """
     names = tuple(cameras)
     number = {name: k for k, name in enumerate(names)}
@@ -64,8 +58,9 @@ def adjust_within(
         if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry)) is not None:
             edges[number[pair[0]], number[pair[1]]] = near
     loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
+    stated_only = Adjusted.as_stated(cameras, {name: sigmas[name] for name in loose})
     if not edges or not loose:
-        return dict(cameras)
+        return stated_only
     tracks = build_tracks(edges, len(names))
     stated = {number[name]: camera for name, camera in cameras.items()}
     known = {number[name]: sigmas[name] for name in loose}
@@ -73,10 +68,11 @@ def adjust_within(
     confirmed = {frozenset(pair) for trio in trios for pair in combinations(trio.cameras, 2)}
     while True:
         weight = sum(CONFIRMED if {names[i], names[j]} in confirmed else ALONE for i, j in edges)
-        found = _most_probable(stated, known, tracks, weight)
+        found, problem = _most_probable(stated, known, tracks, weight)
         strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
         if not strayed:
-            return {name: found[number[name]] for name in names}
+            adjusted = {name: found[number[name]] for name in names}
+            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.known_to(found, names))
         worst = max(strayed, key=strayed.__getitem__)  # it stays where it is stated, and has no say about the others
         gone = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
         known = {view: sigma for view, sigma in known.items() if view not in gone}
@@ -103,13 +99,17 @@ def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
     return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
 
 
-def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float) -> dict[int, Camera]:
-    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have.
+def _most_probable(
+    stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float
+) -> tuple[dict[int, Camera], _Problem | None]:
+    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have.  Also
+    the last of these problems.
 
     weight: of all matches together at most, as that of so many with a noise of one pixel.
     """
     cameras = dict(stated)
     noise = 2.0
+    problem = None
     for _ in range(ROUNDS):
         scale = NOISES * noise
         X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), scale)
@@ -119,7 +119,7 @@ def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tra
         use &= (np.bincount(tracks.track[use], minlength=tracks.count) >= 2)[tracks.track]
         use &= (angles(cameras, tracks, X, use) >= MIN_ANGLE)[tracks.track]
         if not use.any():
-            return cameras
+            return cameras, problem
         points = len(np.unique(tracks.track[use]))
         problem = _Problem(stated, known, tracks, use, noise, min(1.0, weight * noise**2 / points))
         _, cameras = levenberg_marquardt(
@@ -127,7 +127,7 @@ def _most_probable(stated: Mapping[int, Camera], known: Mapping[int, Sigma], tra
         )
         left = np.linalg.norm(residuals(cameras, tracks, problem.points(cameras))[use], axis=1)
         noise = max(LEAST_NOISE_PX, float(np.nanmedian(left)) / 1.1774)
-    return cameras
+    return cameras, problem
 
 
 class _Problem:
@@ -163,6 +163,17 @@ class _Problem:
             turn = step[k : k + 3] if view not in self.turns else self.turns[view] @ step[k : k + 3]
             found[view] = replace(camera, R=rotation_matrix(turn) @ camera.R, C=camera.C + step[k + 3 : k + 6])
         return found
+
+    def known_to(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
+        """Where the cameras' turns and shifts are in the covariance (n, n), and that, as far as the equations tell it."""
+        whole = np.eye(3)
+        places = {names[view]: Place(k, self.turns.get(view, whole)) for view, k in self.place.items()}
+        covariance = np.asarray(np.linalg.inv(self.equations(cameras)[1]), dtype=np.float64)
+        for view, k in self.place.items():
+            for first, known in ((0, self.known[view].degrees), (3, self.known[view].metres)):
+                if known == 0 and view not in self.turns:
+                    covariance[k + first : k + first + 3], covariance[:, k + first : k + first + 3] = 0.0, 0.0
+        return places, covariance
 
     def equations(self, cameras: Mapping[int, Camera]) -> Equations:
         """Cauchy loss of the pixels in standard deviations, plus the priors; normal equations with the points eliminated."""

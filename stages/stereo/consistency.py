@@ -147,13 +147,27 @@ def fill_along_rows(disparity: Float32s, nearer: int) -> Float32s:
 
     nearer: 1 where larger disparities are nearer, -1 where smaller ones are.  Rows without any value stay nan.
     """
+    filled = np.array(disparity, dtype=np.float32)
+    _fill_rows(filled, nearer)
+    return filled
+
+
+@kernel
+def _fill_rows(disparity: Float32s, nearer: int) -> None:
     height, width = disparity.shape
-    known = ~np.isnan(disparity)
-    columns = np.arange(width)
-    before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    rows = np.arange(height)[:, None]
-    left = np.where(before >= 0, disparity[rows, np.maximum(before, 0)], np.float32(np.nan))
-    right = np.where(after < width, disparity[rows, np.minimum(after, width - 1)], np.float32(np.nan))
-    farther = np.fmin(left, right) if nearer > 0 else np.fmax(left, right)
-    return np.where(known, disparity, farther).astype(np.float32)
+    for y in range(height):
+        row = disparity[y]
+        before, x = np.float32(np.nan), 0
+        while x < width:
+            if not np.isnan(row[x]):
+                before = row[x]
+                x += 1
+                continue
+            end = x
+            while end < width and np.isnan(row[end]):
+                end += 1
+            after = row[end] if end < width else before
+            if np.isnan(before):
+                before = after
+            row[x:end] = min(before, after) if nearer > 0 else max(before, after)
+            x = end

@@ -37,6 +37,10 @@ _LIKELY = 0.1
 _BEYOND = 0.5
 """Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
 
+_BLOCK = 128
+_XX, _YY, _XY, _XD, _YD = (i * _BLOCK for i in range(5))
+"""Places of sums in the scratch of `_slopes`."""
+
 
 def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
@@ -170,30 +174,41 @@ def _planes_of(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float
 
 @kernel
 def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
-    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without what jumps."""
+    """Slopes (h, w), (h, w) of disparity along x and y: least squares over an 11x11 window at stride 2, without what jumps.
+
+    Pieces of a row are done at once, so that the compiler can do many columns with one instruction."""
     height, width = disparity.shape
     along_x = np.zeros((height, width), dtype=np.float32)
     along_y = np.zeros((height, width), dtype=np.float32)
+    bordered = np.full((height + 10, width + 10 + _BLOCK), np.nan, dtype=np.float32)
+    bordered[5 : height + 5, 5 : width + 5] = disparity
+    s = np.empty(5 * _BLOCK, dtype=np.float64)
     for y in range(height):
-        for x in range(width):
-            centre = disparity[y, x]
-            xx, yy, xy, xd, yd = 1.0, 1.0, 0.0, 0.0, 0.0
+        for x0 in range(0, width, _BLOCK):
+            n = min(_BLOCK, width - x0)
+            s[_XX:_XY] = 1.0
+            s[_XY:] = 0.0
+            centre = bordered[y + 5, x0 + 5 :]
             for dy in range(-5, 6, 2):
-                if not 0 <= y + dy < height:
-                    continue
                 for dx in range(-5, 6, 2):
-                    if not 0 <= x + dx < width:
-                        continue
-                    rise = disparity[y + dy, x + dx] - centre
-                    if abs(rise) <= 1.0 + abs(dx) + 3.0 * abs(dy):
-                        xx += dx * dx
-                        yy += dy * dy
-                        xy += dx * dy
-                        xd += dx * rise
-                        yd += dy * rise
-            det = xx * yy - xy * xy
-            along_x[y, x] = (xd * yy - yd * xy) / det
-            along_y[y, x] = (yd * xx - xd * xy) / det
+                    there = bordered[y + dy + 5, x0 + dx + 5 :]
+                    furthest = np.float32(1.0 + abs(dx) + 3.0 * abs(dy))
+                    across, down = np.float64(dx), np.float64(dy)
+                    for x in range(_BLOCK):
+                        rise = there[x] - centre[x]
+                        near = abs(rise) <= furthest  # never where it is nan: outside
+                        one = np.float64(1.0) if near else np.float64(0.0)
+                        up = np.float64(rise) if near else np.float64(0.0)
+                        s[_XX + x] += across * across * one
+                        s[_YY + x] += down * down * one
+                        s[_XY + x] += across * down * one
+                        s[_XD + x] += across * up
+                        s[_YD + x] += down * up
+            for x in range(n):
+                xx, yy, xy, xd, yd = s[_XX + x], s[_YY + x], s[_XY + x], s[_XD + x], s[_YD + x]
+                det = xx * yy - xy * xy
+                along_x[y, x0 + x] = (xd * yy - yd * xy) / det
+                along_y[y, x0 + x] = (yd * xx - xd * xy) / det
     return along_x, along_y
 
 

@@ -94,6 +94,11 @@ class Rectification:
     """By how many rows the images seem to be off."""
     ground: GroundOfPair | None = None
     """Where the ground lies in both frames, if that is known."""
+    bend1: Float64s | None = None
+    """(6,) fx fy cx cy k1 k2 of what a lens still bends in frame 1 (`core.bending`), whose pixels count as straightened; None
+    where nothing is bent."""
+    bend2: Float64s | None = None
+    """(6,), as `bend1`."""
 
 
 @short_repr
@@ -138,6 +143,8 @@ class DepthMap:
     """The other cameras of its pairs."""
     sure: Bools
     """(h, w) False where the depth must not be believed unless another view's depth agrees."""
+    left_out: tuple[str, ...] = ()
+    """The other cameras of pairs that would have been too many."""
 
 
 @short_repr

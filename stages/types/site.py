@@ -64,6 +64,9 @@ class Poses:
     """Known poses (by id) that the images contradict, and by how much."""
     doubtful: Mapping[str, str] = field(default_factory=dict)
     """Known poses (by id) that stay in use, though all that contradicts known poses has them in common; and by how much."""
+    uncertain: Mapping[str, float] = field(default_factory=dict)
+    """Known poses (by id) that the images tell no better than they are stated, where that is not well enough to match along rows:
+    standard deviation of the rows of the camera's best pair, pixels."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()

@@ -80,6 +80,14 @@ class Frame:
     """Share of them that is black or white, beyond what the sensor can tell."""
     sharpness: float = float("nan")
     """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
+    combing: float = 0.0
+    """Share of the captures' structured parts in which every second row is from another moment, or shifted (median)."""
+    blocking: float = 1.0
+    """How many times stronger edges are at the borders of the captures' coded blocks than within them."""
+    cast: float = 1.0
+    """Mean of the strongest of red, green and blue over that of the weakest, in the captures."""
+    colour: float = 1.0
+    """Median saturation of the captures once their cast is taken off, 0 (grey, infrared) to 1."""
     frames_used: int = 1
     """Captures that count fully."""
     doubtful: float = 0.0

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 
 from wbflow.cli import main
 from wbflow.config.calibration import read_calibration
-from wbflow_stages.core.lenses import lens_rays
+from wbflow_stages.capture.lens_fit import fit_lens
+from wbflow_stages.core.lenses import lens_pixels, lens_rays
 from wbflow_stages.types import Float64s, Lens, Uint8s
 
 WIDTH, HEIGHT, SQUARE, PX = 640, 480, 0.03, 40
@@ -55,3 +56,40 @@ def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(
     told = json.loads((tmp_path / "gate.json").read_text())["gate"]
     assert max(told["residuals_px"].values()) < 0.3 and told["covered"] > 0.4
     assert (tmp_path / "gate-coverage.png").stat().st_size > 1000
+
+
+FISHEYE = Lens(
+    np.array([[205.0, 0, 322], [0, 204.0, 236], [0, 0, 1]]),
+    np.array([-0.012, 0.004, -0.0011, 0.0001]),
+    None,
+    WIDTH,
+    HEIGHT,
+    "fisheye",
+)
+
+
+def boards_around(count: int, farthest_deg: float) -> tuple[list[Float64s], list[Float64s]]:
+    """Boards in all directions that a fisheye sees, and where it sees their corners."""
+    rng = np.random.default_rng(1)
+    flat = np.column_stack([np.mgrid[0:9, 0:6].T.reshape(-1, 2) * SQUARE, np.zeros(54)])
+    boards, corners = [], []
+    for k in range(count):
+        off, azimuth = np.deg2rad(farthest_deg) * np.sqrt((k + 0.5) / count), 2.4 * k
+        z = np.array([np.sin(off) * np.cos(azimuth), np.sin(off) * np.sin(azimuth), np.cos(off)])
+        x = np.cross([0, 1, 0], z)
+        R = np.column_stack([x / np.linalg.norm(x), np.cross(z, x / np.linalg.norm(x)), z])
+        R = R @ np.asarray(cv2.Rodrigues(rng.normal(0, 0.3, 3))[0])
+        at = lens_pixels(FISHEYE, (flat - flat.mean(axis=0)) @ R.T + 0.25 * z)
+        seen_here = ((at > 0) & (at < (WIDTH, HEIGHT))).all(axis=1)
+        if seen_here.sum() > 7:
+            boards.append(flat[seen_here])
+            corners.append(at[seen_here] + rng.normal(0, 0.05, (int(seen_here.sum()), 2)))
+    return boards, corners
+
+
+def test_a_fisheye_is_told_by_boards_that_lie_beside_it() -> None:
+    K, coefficients, residuals = fit_lens(*boards_around(10, 80), (WIDTH, HEIGHT), "fisheye")
+    assert np.sqrt(np.mean(np.concatenate(residuals) ** 2)) < 0.06
+    found = Lens(K, coefficients, None, WIDTH, HEIGHT, "fisheye")
+    border = np.array([[1.0, 236], [639, 236], [322, 1], [322, 479], [60, 60], [580, 420]])
+    assert np.abs(lens_pixels(found, lens_rays(FISHEYE, border)) - border).max() < 0.5

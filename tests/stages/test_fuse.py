@@ -15,7 +15,8 @@ from tests.helpers.exact_scene import Yard, make_yard, true_depth
 from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
-from wbflow_stages.types import Cloud, DepthMap, Float32s, Frame, Rejected
+from wbflow_stages.fusion.visibility import cross_check
+from wbflow_stages.types import INVALID, Cloud, DepthMap, Float32s, Frame, Rejected
 
 
 def fused(yard: Yard, **parameters: Any) -> Cloud:
@@ -63,6 +64,40 @@ def test_wrong_matches_are_outvoted() -> None:
     share = [(yard.distance(cloud.points) > 0.15).mean() for cloud in (lenient, strict)]
     assert share[0] < 0.15 and share[1] < 0.01
     assert len(strict.points) > 0.5 * len(lenient.points)
+
+
+def test_of_a_hundred_pairs_around_a_view_the_best_are_taken_and_the_others_named() -> None:
+    """Every fourth pair knows half of the image: those are among what is left out."""
+    yard = make_yard((-20, 0), width=80)
+    ((left, right), disparity), *_ = yard.disparities.items()
+    values = disparity.left.copy()
+    values[: len(values) // 2] = INVALID
+    half = replace(disparity, left=values)
+    partners = [f"p{k:02d}" for k in range(100)]
+    disparities = {(left, name): half if k % 4 == 0 else disparity for k, name in enumerate(partners)}
+    rectifications = dict.fromkeys(disparities, yard.rectifications[left, right])
+    others = dict.fromkeys(partners, yard.cameras[right])
+    depth = view_depth(yard.cameras[left], others, rectifications, disparities, noise_px=0.05)
+    assert isinstance(depth, DepthMap)
+    assert len(depth.partners) == 32 and {*depth.partners} | {*depth.left_out} == set(partners)
+    assert set(partners[::4]) <= {*depth.left_out}
+    one = yard.depth(left, noise_px=0.05)
+    assert isinstance(one, DepthMap) and not one.left_out
+    np.testing.assert_allclose(depth.depth, one.depth, rtol=1e-6)
+
+
+def test_more_than_64_pairs_around_a_view_are_counted() -> None:
+    """Thirteen views of one and the same picture, each with eight pairs of its own that all support it."""
+    camera = make_yard((0,), width=16).cameras["cam+0"]
+    flat, bits = np.full((12, 16), 5.0, np.float32), np.full((12, 16), 0xFF, np.uint32)
+    level, sure = np.zeros_like(flat), np.ones(flat.shape, bool)
+    names = [f"v{k}" for k in range(13)]
+    maps = {name: DepthMap(flat, 0.01 * flat, level, level, bits, tuple(f"{name}-{k}" for k in range(8)), sure) for name in names}
+    check = cross_check(names[0], names[1:], dict.fromkeys(names, camera), maps.__getitem__)
+    assert (check.pairs == 13 * 8).all()
+    assert (check.cameras == 13 * 9).all()
+    few = cross_check(names[0], names[1:8], dict.fromkeys(names, camera), maps.__getitem__)
+    assert (few.pairs == 64).all()
 
 
 def test_confidence_tells_good_points_from_bad_and_sigma_is_about_the_error() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wbflow_stages.overlap import estimate_overlap
@@ -58,6 +58,7 @@ def test_views_that_part_share_nothing() -> None:
     assert of(overlap, "0", "away")[1] < 0.02 and of(overlap, "15", "away")[1] < 0.02
 
 
+@settings(deadline=None)
 @given(scale=st.floats(0.01, 100.0), shift=st.tuples(*[st.floats(-1e3, 1e3)] * 3))
 def test_a_desk_and_a_quarry_are_judged_alike(scale: float, shift: tuple[float, float, float]) -> None:
     here, there = from_poses(ring([0, 20, 50])), from_poses(ring([0, 20, 50], scale=scale, shift=shift))
@@ -119,3 +120,28 @@ def test_a_pair_costs_milliseconds() -> None:
     start = time.process_time()
     overlap = estimate_overlap({name: View(1024, 768) for name in seen}, {}, seen)
     assert (time.process_time() - start) / len(overlap.pairs) < 0.04  # a hundred cameras have 4950 pairs
+
+
+def test_of_many_views_those_that_look_alike_are_compared_and_no_neighbour_is_missed() -> None:
+    """Sixty views along a row of things: each shares something with the five before and behind it."""
+    seen = appearance(120, 60, 20)
+    views = {name: View(1024, 768) for name in seen}
+    overlap = estimate_overlap(views, {}, seen, candidates=14)
+    assert len(overlap.pairs) <= 60 * 14 < 60 * 59 // 2
+    found = {(i, j): shared for (i, j), shared in zip(overlap.pairs.tolist(), overlap.shared, strict=True)}
+    near = [(i, i + step) for step in (1, 2, 3) for i in range(60 - step)]
+    assert all(found.get(pair, 0.0) > 0.2 for pair in near)
+    few = estimate_overlap({name: views[name] for name in list(views)[:32]}, {}, seen)
+    assert len(few.pairs) == 32 * 31 // 2
+
+
+def test_many_posed_cameras_are_judged_as_few_are_and_pairs_that_share_nothing_are_left_out() -> None:
+    placements = ring(np.linspace(0, 351, 40).tolist()) | {"away": looking([0.0, 0, 500], [1.0, 0, 900])}
+    many, few = from_poses(placements), from_poses({name: placements[name] for name in list(placements)[:6]})
+    for left, right in few.pairs.tolist():
+        angle, shared = of(few, few.cameras[left], few.cameras[right])
+        assert of(many, many.cameras[left], many.cameras[right]) == pytest.approx((angle, shared), rel=0.1, abs=0.05)
+    away = many.cameras.index("away")
+    assert (many.pairs != away).all()
+    assert (many.shared > 0).all()
+    assert (np.diff(many.pairs @ [len(many.cameras), 1]) > 0).all(), "in the order of the site file"

@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from tests.helpers.two_views import geometry_of
+from wbflow_stages.core.bending import bent_pixels, without_distortion
 from wbflow_stages.core.cameras import project
 from wbflow_stages.rectification.warping import from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
@@ -38,6 +39,31 @@ def test_a_camera_that_is_tilted_by_three_degrees_is_not_confirmed(degrees: floa
     found = rectify(None, ONE, replace(TWO, R=turn @ TWO.R), None, *FRAMES)
     assert isinstance(found, Rejected)
     assert found.code in {"rows-not-confirmed", "too-few-epipolar-lines"}
+
+
+def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
+    """Rows of bent frames are straight again, by the matches as they were found and by dense matching."""
+    lenses = [replace(camera, radial=(-0.2, 0.02)) for camera in (ONE, TWO)]
+    height, width = FRAMES[0].mask.shape
+    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    bent = []
+    for frame, lens in zip(FRAMES, lenses, strict=True):
+        u, v = without_distortion(lens, np.column_stack([x.ravel(), y.ravel()])).T.astype(np.float32).reshape(2, height, width)
+        image = np.asarray(cv2.remap(frame.image, u, v, cv2.INTER_LINEAR), np.uint8)
+        bent.append(replace(frame, image=image))
+    found = rectify(None, lenses[0], lenses[1], None, bent[0], bent[1])
+    assert isinstance(found, Rectification) and found.verified == "dense"
+    assert found.bend1 is not None and found.bend2 is not None
+    asis = rectify(None, ONE, TWO, None, *FRAMES)
+    assert isinstance(asis, Rectification) and asis.bend1 is None
+    assert found.row_share > 0.8 * asis.row_share
+    matched = matches_at(0.0, 0.4)
+    there = [
+        np.column_stack(bent_pixels(bend, *points.T))
+        for bend, points in zip((found.bend1, found.bend2), (matched.x1, matched.x2), strict=True)
+    ]
+    by_matches = rectify(replace(matched, x1=there[0].astype(np.float64), x2=there[1].astype(np.float64)), lenses[0], lenses[1])
+    assert isinstance(by_matches, Rectification) and by_matches.vertical_px < 0.05
 
 
 def test_without_matches_cameras_or_frames_nothing_is_known() -> None:

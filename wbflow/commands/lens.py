@@ -24,7 +24,12 @@ from .common import PATH
     metavar="NAME",
     help="Of its markers: 4X4_50 to 7X7_1000.",
 )
-@click.option("--model", type=click.Choice(["brown", "rational"]), default="brown", help="Of the lens.")
+@click.option(
+    "--model",
+    type=click.Choice(["brown", "rational", "fisheye", "division", "fov", "eucm", "double-sphere"]),
+    default="brown",
+    help="Of the lens; fisheye: of wide ones.",
+)
 @click.option("--out", type=PATH, default=Path(), metavar="DIR", help="Folder for CAMERA.json and CAMERA-coverage.png.")
 def calibrate(
     camera: str, pictures: Path, board: str, square: float, marker: float, dictionary: str, model: str, out: Path
@@ -36,7 +41,7 @@ def calibrate(
 
     \b
     wbflow calibrate gate photographs --board 9x6 --square 0.03
-    wbflow calibrate dome board.mp4 --board 8x11 --marker 0.02 --square 0.03 --model rational
+    wbflow calibrate dome board.mp4 --board 8x11 --marker 0.02 --square 0.03 --model fisheye
     """
     from ..results.calibrate import write_calibration
 

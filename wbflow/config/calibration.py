@@ -1,4 +1,4 @@
-"""Calibrations read from files: the JSON of camera matrices, COLMAP's text model, and what OpenCV, ROS and Kalibr write.
+"""Calibrations read from files: the JSON of camera matrices, COLMAP's models, and what OpenCV, ROS and Kalibr write.
 
 All give, for each image or camera name, intrinsics for a stated image size and, where known, the pose (x ~ K R (X - C)).  Plain
 lists out; no numpy needed.
@@ -13,7 +13,7 @@ from typing import Any
 from ..store.outside import is_file, is_folder
 from .calibrated import Calibrated, CalibrationError, is_number, is_rotation, is_size, lens_fault, text_of
 from .camera_files import document_of, read_camera_file
-from .colmap import read_colmap
+from .colmap import is_colmap, read_colmap
 from .places import SiteError
 from .positions import parse_yaml
 
@@ -24,7 +24,7 @@ SUFFIXES = {".yaml", ".yml", ".json"}
 
 
 def read_calibration(path: Path) -> dict[str, Calibrated]:
-    """Cameras by name, from a file, from a COLMAP text model (a folder), or from a folder with a file for each camera.
+    """Cameras by name, from a file, from a COLMAP model (a folder), or from a folder with a file for each camera.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class _Faulty(Exception):
 
 
 def _read_folder(folder: Path) -> dict[str, Calibrated]:
-    if is_file(folder / "cameras.txt") or is_file(folder / "images.txt"):
+    if is_colmap(folder):
         return read_colmap(folder)
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and is_file(file))
     if not files:

@@ -120,7 +120,7 @@ def _calibrated(stated: str | None, place: Place, document: Document, problems: 
         if not found:
             raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
     except CalibrationError as error:
-        remedy = error.remedy or "give the path of cameras.json, of a COLMAP text model, or of what OpenCV, ROS or Kalibr wrote"
+        remedy = error.remedy or "give the path of cameras.json, of a COLMAP model, or of what OpenCV, ROS or Kalibr wrote"
         problems.append(document.problem(place, f"{error.where}: {error.what}", remedy))
         return {}
     return found

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import printable
+from ..graph.choice import MOST_AT_A_CAMERA
 from .calibrated import COEFFICIENTS
 from .geodesy import PLACE_REMEDY, ControlPoint
 from .places import Document, Place, SiteProblem
@@ -40,7 +41,7 @@ _REMEDIES = {
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
     "zones": "give name, three corners or more and, if you like, a least size in metres: zones: [{name: quay, polygon: [[0, 0], "
     "[20, 0], [20, 8]], least_m: 0.5}]",
-    "degree": "give a whole number, e.g. degree: 6",
+    "degree": f"give a whole number from 1 to {MOST_AT_A_CAMERA}, e.g. degree: 6",
     "min_angle": "give degrees, e.g. min_angle: 4",
     "max_angle": "give degrees, e.g. max_angle: 60",
     "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",

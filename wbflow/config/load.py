@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import printable
+from ..graph.choice import MOST_AT_A_CAMERA
 from ..graph.functions import FunctionReader
 from ..store.layout import WorkFolder
 from ..store.outside import is_folder
@@ -64,6 +65,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
+    notes += _crowded(model, document)
     root = beside(model.captures.root, ("captures", "root"), document, problems)
     if not is_folder(root):
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
@@ -177,6 +179,15 @@ def _expanded(data: Any, document: Document, problems: list[SiteProblem], place:
         return found
 
     return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", value, data)
+
+
+def _crowded(model: SiteSection, document: Document) -> list[SiteProblem]:
+    """What is to be said of a site that asks for more pairs than a view takes."""
+    degree = model.pairs.degree
+    if degree <= MOST_AT_A_CAMERA:
+        return []
+    what = f"a view takes {MOST_AT_A_CAMERA} pairs at most, its best, not {degree}"
+    return [document.problem(("pairs", "degree"), what, f"write {MOST_AT_A_CAMERA} or less, e.g. degree: 6")]
 
 
 def _check_pairs(model: SiteSection, document: Document, problems: list[SiteProblem]) -> None:

@@ -158,7 +158,7 @@ class CameraSection(Section):
 class PairsSection(Section):
     """Which pairs are worth matching."""
 
-    degree: int = Field(6, ge=1)
+    degree: int = Field(6, ge=1, le=100)
     min_angle: float = Field(4.0, ge=0, lt=180)
     max_angle: float = Field(60.0, gt=0, le=180)
     include: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = Field(default_factory=list)

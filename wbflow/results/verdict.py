@@ -99,7 +99,8 @@ def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> Ru
     record = replace(record, cameras=cameras)
     cameras = tuple(_with_down(camera, record, past) for camera in cameras)
     record = replace(record, cameras=cameras)
-    found = (*_whole(record, facts), *_of_cameras(record), *_of_tasks(record, facts), *_of_figures(record, facts, expected))
+    of_cameras = *_of_cameras(record), *_of_poses(record)
+    found = (*_whole(record, facts), *of_cameras, *_of_tasks(record, facts), *_of_figures(record, facts, expected))
     verdict = Verdict("good", found)
     if facts.interrupted or (facts.product and not record.cloud):
         verdict = Verdict("failed", found)
@@ -161,6 +162,18 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
         remedy = "look at where it points, and whether anything stands before it"
         return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
     return None
+
+
+def _of_poses(record: RunRecord) -> Iterator[Finding]:
+    """Stated poses that are not known well enough, and that the pictures could not make better."""
+    if not record.poses or not record.poses.uncertain:
+        return
+    names, worst = tuple(record.poses.uncertain), max(record.poses.uncertain.values())
+    listed = shortened(", ".join(names))
+    text = f"known poses are not exact enough, and tonight's pictures tell them no better: {listed}; what matches may be"
+    text += f" up to {worst:.1f} px beside the row where it is looked for: depths may be of look-alikes"
+    remedy = "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see"
+    yield Finding("poses-uncertain", names, text, {"row_px": worst}, remedy=remedy)
 
 
 def _remedy_of_lost(camera: CameraRecord) -> str:

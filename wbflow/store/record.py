@@ -184,6 +184,13 @@ class WorldRecord:
         return doubtful
 
     @property
+    def uncertain(self) -> Mapping[str, float]:
+        """Cameras whose known poses tonight's pictures tell no better, though that would be needed; pixels by which rows may be
+        off."""
+        uncertain: Mapping[str, float] = self.figures.get("uncertain") or {}
+        return uncertain
+
+    @property
     def joins(self) -> tuple[str, ...]:
         """What would join the worlds that share no pair."""
         return tuple(self.figures.get("joins") or ())

@@ -8,12 +8,12 @@ import pytest
 from wbflow_stages.fusion.voxels import Samples, VoxelGrid
 
 
-def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01) -> Samples:
+def samples(points: np.ndarray, weight: float = 1.0, footprint: float = 0.01, apart: bool = False) -> Samples:
     n = len(points)
     one = np.ones(n, np.float32)
     up = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
     colors = np.full((n, 3), 100, np.float32)
-    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one, one / weight)
+    return Samples(points, up, colors, weight * one, 0.5 * one, 2 * one, footprint * one, one / weight, apart * one > 0)
 
 
 def merged(*parts: Samples, neighbours: int = 0, edge: float = 0.1) -> Samples:
@@ -43,6 +43,13 @@ def test_a_point_without_neighbours_is_dropped() -> None:
     lonely = np.array([[5.05, 5.05, 5.05]])
     found = merged(samples(np.vstack([plane, lonely])), neighbours=3)
     assert len(found.points) == len(plane) and found.points.max() < 2
+
+
+def test_points_further_apart_than_voxels_reach_are_kept_where_the_picture_vouches_for_them() -> None:
+    plane = np.stack(np.meshgrid(np.arange(0.05, 1, 0.1), np.arange(0.05, 1, 0.1), [0.05]), axis=-1).reshape(-1, 3)
+    sparse = np.column_stack([np.arange(5.05, 9, 0.5), np.full((8, 2), 5.05)])
+    alone, apart = (merged(samples(plane), samples(sparse, apart=vouched), neighbours=3) for vouched in (False, True))
+    assert len(alone.points) == len(plane) and len(apart.points) == len(plane) + len(sparse)
 
 
 def test_what_is_seen_coarsely_is_merged_coarsely() -> None:

@@ -140,6 +140,16 @@ def test_poses_with_standard_deviations_are_refined_to_nearly_exact_ones(count: 
         assert np.linalg.norm(camera.C - stated[name].C) < 3 * 0.05 * np.sqrt(3)
 
 
+def test_rough_poses_that_one_pair_alone_tells_no_better_are_uncertain_and_exact_or_confirmed_ones_are_not() -> None:
+    three = make_pair_site(3, noise_px=0.3)
+    two = only(three, "c0", "c1")
+    known = rough(three, 0, 0.05, 0.3)
+    alone = solve(two, {name: known[name] for name in two.views})
+    assert set(alone.uncertain) == {"c0", "c1"} and all(1 < sigma < 8 for sigma in alone.uncertain.values())
+    assert not solve(three, known).uncertain
+    assert not solve(two, {name: placement for name, placement in placements(three).items() if name in two.views}).uncertain
+
+
 def test_exact_poses_stay_and_rough_ones_are_refined_to_them() -> None:
     site = make_pair_site(5, noise_px=0.3)
     poses = solve(site, rough(site, 1, 0.05, 0.3, exact=("c0", "c4")))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -147,19 +148,73 @@ COLMAP = {
 }
 
 
+def params_of(name: str) -> list[float]:
+    """As COLMAP orders them."""
+    words = pycolmap.Camera(model=name, width=1, height=1, params=[]).params_info.split(", ")
+    focals, given = sum(word.startswith("f") for word in words), COLMAP[name]
+    return [*given[:focals], 318.7, 244.2, *given[focals:]] if given else [WIDTH, HEIGHT]
+
+
 @pytest.mark.parametrize("name", sorted(pycolmap.CameraModelId.__members__.keys() - {"INVALID"}))
 def test_every_model_of_colmap(tmp_path: Path, name: str) -> None:
-    focals = sum(
-        word.startswith("f") for word in pycolmap.Camera(model=name, width=1, height=1, params=[]).params_info.split(", ")
-    )
-    given = COLMAP[name]
-    params = [*given[:focals], 318.7, 244.2, *given[focals:]] if given else [WIDTH, HEIGHT]
+    params = params_of(name)
     words = " ".join(map(repr, params))
     (tmp_path / "cameras.txt").write_text(f"1 {name} {WIDTH} {HEIGHT} {words}\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 gate.jpg\n\n")
     rays = rays_of(read_calibration(tmp_path)["gate.jpg"])
     theirs = np.asarray(pycolmap.Camera(model=name, width=WIDTH, height=HEIGHT, params=params).img_from_cam(rays))
     assert np.abs(theirs - (GRID + 0.5)).max() < ALMOST, "COLMAP's origin is the corner of the first pixel"
+
+
+@pytest.fixture(scope="module")
+def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A camera and an image of every model of COLMAP, as COLMAP writes them."""
+    written = pycolmap.Reconstruction()
+    for number, name in enumerate(COLMAP, 1):
+        camera = pycolmap.Camera(camera_id=number, model=name, width=WIDTH, height=HEIGHT, params=params_of(name))
+        written.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(image_id=number, camera_id=number, name=f"gäte/{name}.jpg")
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D([k, 2.0]) for k in range(number % 3)])
+        turn = np.array([0.1, -0.4, 0.2, 0.3 + number])
+        written.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(turn), [number, 2, 3]))
+    folder = tmp_path_factory.mktemp("model")
+    written.write_binary(str(folder))
+    return folder
+
+
+def test_colmaps_binary_model_is_read_as_its_text(tmp_path: Path, binary: Path) -> None:
+    pycolmap.Reconstruction(str(binary)).write_text(str(tmp_path))
+    text, found = read_calibration(tmp_path), read_calibration(binary)
+    assert len(found) == len(COLMAP) == len(pycolmap.CameraModelId.__members__) - 1
+    assert found.keys() == text.keys()
+    for name in COLMAP:
+        there, here = text[f"gäte/{name}.jpg"], found[f"gäte/{name}.jpg"]
+        assert (here.model, here.width, here.height) == (there.model, WIDTH, HEIGHT)
+        assert (here.K, here.distortion) == (there.K, there.distortion), "COLMAP writes text with all digits"
+        assert here.R is not None and here.C is not None and there.R is not None and there.C is not None
+        assert np.abs(np.subtract(here.R, there.R)).max() < ALMOST and np.abs(np.subtract(here.C, there.C)).max() < ALMOST
+
+
+@pytest.mark.parametrize(
+    ("name", "spoilt", "said"),
+    [
+        ("cameras.bin", lambda data: data[:100], "cameras.bin: ends too early"),
+        ("cameras.bin", lambda data: data[:12] + b"\x63" + data[13:], "camera model number 99 is not supported"),
+        ("cameras.bin", lambda data: data[:32] + b"\0" * 8 + data[40:], "camera 1: a focal length must be positive"),
+        ("images.bin", lambda data: data[:-30], "images.bin: ends too early"),
+        ("images.bin", lambda data: b"\xff" * 8 + data[8:], "images.bin: ends too early"),
+        ("images.bin", lambda data: data[:68] + b"\x63" + data[69:], "image 1 is of camera 99, which cameras.bin lacks"),
+        ("images.bin", lambda data: data[:12] + b"\0" * 32 + data[44:], "image 1: its quaternion is zero"),
+    ],
+)
+def test_a_damaged_binary_model_is_named(
+    tmp_path: Path, binary: Path, name: str, spoilt: Callable[[bytes], bytes], said: str
+) -> None:
+    for file in ("cameras.bin", "images.bin"):
+        data = (binary / file).read_bytes()
+        (tmp_path / file).write_bytes(spoilt(data) if file == name else data)
+    with pytest.raises(CalibrationError, match=said):
+        read_calibration(tmp_path)
 
 
 def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path) -> None:

@@ -47,6 +47,15 @@ def test_a_folder_stands_for_the_site_file_in_it(tmp_path: Path) -> None:
     assert load_site(tmp_path).name == "yard"
 
 
+def test_a_view_takes_so_many_pairs_and_the_site_file_is_told(tmp_path: Path) -> None:
+    assert not load_site(site_at(tmp_path, GOOD + "pairs: {degree: 32}\n")).notes
+    (note,) = load_site(site_at(tmp_path, GOOD + "pairs: {degree: 40}\n")).notes
+    assert "pairs.degree: a view takes 32 pairs at most, its best, not 40" in str(note)
+    for wrong in (0, 101, 2.5):
+        (found,) = problems(tmp_path, GOOD + f"pairs: {{degree: {wrong}}}\n")
+        assert "site.yaml:6:17: pairs.degree" in found and "give a whole number from 1 to 32" in found
+
+
 def test_zones_are_polygons_with_a_name(tmp_path: Path) -> None:
     zones = "zones: [{name: quay, polygon: [[0, 0], [20, 0], [20, 8]], least_m: 0.5}]\n"
     site = load_site(site_at(tmp_path, GOOD + zones))

@@ -8,10 +8,11 @@ from typing import Any
 
 import networkx as nx
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbflow.graph.pairs import MOST_AT_A_CAMERA, PairGraph, select_pairs
+from wbflow.graph.choice import MOST_AT_A_CAMERA
+from wbflow.graph.pairs import PairGraph, select_pairs
 from wbflow_stages.types import Overlap
 
 
@@ -28,6 +29,7 @@ def graph(result: PairGraph) -> Any:
     return g
 
 
+@settings(deadline=None)  # on a busy machine networkx alone takes its time to load
 @given(st.integers(2, 12), st.integers(1, 5), st.randoms(use_true_random=False))
 def test_whatever_the_evidence_all_that_can_be_connected_is(n: int, degree: int, random: Any) -> None:
     shared = {p: random.uniform(0.01, 1.0) for p in combinations(range(n), 2) if random.random() < 0.6}
@@ -84,10 +86,26 @@ def test_a_hub_gets_no_more_pairs_than_a_view_takes_and_says_what_is_left_out() 
     hub = select_pairs(overlap(61, {(0, k): 0.5 for k in range(1, 61)}), degree=40)
     assert len(hub.pairs) == MOST_AT_A_CAMERA
     assert any("no view takes more" in edge.reason for edge in hub.edges if not edge.kept)
+    assert set(hub.crowded) == {"c0"} and "those with c33, c34," in hub.crowded["c0"] and "and 20 more" in hub.crowded["c0"]
     crowd = select_pairs(overlap(45, dict.fromkeys(combinations(range(45), 2), 0.5)), degree=40)
     assert max(dict(graph(crowd).degree).values()) == MOST_AT_A_CAMERA
     assert len(crowd.components) == 1
     assert crowd.untold + len(crowd.edges) == 45 * 44 // 2
+    assert crowd.crowded
+
+
+def test_of_very_many_pairs_the_best_are_thought_over_and_nothing_falls_apart() -> None:
+    """Two dense groups of 110 that a single weak pair connects, far down the list of both its cameras."""
+    n, half = 220, 110
+    pairs = np.array([(i, j) for i, j in combinations(range(n), 2) if (i < half) == (j < half)] + [(3, 200)], np.int32)
+    apart = np.abs(pairs[:, 0] - pairs[:, 1])
+    shared = np.where(apart > half, 1e-4, 1 / (1.0 + apart))
+    evidence = Overlap(tuple(f"c{k}" for k in range(n)), pairs, np.full(len(pairs), math.nan), shared, "appearance")
+    result = select_pairs(evidence, degree=4, include=[["c0", "c109"], ["c1", "c219"]])
+    assert len(result.components) == 1 and ("c3", "c200") in result.pairs
+    assert {("c0", "c109"), ("c1", "c219")} <= set(result.pairs), "asked for, though little or nothing is known of them"
+    assert ("c50", "c51") in result.pairs
+    assert result.untold + len(result.edges) == len(pairs) + 1
 
 
 def test_views_of_one_camera_are_never_a_pair_and_their_camera_is_named_in_pairs() -> None:

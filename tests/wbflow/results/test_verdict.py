@@ -261,6 +261,13 @@ def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stay
     assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
 
 
+def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
+    world = WorldRecord({"uncertain": {"mast": 4.07, "gate": 2.9}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
+    assert "up to 4.1 px beside the row" in only(record).text
+
+
 def test_a_camera_in_no_pair_gives_nothing() -> None:
     assert only(night(pairs=without("roof"))).kind == "camera-alone"
 

@@ -117,5 +117,6 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
     if not camera.ok:
         return "bad"
     health = camera.health is None or camera.health.ok
-    suspect = record.poses is not None and camera.id in {*record.poses.suspects, *record.poses.doubtful}
+    poses = record.poses
+    suspect = poses is not None and camera.id in {*poses.suspects, *poses.doubtful, *poses.uncertain}
     return "good" if health and not suspect and camera.down is None else "warn"

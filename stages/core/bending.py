@@ -1,0 +1,100 @@
+"""What a lens that nobody stated still bends in a frame: found with the poses, and taken out for all that comes after them.
+
+Frames are made before anything is known of such a lens.  What its solved k1 and k2 (`Camera.radial`) move by a pixel and more is
+straightened when the frame is looked at again; points of pairs are moved likewise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from ..types import Camera, Float32s, Float64s, Frame
+
+BENT_PX = 1.0
+"""A frame whose corners a lens moves by no more than this is taken for straight."""
+
+
+def without_distortion(camera: Camera, x: Float64s) -> Float64s:
+    """(n, 2) pixels of the frame, moved to where a pinhole would have them."""
+    if not any(camera.radial):
+        return x
+    centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
+    distorted = (x - centre) / f
+    radius = np.linalg.norm(distorted, axis=1)
+    straight = radius.copy()
+    k1, k2 = camera.radial
+    for _ in range(20):  # Newton; the slope is bounded, since the model folds over far outside the image
+        square = straight**2
+        slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
+        straight -= (straight * (1 + k1 * square + k2 * square**2) - radius) / slope
+    return np.asarray(centre + f * distorted * (straight / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
+
+
+def bent_px(camera: Camera) -> float:
+    """How far the solved distortion moves the corners of the frame."""
+    corners = np.array([[x, y] for x in (0.0, camera.width - 1.0) for y in (0.0, camera.height - 1.0)])
+    return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
+
+
+def bend_of(camera: Camera | None) -> Float64s | None:
+    """(6,) fx fy cx cy k1 k2 of a camera whose frame is bent; None where it is straight."""
+    if camera is None or not any(camera.radial) or bent_px(camera) <= BENT_PX:
+        return None
+    K = camera.K
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.radial])
+
+
+def bent_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
+    """Where in a bent frame the pixels x, y of the straight one are; far outside where the lens folds over."""
+    fx, fy, cx, cy, k1, k2 = (np.float64(number) for number in bend)
+    a, b = (x - cx) / fx, (y - cy) / fy
+    square = a * a + b * b
+    unfolded = 1 + square * (3 * k1 + 5 * k2 * square) > 0
+    factor = np.where(unfolded, 1 + square * (k1 + k2 * square), np.nan)
+    there = (np.nan_to_num(of, nan=-1e4).clip(-1e4, 1e6) for of in (cx + fx * a * factor, cy + fy * b * factor))
+    u, v = (of.astype(np.float32) for of in there)
+    return u, v
+
+
+def straight_points(camera: Camera | None, x: Float64s) -> Float64s:
+    """(n, 2) pixels of a frame as it is, moved to where the straight frame has them."""
+    return x if camera is None or bend_of(camera) is None else without_distortion(camera, x)
+
+
+def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
+    """The frame as a pinhole would show it: itself where it is straight."""
+    bend = bend_of(camera)
+    if bend is None:
+        return frame
+    height, width = frame.mask.shape
+    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    maps = bent_pixels(bend, x, y)
+    image = cv2.remap(frame.image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    mask = cv2.remap(frame.mask.astype(np.float32), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return replace(frame, image=np.asarray(image, np.uint8), mask=np.asarray(mask > 0.9999, np.bool_))
+
+
+def straight_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) -> Mapping[str, Frame]:
+    """Frames by camera as pinholes would show them, each made when it is asked for."""
+    if not any(name in frames and bend_of(camera) is not None for name, camera in cameras.items()):
+        return frames
+    return _Straight(frames, cameras)
+
+
+@dataclass(frozen=True)
+class _Straight(Mapping[str, Frame]):
+    frames: Mapping[str, Frame]
+    cameras: Mapping[str, Camera]
+
+    def __getitem__(self, name: str) -> Frame:
+        return straight_frame(self.frames[name], self.cameras.get(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)

@@ -1,0 +1,156 @@
+"""How much of one posed view another sees, and at what angle: rays of each view, out to where the scene lies, seen by the others.
+
+No length enters but ratios, so a desk and a quarry are treated alike.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import radians
+
+import numpy as np
+
+from ..core.cameras import backproject, project, ray_angles
+from ..types import Bools, Camera, Float32s, Float64s, Int64s
+
+FEW = 32
+"""Up to so many views every pair is looked at closely, and all axes say how far away the scene is.  Of more, few rays are drawn
+(a quarter of a million pairs of five hundred views are looked at in a second), and only the axes of the views nearest to it say
+how far a view looks: on a large site those of most views cross somewhere far behind what it shows."""
+
+_Grid = tuple[int, int, int]
+_FINE: _Grid = (8, 6, 5)
+_COARSE: _Grid = (6, 4, 3)
+"""Rays across and down an image, and depths on each of them."""
+
+
+def shared_ground(cameras: list[Camera]) -> tuple[Int64s, Float64s, Float64s]:
+    """What pairs of posed views share.
+
+    Returns
+    -------
+    pairs : ndarray
+        (m, 2) positions in `cameras`, in their order.  Of many views, only pairs that share something.
+    angle : ndarray
+        (m,) radians at which the two see what they share; the mean of both views' medians.
+    shared : ndarray
+        (m,) share of one view that the other sees, 0 to 1; the mean of both.
+    """
+    if len(cameras) < 2:
+        return np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0)
+    distances = _scene_distances(cameras)
+    if len(cameras) > FEW:
+        return _of_many(cameras, distances)
+    n = len(cameras)
+    angle, seen = np.full((n, n), np.nan), np.zeros((n, n))
+    for i, camera in enumerate(cameras):
+        points = _probes(camera, distances[i], _FINE)
+        for j, other in enumerate(cameras):
+            if i != j:
+                visible = _visible(other, points)
+                seen[i, j] = visible.mean()
+                angle[i, j] = _median_angle(points[visible] if visible.any() else points, camera.C, other.C)
+    pairs = np.array(list(combinations(range(n), 2)), np.int64)
+    i, j = pairs.T
+    return pairs, 0.5 * (angle[i, j] + angle[j, i]), 0.5 * (seen[i, j] + seen[j, i])
+
+
+def _of_many(cameras: list[Camera], distances: Float64s) -> tuple[Int64s, Float64s, Float64s]:
+    """The same for all other views of a view at once; where only one of two sees what the other does, the angle is its own."""
+    n = len(cameras)
+    C = np.stack([camera.C for camera in cameras])
+    sides = np.concatenate([_frustum(camera) for camera in cameras]).astype(np.float32)
+    angle, seen = np.full((n, n), np.nan, np.float32), np.zeros((n, n), np.float32)
+    for i, camera in enumerate(cameras):
+        rays, apart = (_probes(camera, distances[i], _COARSE) - C[i]).astype(np.float32), (C - C[i]).astype(np.float32)
+        beyond = np.einsum("ak,ak->a", sides, np.repeat(apart, 4, axis=0))
+        visible = (sides @ rays.T > beyond[:, None]).reshape(n, 4, -1).all(axis=1)
+        visible[i] = False
+        others = np.flatnonzero(visible.any(axis=1))
+        seen[i, others] = visible[others].mean(axis=1)
+        angle[i, others] = _median_angles(rays, apart[others], visible[others])
+    rows, columns = np.nonzero(np.triu((seen > 0) | (seen.T > 0), 1))
+    one, other = angle[rows, columns].astype(np.float64), angle[columns, rows].astype(np.float64)
+    mean = np.where(np.isnan(one), other, np.where(np.isnan(other), one, 0.5 * (one + other)))
+    both = seen[rows, columns].astype(np.float64) + seen[columns, rows]
+    return np.column_stack([rows, columns]), mean, 0.5 * both
+
+
+def _frustum(camera: Camera) -> Float64s:
+    """(4, 3) normals, in world axes, of the sides of what a camera sees, which point inward: a point that all sides have before
+    them, seen from the camera's centre, is in the image."""
+    left, top, right, bottom = -0.5, -0.5, camera.width - 0.5, camera.height - 0.5
+    lines = np.array([[1.0, 0, -left], [-1.0, 0, right], [0, 1.0, -top], [0, -1.0, bottom]])
+    return np.asarray(lines @ camera.K @ camera.R, dtype=np.float64)
+
+
+def _median_angles(rays: Float32s, apart: Float32s, visible: Bools) -> Float32s:
+    """(m,) median angle in radians at which points are seen from the origin and from other places, of those that are visible.
+
+    Parameters
+    ----------
+    rays
+        (p, 3) points.
+    apart
+        (m, 3) the other places.
+    visible
+        (m, p) at least one in each row.
+    """
+    along = apart @ rays.T
+    square = np.einsum("pk,pk->p", rays, rays)
+    there = np.einsum("mk,mk->m", apart, apart)[:, None] + square - 2 * along
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = (square - along) / np.sqrt(square * there)
+    cosine[~visible] = np.inf
+    cosine.sort(axis=1)  # what is not visible comes last
+    count, rows = visible.sum(axis=1), np.arange(len(visible))
+    middle = np.stack([cosine[rows, (count - 1) // 2], cosine[rows, count // 2]])
+    return np.asarray(np.arccos(np.clip(middle, -1, 1)).mean(axis=0), dtype=np.float32)
+
+
+def _scene_distances(cameras: list[Camera]) -> Float64s:
+    """(n,) how far along each optical axis the scene lies: the median of where other axes pass nearest in front of both.
+
+    Cameras whose axis meets no other take the others' median; if no axes meet at all (a row of parallel cameras, or cameras that
+    look outward) five times the median distance to the nearest camera: the angle between neighbours is then about 11 degrees.
+    """
+    C = np.stack([camera.C for camera in cameras])
+    axes = np.stack([camera.R[2] for camera in cameras])
+    between = C[None, :, :] - C[:, None, :]
+    cosine = axes @ axes.T
+    along = np.einsum("ijk,ik->ij", between, axes)
+    along_other = np.einsum("ijk,jk->ij", between, axes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = (along - cosine * along_other) / (1.0 - cosine**2)
+        at_other = (cosine * along - along_other) / (1.0 - cosine**2)
+    meets = (at > 0) & (at_other > 0) & (np.abs(cosine) < np.cos(radians(2.0)))
+    baseline = np.linalg.norm(between, axis=2)
+    if len(cameras) > FEW:
+        meets &= baseline <= np.partition(baseline, FEW, axis=1)[:, FEW : FEW + 1]
+    distances = np.array([np.median(at[i, meets[i]]) if meets[i].any() else np.nan for i in range(len(cameras))])
+    nearest = np.where(baseline > 0, baseline, np.inf).min(axis=1)
+    nearest = nearest[np.isfinite(nearest)]
+    fallback = 5.0 * float(np.median(nearest)) if nearest.size else 1.0
+    known = np.isfinite(distances)
+    return np.where(known, distances, float(np.median(distances[known])) if known.any() else fallback)
+
+
+def _probes(camera: Camera, distance: float, grid: _Grid) -> Float64s:
+    """(n, 3) world points on a grid of rays, at depths from half to twice the scene's distance."""
+    columns, rows, steps = grid
+    x = (np.arange(columns) + 0.5) / columns * camera.width - 0.5
+    y = (np.arange(rows) + 0.5) / rows * camera.height - 0.5
+    depths = distance * 2.0 ** np.linspace(-1, 1, steps)
+    u, v, z = (axis.ravel() for axis in np.meshgrid(x, y, depths, indexing="ij"))
+    return backproject(camera, np.column_stack([u, v]), z)
+
+
+def _visible(camera: Camera, points: Float64s) -> Bools:
+    x, depth = project(camera, points)
+    inside = (x[:, 0] >= -0.5) & (x[:, 1] >= -0.5) & (x[:, 0] < camera.width - 0.5) & (x[:, 1] < camera.height - 0.5)
+    return np.asarray(inside & (depth > 0))
+
+
+def _median_angle(points: Float64s, C1: Float64s, C2: Float64s) -> float:
+    """Median angle in radians at which two centres see the points."""
+    return float(np.median(ray_angles(points - C1, points - C2)))

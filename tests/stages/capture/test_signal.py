@@ -1,0 +1,74 @@
+"""What cameras and recorders have done to pictures is told, and put right where it can be."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from wbflow_stages.frames import clean_frame
+from wbflow_stages.types import Capture, Frame, Lens, Uint8s
+
+HEIGHT, WIDTH = 180, 320
+
+
+@pytest.fixture(scope="module")
+def scene() -> Uint8s:
+    """A picture in colours with details of all sizes."""
+    rng = np.random.default_rng(3)
+    picture = np.zeros((HEIGHT, WIDTH, 3))
+    for sigma in (0.8, 2.0, 6.0, 25.0):
+        layer = cv2.GaussianBlur(rng.standard_normal((HEIGHT, WIDTH)), (0, 0), sigma)
+        picture += layer[..., None] / layer.std() * sigma**0.7
+    colours = cv2.GaussianBlur(rng.standard_normal((HEIGHT, WIDTH, 3)), (0, 0), 12.0)
+    picture += 4 * colours / colours.std()
+    picture = 118 + 36 * picture / picture.std()
+    return np.asarray(np.clip(picture, 0, 255), dtype=np.uint8)
+
+
+def frame_of(picture: Uint8s, quality: int = 95) -> Frame:
+    data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return clean_frame([Capture("1.jpg", np.frombuffer(data, np.uint8))], Lens(), None, resolution=None)
+
+
+def off(frame: Frame, picture: Uint8s) -> float:
+    return float(np.abs(frame.image[8:-8, 8:-8].astype(float) - picture[8:-8, 8:-8]).mean())
+
+
+def test_a_sound_picture_has_no_such_notes(scene: Uint8s) -> None:
+    frame = frame_of(scene)
+    assert not frame.notes
+    assert frame.combing < 0.02 and frame.blocking < 1.2 and frame.cast < 1.2 and frame.colour > 0.1
+
+
+@pytest.mark.parametrize("shift", [-3, 1, 2])
+def test_rows_that_lie_off_are_shifted_back(scene: Uint8s, shift: int) -> None:
+    combed = scene.copy()
+    combed[1::2] = np.roll(scene, shift, axis=1)[1::2]
+    frame = frame_of(combed)
+    assert frame.notes == ("1 of 1 captures are combed: every second row lies off, and is shifted back",)
+    assert off(frame, scene) < 1.3 * off(frame_of(scene), scene) + 0.5
+
+
+def test_of_two_moments_one_is_used(scene: Uint8s) -> None:
+    """What moves by different amounts cannot be shifted back."""
+    later = np.concatenate([np.roll(scene[:90], 14, axis=1), np.roll(scene[90:], -11, axis=1)])
+    combed = scene.copy()
+    combed[1::2] = later[1::2]
+    frame = frame_of(combed)
+    assert frame.combing > 0.1 and any("another moment (interlaced)" in note for note in frame.notes)
+    assert off(frame, scene) < 0.6 * off(frame, later)
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "quality", "said"),
+    [
+        (lambda picture: picture, 8, "coded coarsely"),
+        (lambda picture: np.repeat(picture[..., 1:2], 3, axis=2), 95, "without colour"),
+        (lambda picture: (picture * [0.5, 0.95, 1.0]).astype(np.uint8), 95, "a cast of colour"),
+    ],
+)
+def test_what_coding_and_sensor_did_is_named(scene: Uint8s, spoilt: object, quality: int, said: str) -> None:
+    assert callable(spoilt)
+    notes = frame_of(spoilt(scene), quality).notes
+    assert len(notes) == 1 and said in notes[0]

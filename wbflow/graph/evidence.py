@@ -1,0 +1,126 @@
+"""What is known of pairs before they are matched, and which of very many are worth a closer look."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+from ..task import camera_of
+
+if TYPE_CHECKING:
+    import numpy as np
+
+Pair = tuple[str, str]
+Evidence = Mapping[Pair, tuple[float, float]]
+"""Angle in degrees, nan where it is unknown, and share, by pair of views."""
+
+MOST_CANDIDATES = 96
+"""So many of a view's pairs are thought over, the most promising first: a view takes a third of them at most."""
+ALL_KNOWN = 32
+"""Of so many views each pair has a row; of more, those that share nothing may have none."""
+MOST_DROPPED = 24
+"""So many of a camera's dropped pairs are told of, the most promising first."""
+
+
+def cameras_of(pair: Pair) -> frozenset[str]:
+    """The cameras whose views make a pair."""
+    return frozenset(map(camera_of, pair))
+
+
+def worth(angle: float, shared: float) -> float:
+    """How much a pair promises: what it shares, best at 10 to 25 degrees (wide enough to be precise, narrow enough to match)."""
+    if math.isnan(angle):
+        return shared
+    return shared / (1 + max(0.0, (10 - angle) / 10) ** 2 + max(0.0, (angle - 25) / 15) ** 2)
+
+
+def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | None:
+    """Why a pair is not worth matching, if it is not; angles: between which it is."""
+    min_angle, max_angle = angles
+    if shared <= 0:
+        return "they share nothing"
+    if not math.isnan(angle) and not min_angle <= angle <= max_angle:
+        side, bound = ("below", min_angle) if angle < min_angle else ("above", max_angle)
+        return f"views {angle:.0f} degrees apart, {side} {bound:g}"
+    return None
+
+
+def evidence_of(
+    overlap: Any, angles: tuple[float, float], asked: Collection[frozenset[str]]
+) -> tuple[dict[Pair, tuple[float, float]], int]:
+    """The evidence of pairs that may be chosen or told of, and how many pairs there are.
+
+    Two views of one camera tell no depth and are no pair.  Where views have more pairs than can be thought over, each has its
+    most promising ones, and as many more as it takes that all hang together that can.
+
+    Parameters
+    ----------
+    overlap : Overlap
+        Angle and shared share by pair.
+    angles : (float, float)
+        Degrees between which pairs are fit.
+    asked : collection of frozenset of str
+        Pairs of cameras that the site file names: theirs are all looked at.
+    """
+    import numpy as np
+
+    names = overlap.cameras
+    camera_names = [camera_of(name) for name in names]
+    number = {camera: k for k, camera in enumerate(dict.fromkeys(camera_names))}
+    camera = np.array([number[name] for name in camera_names], np.int64)
+    rows = np.flatnonzero(camera[overlap.pairs[:, 0]] != camera[overlap.pairs[:, 1]])
+    count = len(rows)
+    if count > len(names) * MOST_CANDIDATES // 2:
+        wanted = {tuple(sorted(number[name] for name in pair)) for pair in asked if pair <= number.keys()}
+        rows = _promising(overlap, rows, camera, angles, wanted)
+    columns = (overlap.pairs[rows].tolist(), overlap.angle_deg[rows].tolist(), overlap.shared[rows].tolist())
+    return {(names[i], names[j]): (angle, shared) for (i, j), angle, shared in zip(*columns, strict=True)}, count
+
+
+def _promising(
+    overlap: Any, rows: np.ndarray, camera: np.ndarray, angles: tuple[float, float], wanted: Collection[tuple[int, ...]]
+) -> np.ndarray:
+    """Those of the rows that are worth thinking over, in their order."""
+    import numpy as np
+
+    pairs, angle, shared = overlap.pairs[rows], overlap.angle_deg[rows], overlap.shared[rows]
+    off = np.maximum(0, (10 - angle) / 10) ** 2 + np.maximum(0, (angle - 25) / 15) ** 2
+    promise = shared / (1 + np.nan_to_num(off))  # as `worth` has it
+    fit = (shared > 0) & (np.isnan(angle) | ((angle >= angles[0]) & (angle <= angles[1])))
+    keep = _among_best(pairs, promise, MOST_DROPPED)
+    fits = np.flatnonzero(fit)
+    keep[fits[_among_best(pairs[fits], promise[fits], MOST_CANDIDATES)]] = True
+    ends = np.sort(camera[pairs], axis=1)
+    for one, other in wanted:
+        keep |= (ends[:, 0] == one) & (ends[:, 1] == other)
+    groups = list(range(int(camera.max()) + 1))
+
+    def group(at: int) -> int:
+        while groups[at] != at:
+            groups[at] = at = groups[groups[at]]
+        return at
+
+    best_first = fits[np.argsort(-promise[fits], kind="stable")]
+    kept_first = np.concatenate([best_first[keep[best_first]], best_first[~keep[best_first]]])
+    for row, (one, other) in zip(kept_first.tolist(), ends[kept_first].tolist(), strict=True):
+        if (a := group(one)) != (b := group(other)):
+            groups[a] = b
+            keep[row] = True
+    chosen: np.ndarray = rows[keep]
+    return chosen
+
+
+def _among_best(pairs: np.ndarray, promise: np.ndarray, most: int) -> np.ndarray:
+    """(m,) bool: is a pair among the most promising of one of its views?"""
+    import numpy as np
+
+    order = np.argsort(-promise, kind="stable")
+    ends = pairs[order].ravel()  # of the most promising first
+    by_view = np.argsort(ends, kind="stable")
+    starts = np.searchsorted(ends[by_view], ends[by_view], side="left")
+    place = np.empty(len(ends), np.int64)
+    place[by_view] = np.arange(len(ends)) - starts
+    found = np.zeros(len(pairs), bool)
+    found[order] = (place.reshape(-1, 2) < most).any(axis=1)
+    return found
