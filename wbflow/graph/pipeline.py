@@ -206,6 +206,7 @@ STAGES: tuple[Stage, ...] = (
             "placements": _PLACEMENTS,
             "geometries": FromStage("geometry", Which.ALL, empty_if_stated=True),
             "survey": FromSite(SiteValue.SURVEY),
+            "frames_if_rough": FromStage("frames", Which.ALL, only_if_rough=True),
         },
         offers={"frames": FromStage("frames", Which.ALL), "features": FromStage("features", Which.ALL)},
         role=Role.WORLD,

@@ -92,7 +92,7 @@ class Inputs:
             return self.pinned.input(need, stage, task)
         if isinstance(need, FromPast):
             return self.pinned.observed(need, task)
-        if need.unless_posed and self.site.posed:
+        if self._needless(need):
             return Joined({})
         origin = stage_named(need.stage)
         if need.which in {Which.ALL, Which.AROUND}:
@@ -107,7 +107,7 @@ class Inputs:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found: list[Task] = []
         for need in needs.values():
-            if not isinstance(need, FromStage) or (need.unless_posed and self.site.posed):
+            if not isinstance(need, FromStage) or self._needless(need):
                 continue
             origin = stage_named(need.stage)
             if need.optional and origin not in self.stages:
@@ -117,6 +117,10 @@ class Inputs:
             else:
                 found.append(Task(origin.name, subject_of(origin, need, task)))
         return list(dict.fromkeys(found))
+
+    def _needless(self, need: FromStage) -> bool:
+        """Does what the site file says of poses make it an empty mapping?"""
+        return (need.unless_posed and self.site.posed) or (need.only_if_rough and not self.site.rough)
 
     def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
         if upstream in among:
