@@ -38,7 +38,7 @@ def started_by(name: str) -> datetime.datetime | None:
     digits = name[:8] + name[9:15]
     if len(name) != 16 or name[8] + name[15] != "TZ" or not (digits.isascii() and digits.isdigit()):
         return None
-    try:  # not by strptime, which compiles expressions first
+    try:  # not strptime, which compiles expressions first
         return datetime.datetime.fromisoformat(name)
     except ValueError:
         return None
