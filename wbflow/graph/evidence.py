@@ -86,7 +86,8 @@ def _apart_enough(overlap: Any) -> np.ndarray:
     """(m,) shares; of many views without poses less where two are too much alike: they look from one place, and tell no depth.
 
     How alike views look falls with the angle between them, on two photographed sites by the same 4.7 % for each degree.  What the
-    views' best have is taken for views from one place, and a pair counts as if it were as much farther from 12 degrees as it is nearer.
+    views' best have is taken for views from one place, and a pair counts as if it were as much farther from 12 degrees as it is
+    nearer.
     """
     import numpy as np
 
