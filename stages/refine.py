@@ -96,14 +96,9 @@ def refine(
     useful = _sources(camera, others, depth, min_angle_deg, max_angle_deg)
     if not useful:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    finer = {other: _finer(camera, cameras[other], depth) for other in useful}
-    # what a view shows that sees much less fits at many depths: it is asked only where there is no other
-    around = ([other for other in useful if finer[other] * _UNLIKE >= 1] or useful)[: min(max_sources, 32)]
-    reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
-    image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
-    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
-    spacing = _spacing_px(max(image.shape), [finer[other] for other in around])
-    far = max(2, round(5 * max(image.shape) / 768))
+    around, finer = _alike({other: _finer(camera, cameras[other], depth) for other in useful}, min(max_sources, 32))
+    image, (sources, M, b) = luminance(frame.image), _seen_from(camera, around, finer, frames, cameras)
+    spacing, far = _spacing_px(max(image.shape), finer), max(2, round(5 * max(image.shape) / 768))
     then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
     planes = _planes_of(depth)
     if then_depth is not None:
@@ -188,6 +183,32 @@ def _spacing_px(side: int, finer: list[float]) -> int:
     """Of the pixels of a patch, in an image so long: as far apart as those of views that see much less."""
     coarser = 1 / float(np.median(finer))
     return max(1, round(side / 768), round(coarser) if coarser > _UNLIKE else 1)
+
+
+def _alike(finer: Mapping[str, float], most: int) -> tuple[list[str], list[float]]:
+    """Of useful views, the nearest first, those to compare with, and how much finer they see: what a view shows that sees much
+    less fits at many depths, and is asked only where there is no other."""
+    around = ([other for other, much in finer.items() if much * _UNLIKE >= 1] or list(finer))[:most]
+    return around, [finer[other] for other in around]
+
+
+def _seen_from(
+    camera: Camera, around: list[str], finer: list[float], frames: Mapping[str, Frame], cameras: Mapping[str, Camera]
+) -> tuple[Float32s, Float64s, Float64s]:
+    """Sources, M and b of `Propagation`; sources that see much finer are as coarse as the view.
+
+    Parameters
+    ----------
+    camera
+        Of the view itself.
+    around, finer
+        The views to compare with, and how many times finer they see.
+    frames, cameras
+        Of these.
+    """
+    reduced = [_reduced(frames[other].image, cameras[other], much) for other, much in zip(around, finer, strict=True)]
+    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
+    return _stack([luminance(picture) for picture, _ in reduced]), M, b
 
 
 def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:
