@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..store.layout import WorkFolder
 from ..store.record import CameraRecord, PairRecord, RunRecord
 from ..store.run_folder import NoSuchRun, RunFolder
+from .beside import titled
 
 NOISE = 0.05
 """Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
@@ -64,6 +65,7 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
     rows += [Row("points", *(r.cloud.points if r.cloud else 0 for r in (a, b)))]
     rows += [Row("cameras", sum(c.ok for c in a.cameras), sum(c.ok for c in b.cameras), 0.0)]
     rows += [Row("pairs of cameras", sum(p.ok for p in a.pairs), sum(p.ok for p in b.pairs), 0.0)]
+    rows += _of_site(a, b)
     rows += [Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), NOISE_OF_TIME)]
     rows += [Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), NOISE_OF_TIME)]
     counts = a.tasks.to_json(), b.tasks.to_json()
@@ -119,6 +121,15 @@ def _verdict(record: RunRecord) -> str:
 
 def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapping[str, CameraRecord | PairRecord]:
     return {record.id if isinstance(record, CameraRecord) else record.name: record for record in records}
+
+
+def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
+    """What site-wide stages tell of both nights."""
+    for stage, ours in a.later.items():
+        theirs = b.later.get(stage)
+        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+            both = [name for name in ours if _plain(ours[name]) and _plain(theirs.get(name))]
+            yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in both)
 
 
 def _of_subject(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:

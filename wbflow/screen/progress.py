@@ -99,8 +99,8 @@ class Progress:
             if not stage.left:
                 continue
             each = self._each(stage, pace[stage.known])
-            begun = [now - since for task, since in self.running.items() if task.stage == stage.name]
-            work = stage.left * each - sum(min(age, 0.9 * each) for age in begun[: stage.left])
+            begun = [now - since for task, since in self.running.items() if task.stage == stage.name][: stage.left]
+            work = (stage.left - len(begun)) * each + sum(_to_go(age, each) for age in begun)
             total += work / min(self.workers, stage.left)
         return total
 
@@ -133,8 +133,13 @@ class Progress:
 
     def _telling(self, stage: StageProgress) -> list[float]:
         """What tasks took that tell of those to come: in a first run not each worker's first, which compiles, too."""
-        first = 0 if stage.known or len(stage.walls) <= self.workers else self.workers
+        first = 0 if stage.known or stage.tasks <= self.workers else self.workers
         return stage.walls[first:]
+
+
+def _to_go(age: float, each: float) -> float:
+    """Seconds that a task at work still takes: the longer it has taken than was expected, the longer it may still take."""
+    return max(each - age, 0.1 * each, 0.25 * (age - each))
 
 
 def _seconds(at: str) -> float:

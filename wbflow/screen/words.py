@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -17,7 +19,7 @@ LONGEST_WORDS = 100_000_000
 
 if TYPE_CHECKING:
     from ..api import Run
-    from ..store.record import RunRecord
+    from ..store.record import Finding, RunRecord
 
 
 LEVELS = {
@@ -32,6 +34,8 @@ PUZZLING = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 
 MOST_FINDINGS = 20
 """So many are said; the report has all."""
+MOST_ALIKE = 4
+"""So many of one kind, with the same remedy, are said in full."""
 
 
 def findings(record: RunRecord) -> None:
@@ -40,13 +44,25 @@ def findings(record: RunRecord) -> None:
     if verdict is None or (verdict.good and not verdict.findings):
         return
     say(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
-    shown = verdict.findings[:MOST_FINDINGS]
-    for finding, following in zip(shown, [*shown[1:], None], strict=True):
-        say(f"  {finding}", err=True)
-        if finding.remedy and not (following and following.remedy == finding.remedy):  # said once, after those it is for
-            say(f"    {finding.remedy}", err=True)
-    if (left := len(verdict.findings) - MOST_FINDINGS) > 0:
+    told = list(_told(verdict.findings))
+    shown = told[:MOST_FINDINGS]
+    for (text, remedy), following in zip(shown, [*shown[1:], None], strict=True):
+        say(f"  {text}", err=True)
+        if remedy and not (following and following[1] == remedy):  # said once, after those it is for
+            say(f"    {remedy}", err=True)
+    if (left := len(told) - MOST_FINDINGS) > 0:
         say(f"  and {left} more: the report has them", err=True)
+
+
+def _told(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
+    """Text and remedy of findings; of many that are alike the first, and whose the others are."""
+    for _, alike in groupby(found, key=lambda finding: (finding.kind, finding.remedy)):
+        group = list(alike)
+        few = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
+        yield from ((str(finding), finding.remedy) for finding in (group if few else group[: MOST_ALIKE - 1]))
+        if not few:
+            rest = ["--".join(finding.subject) for finding in group[MOST_ALIKE - 1 :]]
+            yield f"and {len(rest)} more like these: {', '.join(rest)}", group[-1].remedy
 
 
 def summary(finished: Run) -> None:
@@ -54,6 +70,8 @@ def summary(finished: Run) -> None:
     record, paths = finished.record, finished.finished.folder.paths
     if record.verdict and record.verdict.good and not record.verdict.findings:
         say(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
+    if record.same_as:
+        say(f"nothing has changed since run {record.same_as}: its cloud and its report are this run's, too")
     tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
     say(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
     if record.cloud:
@@ -71,6 +89,8 @@ def next_command(finished: Run, site: Path) -> str:
         return f"wbflow debug {file} {shlex.quote(str(puzzling[0]))} --out debug"
     if record.exit_code:
         return f"wbflow check {file}"
+    if record.same_as:
+        return f"wbflow history {file}"
     return f"wbflow compare {file}" if len(finished.finished.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
 
 

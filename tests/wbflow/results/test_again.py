@@ -49,6 +49,14 @@ def test_the_same_night_again_is_told_as_a_plan_would_tell_it(toy: ToySite) -> N
         assert ledger.keys_of_runs([again["run"]]) == ledger.keys_of_runs([planned["run"]])
 
 
+def test_a_person_is_told_which_run_it_repeats(toy: ToySite) -> None:
+    first = toy.run()["run"]
+    said = toy.wbflow("run", "--jobs", "1").stdout
+    assert f"nothing has changed since run {first}" in said
+    assert "wbflow history" in said and "wbflow compare" not in said
+    assert toy.wbflow("history").stdout.splitlines()[-1].endswith(f"good, the same as {first}")
+
+
 def cut(path: Path) -> None:
     path.chmod(0o644)
     path.write_bytes(path.read_bytes()[:-1])

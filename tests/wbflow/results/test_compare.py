@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,13 @@ def test_what_a_lost_camera_takes_along_is_told_with_percentages() -> None:
     names = {name for name, _ in lines[5:]}
     assert {"roof", "crane--roof", "gate--roof", "mast--roof"} <= names
     assert not names & {"gate", "crane--gate"}
+
+
+def test_what_site_wide_stages_tell_is_compared_too() -> None:
+    seen = [{"coverage": {"seen_by_two": share, "files": []}, "changes": {"compared": True, "count": 2}} for share in (0.8, 0.6)]
+    a, b = (replace(night("2026-11-19"), later=told_by) for told_by in seen)
+    rows = told(compare(a, b))[3:]
+    assert [(row.what, row.a, row.b) for row in rows] == [("coverage: seen by two", 0.8, 0.6)]
 
 
 def test_two_nights_that_are_alike() -> None:

@@ -77,6 +77,18 @@ def test_a_first_run_learns_from_its_own_tasks() -> None:
     assert 0.6 < left / (end - through) < 1.5
 
 
+def test_the_longer_a_task_takes_the_longer_the_run_may_still_take() -> None:
+    progress = Progress()
+    progress.add(PlannedEvent((StageOutlook("matches", 3, 0, 2.0, False),), 1, at(0)))
+    progress.add(StartedEvent(Task("matches", ("gate", "roof")), at(0)))
+    left = [progress.seconds_left((START + datetime.timedelta(seconds=age)).timestamp()) for age in (0, 1, 60, 120)]
+    assert left[:2] == [pytest.approx(6.0), pytest.approx(5.0)]
+    assert left[2] and left[3] and 6 < left[2] < left[3]
+    progress.add(TaskEvent(Task("matches", ("gate", "roof")), "ran", at(120), fresh=True))
+    left_after = progress.seconds_left((START + datetime.timedelta(seconds=120)).timestamp())
+    assert left_after == pytest.approx(4.0), "the first has compiled what the others find ready"
+
+
 def test_nothing_is_said_before_it_is_known_what_there_is_to_do() -> None:
     progress = Progress()
     assert progress.seconds_left(0.0) is None
