@@ -1,25 +1,37 @@
 """How right `sigma_mm` of a cloud is: errors on exact truth over sigma, in every tenth of the points by sigma.
 
     scripts/bench_certainty.py CLOUD.ply TRUTH
+    scripts/bench_certainty.py CLOUD.ply --then CLOUD.ply --camera X Y Z
 
 TRUTH holds `cameras.json` and `depth/<camera>.npz`, as `wbflow demo` writes them.  A point's error is along the ray of the
 nearest camera that sees it in truth, where that surface is smooth.  The robust spread (1.4826 MAD) is 1 where sigma is right.
+
+With --then it is the difference of two dates, over both points' sigmas: along the normal to the nearest point of the other date,
+turned into the ray's direction, less what moved as a whole (the median of a block of 20 m).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from wbflow.store.ply import read_ply
 from wbflow_stages.core.cameras import project
 from wbflow_stages.types import Camera, Float64s
 
+Columns = dict[str, np.ndarray]
+
 SMOOTH, SAME = 0.03, 0.02
 """Of the depth: how much four neighbouring pixels of the truth may differ, and how far a point may be off."""
+
+NEAR_M, BLOCK_M, FEW, STEEPEST = 3.0, 20.0, 20, 0.2
+"""Between dates: how far away the other point may be, side of a block that moves as a whole, how many points it needs, and the
+least cosine of ray and normal that a difference is divided by."""
 
 
 def errors_along_rays(X: Float64s, truth: Path) -> Float64s:
@@ -51,14 +63,42 @@ def errors_along_rays(X: Float64s, truth: Path) -> Float64s:
     return error
 
 
+def differences_of_dates(tables: Sequence[Columns], centre: Float64s) -> tuple[Float64s, Float64s]:
+    """(n,) differences along the first date's rays, nan where the other has nothing near, and (n,) both sigmas together."""
+    X, Y = (columns(table, "x", "y", "z") for table in tables)
+    near, at = cKDTree(Y).query(X, distance_upper_bound=NEAR_M)
+    at = np.minimum(at, len(Y) - 1)
+    rays, normals = X - centre, columns(tables[0], "nx", "ny", "nz")
+    cosine = np.abs(np.sum(rays * normals, axis=1)) / np.linalg.norm(rays, axis=1)
+    difference = np.sum((Y[at] - X) * normals, axis=1) / np.maximum(cosine, STEEPEST)
+    difference[~np.isfinite(near)] = np.nan
+    _, block, count = np.unique(np.floor(X / BLOCK_M).astype(int), axis=0, return_inverse=True, return_counts=True)
+    for k in range(len(count)):
+        mine = np.flatnonzero((block.ravel() == k) & np.isfinite(difference))
+        difference[mine] = difference[mine] - np.median(difference[mine]) if len(mine) >= FEW else np.nan
+    one, two = (columns(table, "sigma_mm")[:, 0] / 1000.0 for table in tables)
+    return difference, np.hypot(one, two[at])
+
+
+def columns(table: Columns, *names: str) -> Float64s:
+    return np.column_stack([table[name] for name in names]).astype(np.float64)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cloud", type=Path)
-    parser.add_argument("truth", type=Path)
+    parser.add_argument("truth", type=Path, nargs="?")
+    parser.add_argument("--then", type=Path, metavar="CLOUD")
+    parser.add_argument("--camera", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where both were seen from")
     options = parser.parse_args()
+    if (options.truth is None) == (options.then is None) or (options.then is not None and options.camera is None):
+        parser.error("either TRUTH, or --then and --camera")
     table = read_ply(options.cloud)
-    error = errors_along_rays(np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64), options.truth)
-    sigma = table["sigma_mm"].astype(np.float64) / 1000.0
+    sigma = columns(table, "sigma_mm")[:, 0] / 1000.0
+    if options.then is not None:
+        error, sigma = differences_of_dates([table, read_ply(options.then)], np.array(options.camera))
+    else:
+        error = errors_along_rays(columns(table, "x", "y", "z"), options.truth)
     known = np.isfinite(error)
     error, sigma = error[known], sigma[known]
     order = np.argsort(sigma, kind="stable")

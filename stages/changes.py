@@ -49,9 +49,6 @@ _LEAST_AREA = 300.0
 _CERTAIN = 6.0
 """The volume of a change is so many times its standard deviation, at least."""
 
-_CLEARED = 0.75
-"""Of the cameras that saw it, this share must see through its place, in the mean over its points."""
-
 _SAME_PLACE = 0.01
 """Cameras stand where they stood within this share of the site's size."""
 
@@ -133,8 +130,8 @@ def find_changes(
     ground = [over_ground(grid, night.points) for night in (tonight, then)]
     for side, own, other in ((now, tonight, ground[1]), (before, then, ground[0])):
         colors = own.cloud.colors[side.rows].astype(np.float64)
-        blobs += find_blobs(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least)
-    kept = sorted(paired([b for b in blobs if _is_certain(b, alike)]), key=lambda pair: -pair[0].change.volume)
+        blobs += find_blobs(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least, alike=alike)
+    kept = sorted(paired([b for b in blobs if _is_certain(b)]), key=lambda pair: -pair[0].change.volume)
     placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
     found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), [(a, b) for a, b in placed if a])
     return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
@@ -154,11 +151,9 @@ def _spacing(points: Float64s, sample: int = 5000) -> float:
     return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
 
 
-def _is_certain(blob: Blob, alike: float) -> bool:
-    """Is the volume more than its error, do the photographs differ, and do most cameras say so that could?"""
-    change = blob.change
-    volume = min(change.volume, blob.swept)
-    return change.likeness < alike and volume >= _CERTAIN * change.volume_sigma and blob.cleared >= _CLEARED
+def _is_certain(blob: Blob) -> bool:
+    """Is the volume more than its error?"""
+    return min(blob.change.volume, blob.swept) >= _CERTAIN * blob.change.volume_sigma
 
 
 def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> Blob | None:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from .capture.background import merge
+from .capture.clock import running_clock
 from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
 from .capture.looks import looks, weigh
 from .capture.privacy import around, blanked, private_area
@@ -133,6 +134,9 @@ def _one_frame(
     if overlays and (background.overlaid & allowed).any():
         notes.append(f"a clock or logo is masked: {100 * (background.overlaid & allowed).mean():.1f} % of the picture")
         trusted &= ~background.overlaid
+    if overlays and (clock := running_clock(images, trusted)):
+        x, y, wide, high = clock
+        notes.append(f"a clock runs in its picture ({wide} x {high} px at {x}, {y}): name a mask for it")
     if not trusted.any():
         raise BadCapture("the mask, privacy polygons and what moves leave no pixel to use")
     taken = taken_at(captures)

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from .core.cameras import camera_of
+from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
@@ -33,7 +34,7 @@ from .sfm.pose_check import (
 )
 from .sfm.rigs import beside
 from .sfm.within import adjust_within
-from .types import Camera, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
+from .types import Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
 """A sentence lists so many cameras at most."""
@@ -46,6 +47,7 @@ def solve_poses(
     placements: Mapping[str, Placement],
     geometries: Mapping[Pair, Geometry],
     survey: Survey | None = None,
+    frames_if_rough: Mapping[str, Frame] | None = None,
     *,
     max_rotation_error_deg: float = 4.0,
     max_epipolar_px: float = 2.0,
@@ -63,6 +65,8 @@ def solve_poses(
         Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
     survey
         Known distances and control points.
+    frames_if_rough
+        The frames, looked at where keypoints don't tell poses better that are stated with standard deviations.
     max_rotation_error_deg
         A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
     max_epipolar_px
@@ -84,7 +88,7 @@ def solve_poses(
     sigmas = {name: Sigma(placements[name].sigma_m, placements[name].sigma_deg) for name in stated}
     known = {name: camera for name, camera in stated.items() if sigmas[name].exact or sigmas[name].degrees > 0}
     seen = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(known)}
-    adjusted, moved = _believed(known, sigmas, seen)
+    adjusted, moved = _believed(known, sigmas, seen, frames_if_rough or {})
     cameras = adjusted.cameras
     if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
@@ -141,10 +145,15 @@ def _checked(
 
 
 def _believed(
-    known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]
+    known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], frames: Mapping[str, Frame]
 ) -> tuple[Adjusted, dict[str, NewPose]]:
     """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
     adjusted = adjust_within(known, sigmas, geometries)
+    if frames and _uncertain(adjusted, geometries):
+        from .sfm.by_ground import adjust_by_ground  # here: other nights don't wait for its kernels
+
+        grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
+        adjusted = adjust_by_ground(grey, known, sigmas, geometries) or adjusted
     cameras = adjusted.cameras
     moved = _with_views_beside(cameras, overruled(cameras, Witnesses.of(tuple(cameras), geometries)))
     if moved:

@@ -13,19 +13,21 @@ Surface Normal Diffusion, ICCV 2015.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from .core.bending import straight_frame, straight_frames
-from .core.cameras import ray_angles, transfer
+from .core.cameras import ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
 from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
-from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene
+from .types import Bools, Camera, DepthMap, Float32s, Float64s, Frame, Int32s, Scene, Uint8s
 
 _LIKELY = 0.2
 """The ground may cost so much more than what was found."""
@@ -41,6 +43,9 @@ _SURE_COST = 0.3
 
 _SURE_ALONE = 0.05
 """What a single source shows so well must be believed, too."""
+
+_UNLIKE = 2.0
+"""Two cameras of which one sees the surface so many times finer meet where they see equally fine."""
 
 _SAME_SIGMAS, _SAME_SHARE, _SAME_AT_MOST = 3.0, 0.002, 0.016
 """A depth is that of the pairs if it is so many sigmas and this share of itself from it, and never more than the last share."""
@@ -88,18 +93,18 @@ def refine(
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
-    around = _sources(camera, others, depth, min_angle_deg, max_angle_deg)[: min(max_sources, 32)]
-    if not around:
+    finer = _as_fine(camera, others, depth, _sources(camera, others, depth, min_angle_deg, max_angle_deg))
+    if not finer:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    image, sources = luminance(frame.image), _stack([luminance(frames[other].image) for other in around])
-    M, b = (np.stack(part) for part in zip(*(transfer(camera, cameras[other]) for other in around), strict=True))
-    spacing, far = max(1, round(max(image.shape) / 768)), max(2, round(5 * max(image.shape) / 768))
+    around = list(finer)[: min(max_sources, 32)]
+    reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
+    image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
+    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
+    spacing = _spacing_px(max(image.shape), [finer[other] for other in around])
+    far = max(2, round(5 * max(image.shape) / 768))
     then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
-    planes = _planes_of(depth)
-    if then_depth is not None:
-        planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
-    known = np.isfinite(planes[0])
-    nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
+    planes = _first_planes(depth, then_depth)
+    nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(radius))
     cost = propagation.improve(planes, sweeps if then_depth is None else min(sweeps, _AGAIN), far, 0.9 * farthest, 1.1 * nearest)
     ground = ground_planes(camera, scene.ground) if scene is not None and scene.ground is not None else None
@@ -118,9 +123,22 @@ def refine(
     return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
 
 
+def _as_fine(camera: Camera, others: Mapping[str, Camera], depth: DepthMap, useful: Sequence[str]) -> dict[str, float]:
+    """How much finer useful views see than the camera.  What a view shows that sees much less fits at many depths: it is asked
+    only where there is no other."""
+    finer = {name: _finer(camera, others[name], depth) for name in useful}
+    return {name: times for name, times in finer.items() if times * _UNLIKE >= 1} or finer
+
+
 def _planes_of(depth: DepthMap) -> Float32s:
     """(3, h, w): inverse depth, and how it changes per pixel in x and y; nan where unknown."""
     return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
+
+
+def _first_planes(depth: DepthMap, then_depth: DepthMap | None) -> Float32s:
+    """Tonight's, and the reference's where tonight has none."""
+    planes = _planes_of(depth)
+    return planes if then_depth is None else np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
 
 
 def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap | None) -> bool:
@@ -172,6 +190,32 @@ def _sources(
         if other.component == camera.component:
             angles.append((float(np.degrees(np.median(ray_angles(camera.C - points, other.C - points)))), name))
     return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
+
+
+def _spacing_px(side: int, finer: list[float]) -> int:
+    """Of the pixels of a patch, in an image so long: as far apart as those of views that see much less."""
+    coarser = 1 / float(np.median(finer))
+    return max(1, round(side / 768), round(coarser) if coarser > _UNLIKE else 1)
+
+
+def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:
+    """How many times finer another camera sees the surface than this one does."""
+    y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
+    z = start.depth[::8, ::8][y, x].astype(np.float64)
+    points = (np.column_stack([8.0 * x, 8.0 * y, np.ones(len(x))]) @ np.linalg.inv(camera.K).T * z[:, None]) @ camera.R + camera.C
+    there = (points - other.C) @ other.R[2]
+    seen = there > 0
+    return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
+
+
+def _reduced(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camera]:
+    """The picture (h, w, 3) of a camera that sees much finer than another one, as coarse as the other's."""
+    if finer <= _UNLIKE:
+        return image, camera
+    width, height = (max(8, round(side / finer)) for side in (camera.width, camera.height))
+    K = scaled_intrinsics(camera.K, width / camera.width, height / camera.height)
+    small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return small, replace(camera, K=K, width=width, height=height)
 
 
 def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:

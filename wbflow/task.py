@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 Subject = tuple[str, ...]
 """What a task works on: () for the site, (camera,) or (left, right).  Of a camera that is too wide for one pinhole each view
@@ -22,9 +22,8 @@ def camera_of(view: str) -> str:
     return view.partition(_VIEW)[0]
 
 
-@dataclass(frozen=True)
-class Task:
-    """A stage applied to one subject."""
+class Task(NamedTuple):
+    """A stage applied to one subject.  (A plan asks for tasks by the hundred thousand: tuples are found quickest.)"""
 
     stage: str
     subject: Subject = ()

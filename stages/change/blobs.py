@@ -40,6 +40,9 @@ _TOLD = 0.5
 _CLEAR = 3.0
 """Most of a change is higher than so many standard deviations of its points."""
 
+_CLEARED = 0.75
+"""Of the cameras that saw it, this share must see through its place, in the mean over its points."""
+
 
 @dataclass(frozen=True)
 class Blob:
@@ -52,8 +55,6 @@ class Blob:
     """The points are those of then: it has vanished."""
     colour: Float64s
     """(2,) mean shares of red and green."""
-    cleared: float
-    """Mean share of the cameras that saw it which saw through its place on the other night."""
     swept: float
     """Volume between both nights' surfaces as the distances tell it; inf where most of it lies too far off for these."""
 
@@ -67,8 +68,9 @@ def find_blobs(
     of_then: bool,
     spacing: float,
     least_area: float,
+    alike: float,
 ) -> list[Blob]:
-    """The things that a night's changed points make.
+    """The things that a night's changed points make, as far as most cameras say so that could and the photographs differ.
 
     Parameters
     ----------
@@ -86,6 +88,8 @@ def find_blobs(
         Of the points.
     least_area
         A change has at least so much surface.
+    alike
+        Places whose pictures correlate better, in the median, have not changed.
     """
     cells = np.where(side.changed, cells_of(grid, side.core), -1)
     covered = np.zeros(grid.rows * grid.columns, bool)
@@ -100,14 +104,23 @@ def find_blobs(
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
+        likeness = _likeness(side, rows)
+        if likeness >= alike or not np.nanmean(side.cleared[rows]) >= _CLEARED:
+            continue
         change = _measured(side, rows, labels == number, same, grid, other, spacing)
         if change is not None:
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
-            colour, cleared = shares[:2] / max(float(shares.sum()), 1.0), float(np.nanmean(side.cleared[rows]))
-            swept = _swept(side, rows, surface)
-            found.append(Blob(replace(change, kind=kind), rows, of_then, colour, cleared, swept))
+            colour, swept = shares[:2] / max(float(shares.sum()), 1.0), _swept(side, rows, surface)
+            found.append(Blob(replace(change, kind=kind, likeness=likeness), rows, of_then, colour, swept))
     return found
+
+
+def _likeness(side: Evidence, rows: Int64s) -> float:
+    """Median of what is known of these points; -2 where nothing is."""
+    likeness = side.likeness[rows]
+    known = likeness[np.isfinite(likeness)]
+    return float(np.median(known)) if len(known) else -2.0
 
 
 def _swept(side: Evidence, rows: Int64s, surface: float) -> float:
@@ -199,8 +212,6 @@ def _measured(
     level = float(np.median(base[footprint])) + 0.5 * tall
     place = np.array([grid.left + (middle[0] + 0.5) * grid.cell, grid.top - (middle[1] + 0.5) * grid.cell, level]) @ grid.axes
     sides = sorted(float(max(v, 1) * grid.cell) for v in sides)  # cells at the rim are covered by half
-    likeness = side.likeness[rows]
-    known = likeness[np.isfinite(likeness)]
     return Change(
         kind="new",
         x=float(place[0]),
@@ -213,7 +224,7 @@ def _measured(
         volume=volume,
         volume_sigma=sigma,
         significance=float(np.median(side.significance[rows])),
-        likeness=float(np.median(known)) if len(known) else -2.0,
+        likeness=-2.0,
         points=len(rows),
         cameras="",
     )

@@ -3,16 +3,27 @@
 A kernel's compiled form is kept on disk beside its source (or in NUMBA_CACHE_DIR).  numba looks only at that one file's time
 stamp, so a kernel may call other kernels of *its own file* only.
 
+Processes that start side by side compile each kernel once between them: who comes second waits, and reads what the first has
+left.
+
 No fast mathematics: with leave to reorder sums, code that had just been compiled and the same code read back from the disk gave
 disparities that differed in the last bits, and so clouds of other bytes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
+
+try:
+    import fcntl
+except ImportError:  # Windows: every process compiles for itself
+    fcntl = None  # type: ignore[assignment]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -21,6 +32,40 @@ def kernel(function: Function) -> Function:
     """Compile `function` at its first call; the compiled form releases the GIL and follows numpy's rules for division by zero."""
     options: Any = {"nogil": True, "error_model": "numpy"}
     try:
-        return cast(Function, numba.njit(cache=True, **options)(function))
+        return cast(Function, _once_between_processes(numba.njit(cache=True, **options)(function)))
     except RuntimeError:  # nowhere to keep the compiled form: a read-only installation and no home, as under cron
         return cast(Function, numba.njit(**options)(function))
+
+
+def _once_between_processes(dispatcher: Any) -> Any:
+    """Let a kernel be compiled, or read from the disk, by one process at a time.
+
+    A lock for each kernel: what it calls is locked within its own, and no kernel calls itself in a circle, so nobody waits for
+    somebody who waits.  In one process numba's own lock, which it takes for every compilation, comes first.
+    """
+    compiled = dispatcher.compile
+
+    def compiled_alone(signature: Any) -> Any:
+        with global_compiler_lock, _alone(dispatcher):
+            return compiled(signature)
+
+    dispatcher.compile = compiled_alone
+    return dispatcher
+
+
+@contextmanager
+def _alone(dispatcher: Any) -> Iterator[None]:
+    """While no other process compiles this kernel; where files cannot be locked, at once."""
+    folder, function = dispatcher.stats.cache_path, dispatcher.py_func
+    name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>", "")
+    try:
+        file = (Path(folder) / name).open("wb") if folder and fcntl else None
+    except OSError:
+        file = None
+    if file is None:
+        yield
+        return
+    with file:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from ..rectification.warping import disparity_px, warp
 from ..types import Camera, Cloud, DepthMap, Disparity, Float32s, Float64s, Frame, Geometry, Matches, Rectification, Uint8s
 
 WIDTH = 480
@@ -182,6 +181,8 @@ def _spread(x: Float64s, size: tuple[int, int]) -> list[int]:
 
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
     """Both rectified images side by side, with common rows drawn in."""
+    from ..rectification.warping import warp  # here: whoever shows frames has no use for compiled kernels
+
     none = np.zeros((0, 2))
     one, two = warp(rectification, 1, left.image), warp(rectification, 2, right.image)
     canvas, _, _ = _side_by_side(one, two, none, none, width)
@@ -192,6 +193,8 @@ def _rectified(rectification: Rectification, left: Frame, right: Frame, width: i
 
 def _disparities(disparity: Disparity, width: int) -> Uint8s:
     """Disparity of both views side by side, on one scale of colours."""
+    from ..rectification.warping import disparity_px  # here: as above
+
     coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
     none = np.zeros((0, 2))
     shown = _side_by_side(coloured[0], coloured[1], none, none, width)[0]

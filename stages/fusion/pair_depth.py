@@ -13,7 +13,8 @@ import numpy as np
 
 from ..core.cameras import transfer
 from ..core.jit import kernel
-from ..rectification.warping import Side, disparity_px, from_rectified, to_rectified
+from ..rectification.placement import frame_grid
+from ..rectification.warping import Side, disparity_px, from_rectified, resampling, to_rectified
 from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
 
 MOST_PAIRS = 32
@@ -21,6 +22,9 @@ MOST_PAIRS = 32
 
 _SMOOTH_PX = 2.5
 """Neighbouring pixels whose disparities differ by no more lie on one surface."""
+
+_UNLIKE = 2.0
+"""Where a rectified pixel covers so many times more of one frame than of the other, rectified pixels say how exact a match is."""
 
 _SAME_STEP = 0.3
 """Steps from row to row are those of one slope if they differ by no more than this share."""
@@ -31,7 +35,7 @@ class NoiseModel:
     """What errors of depth are to be expected."""
 
     noise_px: float = 0.35
-    """Error of a match in pixels of the other image."""
+    """Error of a match in pixels of the other image; between unlike views in rectified pixels."""
     floor: float = 0.0004
     """Relative error of depth that more pixels don't reduce."""
     limit: float = 0.006
@@ -67,7 +71,20 @@ def pair_depth(
         at[:, 0] += sign * sample_disparity(d, at)
         partner = from_rectified(rectification, 2 if side == 1 else 1, at)
         _triangulate(pixels, partner, M, b, depth.ravel(), gain.ravel())
-    return depth, gain
+    there = _frame_px(rectification, 2 if side == 1 else 1, other)
+    own = _frame_px(rectification, side, camera)
+    return depth, gain * np.float32(there) if max(own, there) > _UNLIKE * min(own, there) else gain
+
+
+def _frame_px(rectification: Rectification, side: Side, camera: Camera) -> float:
+    """Pixels of a frame to the side of a rectified one, in the median of what is shown of it."""
+    grid = frame_grid((camera.width, camera.height))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = to_rectified(rectification, side, grid)
+        width, height = rectification.size1 if side == 1 else rectification.size2
+        shown = ((x > -0.5) & (x < (width - 0.5, height - 0.5))).all(axis=1)
+        area = np.abs(resampling(rectification, side, grid[shown])[0])
+    return float(1 / np.sqrt(np.median(area))) if shown.any() else 1.0
 
 
 @kernel

@@ -32,6 +32,9 @@ _RADIUS = 4
 _ALIKE = 0.6
 """Patches that correlate so well look alike."""
 
+_LARGE_RADIUS, _VERY_ALIKE = 8, 0.9
+"""The same of large patches that must look the same."""
+
 _CANDIDATES = 4
 _MOST_PAIRS = 8
 _LEAST_SHARE = 0.04
@@ -59,7 +62,7 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
         The same cameras, in one world.
     """
     names = [name for name in cameras if name in images]
-    views = [_halved(images[name], cameras[name]) for name in names]
+    views = [halved(images[name], cameras[name]) for name in names]
     pairs = _pairs([camera for _, camera in views])
     if not pairs:
         return None
@@ -78,6 +81,26 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     return ground if share >= _LEAST_SHARE and share >= clearer * max(rivals, default=0.0) else None
 
 
+def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
+    """(4,) the level planes on which most looks alike to views, image and camera, that may be some pixels off: some of them."""
+    pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
+    return _level(views, pairs, ups[0]) if pairs and ups else []
+
+
+def settled_on(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
+    """The plane nearby on which most looks alike, and which share of the patches."""
+    pairs = _pairs([camera for _, camera in views])
+    settled = _settled(views, pairs, plane)
+    return _share_alike(_ways(views, pairs, settled[:3]), settled), settled
+
+
+def very_alike(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
+    """How many large patches look the same to two views if they lie on the plane: a stone looks like another one, but with all
+    that is around it, it doesn't."""
+    ways = _ways(views, _pairs([camera for _, camera in views]), plane[:3])
+    return sum(int(np.sum(_likeness(way, plane, _LARGE_RADIUS) > _VERY_ALIKE)) for way in ways)
+
+
 @dataclass(frozen=True)
 class _Way:
     """One view compared with another."""
@@ -88,7 +111,7 @@ class _Way:
     """(n, 2) whole pixels of the first."""
 
 
-def _halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
+def halved(image: Float32s, camera: Camera) -> tuple[Float32s, Camera]:
     """A view at half its size: planes a little off still fit there, so that fewer have to be tried."""
     height, width = image.shape[0] // 2, image.shape[1] // 2
     small = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean(axis=(1, 3), dtype=np.float32)
@@ -133,7 +156,7 @@ def _level(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], u
 
 def _ways(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[_Way]:
     ways = ((views[a], views[b]) for i, j in pairs for a, b in ((i, j), (j, i)))
-    return [_Way(one, two, _patches(one[1], up)) for one, two in ways]
+    return [_Way(one, two, below_horizon(one[1], up, _PATCHES)) for one, two in ways]
 
 
 def _share_alike(ways: list[_Way], plane: Float64s) -> float:
@@ -173,22 +196,22 @@ def _settled(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]],
     return moved(np.asarray(found.x, dtype=np.float64))
 
 
-def _patches(camera: Camera, up: Float64s) -> Float64s:
-    """(n, 2) whole pixels of a grid that look below the horizon."""
-    step = max(camera.width, camera.height) / _PATCHES
+def below_horizon(camera: Camera, up: Float64s, across: int) -> Float64s:
+    """(n, 2) whole pixels of a grid that look below the horizon; across: of so many over the wider side."""
+    step = max(camera.width, camera.height) / across
     x, y = np.arange(step / 2, camera.width, step), np.arange(step / 2, camera.height, step)
     pixels = np.floor(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     direction = rays(camera, pixels)
     return np.asarray(pixels[up @ direction < -0.03 * np.linalg.norm(direction, axis=0)])
 
 
-def _likeness(way: _Way, plane: Float64s) -> Float64s:
+def _likeness(way: _Way, plane: Float64s, radius: int = _RADIUS) -> Float64s:
     """(n,) correlation of the patches of one view with what the other one shows there if they lie on the plane; nan: not seen."""
     (image1, camera1), (image2, camera2) = way.one, way.two
     if plane[:3] @ camera1.C + plane[3] <= 0 or plane[:3] @ camera2.C + plane[3] <= 0:
         return np.full(len(way.patches), np.nan)
     out = np.empty(len(way.patches))
-    _correlate(image1, image2, way.patches, ground_homography(camera1, camera2, plane), _RADIUS, out)
+    _correlate(image1, image2, way.patches, ground_homography(camera1, camera2, plane), radius, out)
     return out
 
 

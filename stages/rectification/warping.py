@@ -19,6 +19,9 @@ from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Re
 
 Side = Literal[1, 2]
 Pixels = TypeVar("Pixels", np.uint8, np.float32)
+_COARSE_PX, _SOME = 2.0, 16
+"""Where rectified pixels lie farther apart than this in the frame (a camera that sees finer than its partner), the frame is
+smoothed first; looked at every so many pixels."""
 
 
 def rectified_size(rectification: Rectification, side: Side) -> tuple[int, int]:
@@ -48,7 +51,7 @@ def from_rectified(rectification: Rectification, side: Side, x: Float64s) -> Flo
 
 def warp(rectification: Rectification, side: Side, image: npt.NDArray[Pixels]) -> npt.NDArray[Pixels]:
     """Resample an image (h, w) or (h, w, 3) of the frame, uint8 or float32, by linear interpolation; 0 outside the frame."""
-    return _resampled(image, _source_of_pixels(rectification, side))
+    return _looked_up(image, _source_of_pixels(rectification, side))
 
 
 def warp_mask(rectification: Rectification, side: Side, mask: Bools) -> Bools:
@@ -73,7 +76,27 @@ def warp_with_mask(
         (h, w) pixels that may be used.
     """
     source = _source_of_pixels(rectification, side)
-    return _resampled(image, source), _resampled_mask(mask, source)
+    return _looked_up(image, source), _resampled_mask(mask, source)
+
+
+def _looked_up(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:
+    """Resampled, without detail that rectified pixels are too large for."""
+    step = _step_px(source, image.shape[1], image.shape[0])
+    if step > _COARSE_PX:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * np.sqrt(step**2 - 1)), dtype=image.dtype)
+    return _resampled(image, source)
+
+
+def _step_px(source: tuple[Float32s, Float32s], width: int, height: int) -> float:
+    """So many pixels of the frame lie from one rectified pixel to the next, in the median."""
+    x, y = source
+    rows, columns = slice(0, max(x.shape[0] - 1, 0), _SOME), slice(0, max(x.shape[1] - 1, 0), _SOME)
+    inside = ((x > 0) & (x < width - 1) & (y > 0) & (y < height - 1))[rows, columns]
+    if not inside.any():
+        return 1.0
+    along, down = ([np.roll(of, -1, axis)[rows, columns] - of[rows, columns] for of in (x, y)] for axis in (1, 0))
+    steps = np.maximum(np.hypot(*along), np.hypot(*down))[inside]
+    return float(np.median(steps))
 
 
 def _resampled(image: npt.NDArray[Pixels], source: tuple[Float32s, Float32s]) -> npt.NDArray[Pixels]:

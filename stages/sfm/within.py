@@ -22,7 +22,9 @@ from .triangulation import angles, residuals, triangulate
 MIN_MATCHES = 20
 """A pair adjusts its cameras if so many of its matches lie within what the standard deviations allow..."""
 MIN_SHARE = 0.5
-"""...and this share of them."""
+"""...and this share of them..."""
+MIN_SHARE_OF_TRUSTED = 0.3
+"""...or this one where they show no look-alikes."""
 LEAST_NOISE_PX = 0.2
 """Standard deviation of the matches at least: those of a pair err together, however small their residuals."""
 ALONE, CONFIRMED = 4.0, 400.0
@@ -36,7 +38,9 @@ MIN_ANGLE = np.radians(1.0)
 """Rays that meet at less than this don't make a point."""
 
 
-def adjust_within(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry]) -> Adjusted:
+def adjust_within(
+    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], *, trusted: bool = False
+) -> Adjusted:
     """The most probable cameras, given their stated poses with their standard deviations and the matches that these allow.
 
     Parameters
@@ -48,6 +52,8 @@ def adjust_within(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], ge
     geometries
         Matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the epipolar
         lines than the standard deviations allow.
+    trusted
+        Whether they show no look-alikes: then each pair has the weight of a confirmed one.
     """
     names = tuple(cameras)
     number = {name: k for k, name in enumerate(names)}
@@ -55,7 +61,7 @@ def adjust_within(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], ge
     for pair, geometry in geometries.items():
         if geometry.good_probability < BELIEVED:
             continue
-        if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry)) is not None:
+        if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry, trusted)) is not None:
             edges[number[pair[0]], number[pair[1]]] = near
     loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
     stated_only = Adjusted.as_stated(cameras, {name: sigmas[name] for name in loose})
@@ -67,7 +73,7 @@ def adjust_within(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], ge
     trios = Witnesses.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).trios
     confirmed = {frozenset(pair) for trio in trios for pair in combinations(trio.cameras, 2)}
     while True:
-        weight = sum(CONFIRMED if {names[i], names[j]} in confirmed else ALONE for i, j in edges)
+        weight = sum(CONFIRMED if trusted or {names[i], names[j]} in confirmed else ALONE for i, j in edges)
         found, problem = _most_probable(stated, known, tracks, weight)
         strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
         if not strayed:
@@ -80,11 +86,16 @@ def adjust_within(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], ge
         tracks = build_tracks(edges, len(names))
 
 
-def _allowed(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry) -> Geometry | None:
-    """The pair with the matches that its cameras allow; None where these are few."""
+def _allowed(
+    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry, trusted: bool
+) -> Geometry | None:
+    """The pair with the matches that its cameras allow; None where these are few.
+
+    cameras, sigmas: as stated; geometry, trusted: its matches, and whether they show no look-alikes.
+    """
     distance = symmetric_epipolar_distance(fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]]), geometry.x1, geometry.x2)
     keep = distance <= 3 * PAIR_PX + slack_px(cameras, sigmas, pair, geometry)
-    if keep.sum() < max(MIN_MATCHES, MIN_SHARE * len(keep)):
+    if keep.sum() < max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(keep)):
         return None
     rows = (None if i is None else i[keep] for i in (geometry.i1, geometry.i2))
     i1, i2 = rows

@@ -47,6 +47,7 @@ def demo_files(
     captures: int | None = None,
     seed: int = 0,
     lenses: str = "standard",
+    surfaces: str = "standard",
 ) -> DemoFiles:
     """Render a scene; the same arguments give the same bytes.
 
@@ -64,14 +65,19 @@ def demo_files(
         Of everything that is drawn at random.
     lenses : str
         A name of `variants.VARIANTS`.
+    surfaces : str
+        A name of `weak.SURFACES`.
 
     Raises
     ------
     ValueError
-        An unknown scene, light or kind of lenses, or impossible numbers.
+        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
     """
-    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, lenses=lenses)
-    which = ({} if scene == "yard" else {"scene": scene}) | ({} if lenses == "standard" else {"lenses": lenses})
+    kinds = {"lenses": lenses, "surfaces": surfaces}
+    site = render(
+        scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, lenses=lenses, surfaces=surfaces
+    )
+    which = ({} if scene == "yard" else {"scene": scene}) | {key: kind for key, kind in kinds.items() if kind != "standard"}
     told = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
     return DemoFiles(told, _files(site, scene, light, lenses))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import ground
+from . import ground, weak
 from . import textures as paint
 from .cameras import CENTRE, Mount, position
 from .lighting import light_of
@@ -38,12 +38,24 @@ WOOD = ((0.36, 0.25, 0.14), (0.27, 0.21, 0.15), (0.42, 0.33, 0.2))
 DRUMS = ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
 
 
-def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel."""
+def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...], surfaces: str = "standard") -> Scene:
+    """Everything that stands still.
+
+    Parameters
+    ----------
+    rng
+        What is drawn at random.
+    texel_m
+        Metres per texel of the textures.
+    mounts
+        What the cameras stand on.
+    surfaces
+        See `weak.SURFACES`.
+    """
     build = SceneBuilder()
     build.kind = STATIC
-    _ground(build, rng, texel_m)
-    _buildings(build, rng, texel_m)
+    _ground(build, rng, texel_m, surfaces)
+    _buildings(build, rng, texel_m, surfaces)
     for box in CONTAINERS:
         container(build, rng, texel_m, box)
     crane(build, rng, (7.0, 21.5), texel_m, height=10.0, reach=11.0, bearing=0.45)
@@ -51,12 +63,15 @@ def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> Scene:
     return build.build()
 
 
-def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Cobbles, the concrete quay with its edge, and the water."""
+def _ground(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> None:
+    """Cobbles (or half asphalt, half snow), the concrete quay with its edge, and the water."""
     east, south = np.array([1.0, 0, 0]), np.array([0, -1.0, 0])
-    stones = build.add_texture(ground.cobbles(rng, 40.0, 24.0, texel_m))
+    if surfaces == "weak":
+        for x, paving in ((0.0, weak.wet_asphalt), (20.0, weak.snow)):
+            build.quad((x, 30.0, 0.0), 20 * east, 24 * south, build.add_texture(paving(rng, 20.0, 24.0, texel_m)))
+    else:
+        build.quad((0.0, 30.0, 0.0), 40 * east, 24 * south, build.add_texture(ground.cobbles(rng, 40.0, 24.0, texel_m)))
     quay = build.add_texture(ground.concrete(rng, 60.0, 11.0, texel_m, text="FREIHALTEN   KRAN 07   HALT"))
-    build.quad((0.0, 30.0, 0.0), 40 * east, 24 * south, stones)
     build.quad((-10.0, 6.0, 0.0), 60 * east, 11 * south, quay)
     build.quad((-10.0, -5.0, 0.0), 60 * east, -1.8 * UP, quay)
     apron = build.add_texture(ground.concrete(rng, 14.0, 30.0, 2 * texel_m))
@@ -67,11 +82,11 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     build.kind = STATIC
 
 
-def _buildings(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
+def _buildings(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> None:
     """Two brick warehouses alike, a plastered shed opposite, gatehouse and office: all with the same window."""
     pane = build.add_texture(paint.window(1.2, 1.8, texel_m))
     stone = build.add_texture(ground.concrete(rng, 2.0, 1.0, texel_m))
-    _facades(build, rng, texel_m, pane, stone)
+    _facades(build, rng, texel_m, pane, stone, surfaces)
     tiles = build.add_texture(paint.roof_tiles(rng, 42.0, 6.6, 1.5 * texel_m))
     build.quad((-1.0, 35.0, WALL_TOP + 3.4), (42.0, 0, 0), (0, -5.5, -3.6), tiles)
     build.quad((45.0, 31.5, WALL_TOP + 3.4), (0, -20.0, 0), (-5.5, 0, -3.6), tiles)
@@ -92,14 +107,18 @@ def _buildings(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     _signs(build, rng, texel_m)
 
 
-def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int) -> None:
+def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int, surfaces: str) -> None:
     """The walls that close the yard in the north, east and west."""
     colours = ((0.13, 0.24, 0.19), (0.13, 0.24, 0.19), (0.10, 0.16, 0.30), (0.35, 0.33, 0.30), (0.13, 0.24, 0.19))
     doors = [build.add_texture(paint.roller_door(rng, 3.4, 3.4, texel_m, c, str(k + 1))) for k, c in enumerate(colours)]
     gate = build.add_texture(paint.planks(rng, 3.4, 3.4, texel_m))
-    north = paint.brick_wall(rng, 40.0, WALL_TOP, texel_m, sign="WERFT & LAGERHAUS HANSEN")
-    east = paint.brick_wall(rng, 18.0, WALL_TOP, texel_m, sign="LAGERHAUS II")
-    west = paint.plaster(rng, 17.0, SHED_TOP, texel_m)
+    if surfaces == "weak":
+        north, east = (weak.white_plaster(rng, width, WALL_TOP, texel_m) for width in (40.0, 18.0))
+        west = weak.white_plaster(rng, 17.0, SHED_TOP, texel_m)
+    else:
+        north = paint.brick_wall(rng, 40.0, WALL_TOP, texel_m, sign="WERFT & LAGERHAUS HANSEN")
+        east = paint.brick_wall(rng, 18.0, WALL_TOP, texel_m, sign="LAGERHAUS II")
+        west = paint.plaster(rng, 17.0, SHED_TOP, texel_m)
     for texture, corner, right, width, leaves in (
         (north, (0.0, 30.0, WALL_TOP), (1.0, 0.0, 0.0), 40.0, [doors[0], gate, doors[1], doors[2]]),
         (east, (40.0, 30.5, WALL_TOP), (0.0, -1.0, 0.0), 18.0, [doors[4], gate]),

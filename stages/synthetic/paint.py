@@ -25,11 +25,13 @@ class Texture:
     """(h, w, 3) uint8, square root of the linear reflectance."""
     texel_m: float
     """Metres per texel."""
+    gloss: float = 0.0
+    """How much of it is as smooth as water, 0 to 1: it mirrors the sky."""
 
 
-def encode(reflectance: Float32s, texel_m: float) -> Texture:
+def encode(reflectance: Float32s, texel_m: float, gloss: float = 0.0) -> Texture:
     """A texture of a (h, w, 3) linear reflectance."""
-    return Texture((np.sqrt(np.clip(reflectance, 0.004, 0.97)) * 255 + 0.5).astype(np.uint8), texel_m)
+    return Texture((np.sqrt(np.clip(reflectance, 0.004, 0.97)) * 255 + 0.5).astype(np.uint8), texel_m, gloss)
 
 
 def shape_of(width_m: float, height_m: float, texel_m: float) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from ..core.jit import kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
 from .paint import Texture
 from .scene import GLOWING, STATIC, Scene
+from .sky import add_sheen, sky_radiance
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
 
@@ -237,7 +238,7 @@ def shade(prepared: PreparedScene, seen: Seen, jitter: Float32s) -> Float32s:
         _add_lamp(prepared, received, lifted, facing, lamp)
     if light.lamps:
         received[scene.kinds[seen.facet[hit]] == GLOWING] = 1.2
-    radiance[hit] = seen.albedo * received
+    radiance[hit] = add_sheen(prepared, seen, lifted, seen.albedo * received)
     return radiance
 
 
@@ -276,19 +277,6 @@ def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, plac
         cosine = (normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z) / distance
         hood = min(max(0.15 + z / distance, 0.03), 1.0)
         strength[k] = max(max(cosine, 0.0) * hood / (square + 0.3) - least, 0.0)
-
-
-def sky_radiance(light: Light, directions: Float32s) -> Float32s:
-    """The sky: haze at the horizon, the light's own colour higher up, drifting bands of cloud."""
-    up = np.clip(directions[:, 2], 0, 1)[:, None]
-    blend = np.sqrt(up)
-    x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
-    band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0) + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(
-        3.3 * y - 1.2 * x
-    )
-    cloud = light.clouds * np.clip(band, 0, 1)[:, None]
-    colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
-    return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
 
 
 @kernel

@@ -13,6 +13,7 @@ from typing import cast
 from .shooting import DemoSite
 from .shots import Daytime, Shots
 from .variants import check_lenses
+from .weak import check_surfaces
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ def render(
     seed: int = 0,
     light: str = "day",
     lenses: str = "standard",
+    surfaces: str = "standard",
 ) -> DemoSite:
     """Render a scene in memory; the same arguments give the same bytes.
 
@@ -73,19 +75,23 @@ def render(
         "day", "dusk", "night", or "dark": night without lamps.
     lenses : str
         A name of `variants.VARIANTS`.
+    surfaces : str
+        A name of `weak.SURFACES`.
 
     Raises
     ------
     ValueError
-        An unknown scene, light or kind of lenses, or impossible numbers.
+        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
     """
     if name not in SCENES:
         raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")
     row = SCENES[name]
     check_lenses(lenses)
+    check_surfaces(surfaces, name)
     if small:
         cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures
     module, _, function = row.function.partition(":")
     scene = getattr(import_module(module), function)
     counts = (row.cameras if cameras is None else cameras, row.captures if captures is None else captures)
-    return cast(DemoSite, scene(Shots(*counts, size or row.size, seed, cast(Daytime, light), lenses=lenses)))
+    shots = Shots(*counts, size or row.size, seed, cast(Daytime, light), lenses=lenses, surfaces=surfaces)
+    return cast(DemoSite, scene(shots))

@@ -28,6 +28,8 @@ class Shots:
     """Of rendering; the result does not depend on it."""
     lenses: str = "standard"
     """A name of `variants.VARIANTS`."""
+    surfaces: str = "standard"
+    """A name of `weak.SURFACES`."""
 
     def check(self, there_are: int) -> None:
         """Raises ValueError for pictures that are too small, or none, and for more cameras than `there_are`."""

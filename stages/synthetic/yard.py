@@ -16,7 +16,7 @@ def yard(shots: Shots) -> DemoSite:
     texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
     night = Night(
         viewpoints=tuple(viewpoint_of(mount) for mount in mounts),
-        still=static_yard(shots.random(1), texel_m, choose_mounts(len(MOUNTS))),
+        still=static_yard(shots.random(1), texel_m, choose_mounts(len(MOUNTS)), shots.surfaces),
         traffic=tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures)),
         lighting=yard_light(shots.light),
     )

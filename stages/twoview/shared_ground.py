@@ -69,11 +69,10 @@ def _of_many(cameras: list[Camera], distances: Float64s) -> tuple[Int64s, Float6
         others = np.flatnonzero(visible.any(axis=1))
         seen[i, others] = visible[others].mean(axis=1)
         angle[i, others] = _median_angles(rays, apart[others], visible[others])
-    rows, columns = np.nonzero(np.triu((seen > 0) | (seen.T > 0), 1))
-    one, other = angle[rows, columns].astype(np.float64), angle[columns, rows].astype(np.float64)
+    left, right = np.nonzero(np.triu((seen > 0) | (seen.T > 0), 1))
+    one, other = angle[left, right].astype(np.float64), angle[right, left].astype(np.float64)
     mean = np.where(np.isnan(one), other, np.where(np.isnan(other), one, 0.5 * (one + other)))
-    both = seen[rows, columns].astype(np.float64) + seen[columns, rows]
-    return np.column_stack([rows, columns]), mean, 0.5 * both
+    return np.column_stack([left, right]), mean, 0.5 * (seen[left, right].astype(np.float64) + seen[right, left])
 
 
 def _frustum(camera: Camera) -> Float64s:

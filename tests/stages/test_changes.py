@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from tests.helpers.changed_yard import CRATE, Box, BoxNight, box_night
 from wbflow_stages.changes import find_changes
 from wbflow_stages.exports.changed import changes_files, changes_preview
-from wbflow_stages.types import NEW, UNKNOWN, VANISHED, Change, Changes
+from wbflow_stages.types import NEW, UNKNOWN, VANISHED, Change, Changes, DepthMap
 
 NEW_BOX: Box = ((2.2, -2.4, 0.0), (3.6, -1.2, 0.9))
 
@@ -121,6 +122,21 @@ def test_what_half_of_the_cameras_see_through_and_the_others_do_not_know_has_not
         gone = seen.depth > then.depths[name].depth + 0.1
         depths[name] = replace(seen, depth=np.where(gone, np.nan, seen.depth).astype(np.float32))
     assert compared(replace(tonight, depths=depths), then).count == 0
+
+
+def test_each_depth_map_is_read_once() -> None:
+    reads: Counter[str] = Counter()
+
+    class Read(dict[str, DepthMap]):
+        def __getitem__(self, name: str) -> DepthMap:
+            reads[name] += 1
+            return super().__getitem__(name)
+
+    tonight, then = night(CRATE, NEW_BOX, seed=1).arguments(), night(CRATE).arguments("then_")
+    tonight["depths"], then["then_depths"] = Read(tonight["depths"]), Read(then["then_depths"])
+    find_changes(**tonight, **then)
+    assert set(reads) == set(tonight["depths"])
+    assert set(reads.values()) == {2}  # tonight's and then's
 
 
 def test_only_changes_in_a_zone_count() -> None:

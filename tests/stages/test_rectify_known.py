@@ -43,15 +43,15 @@ def test_a_camera_that_is_tilted_by_three_degrees_is_not_confirmed(degrees: floa
 
 def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
     """Rows of bent frames are straight again, by the matches as they were found and by dense matching."""
-    lenses = [replace(camera, radial=(-0.2, 0.02)) for camera in (ONE, TWO)]
+    left, right = (replace(camera, radial=(-0.2, 0.02)) for camera in (ONE, TWO))
     height, width = FRAMES[0].mask.shape
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     bent = []
-    for frame, lens in zip(FRAMES, lenses, strict=True):
+    for frame, lens in zip(FRAMES, (left, right), strict=True):
         u, v = without_distortion(lens, np.column_stack([x.ravel(), y.ravel()])).T.astype(np.float32).reshape(2, height, width)
         image = np.asarray(cv2.remap(frame.image, u, v, cv2.INTER_LINEAR), np.uint8)
         bent.append(replace(frame, image=image))
-    found = rectify(None, lenses[0], lenses[1], None, bent[0], bent[1])
+    found = rectify(None, left, right, None, bent[0], bent[1])
     assert isinstance(found, Rectification) and found.verified == "dense"
     assert found.bend1 is not None and found.bend2 is not None
     asis = rectify(None, ONE, TWO, None, *FRAMES)
@@ -62,7 +62,7 @@ def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
         np.column_stack(bent_pixels(bend, *points.T))
         for bend, points in zip((found.bend1, found.bend2), (matched.x1, matched.x2), strict=True)
     ]
-    by_matches = rectify(replace(matched, x1=there[0].astype(np.float64), x2=there[1].astype(np.float64)), lenses[0], lenses[1])
+    by_matches = rectify(replace(matched, x1=there[0].astype(np.float64), x2=there[1].astype(np.float64)), left, right)
     assert isinstance(by_matches, Rectification) and by_matches.vertical_px < 0.05
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 @click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
 @click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown, mixed or infrared: other cameras.")
+@click.option("--surfaces", default="standard", metavar="KIND", help="weak: the yard with white walls, wet asphalt and snow.")
 @click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
 @click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Nights of the yard (640x360); what happens is in truth.")
@@ -31,6 +32,7 @@ def demo(
     small: bool,
     light: str,
     lenses: str,
+    surfaces: str,
     cameras: int | None,
     seed: int,
     nights: int | None,
@@ -45,15 +47,16 @@ def demo(
     wbflow demo yard                              eight cameras
     wbflow demo hall --scene hall-2 --light dusk
     wbflow demo wide --lenses fisheye             every second camera sees 180 degrees
+    wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small
     """
     from ..results.demo import write_demo, write_nights
 
     if nights is None:
-        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed, lenses=lenses)
-    elif (scene, light, lenses) != ("yard", "day", "standard"):
+        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed, lenses=lenses, surfaces=surfaces)
+    elif (scene, light, lenses, surfaces) != ("yard", "day", "standard", "standard"):
         raise UsageError(
-            "--nights renders the yard, each night in its own light", remedy="leave out --scene, --light and --lenses"
+            "--nights renders the yard, each night in its own light", remedy="leave out --scene, --light, --lenses and --surfaces"
         )
     else:
         write_nights(folder, nights, frames=frames, small=small, cameras=cameras, seed=seed)

@@ -220,6 +220,11 @@ class Site:
         return all(camera.posed for camera in self.cameras)
 
     @property
+    def rough(self) -> bool:
+        """Is the whole pose of some camera stated with standard deviations?"""
+        return any(camera.stated and camera.placement.sigma_deg > 0 for camera in self.cameras)
+
+    @property
     def some_stated(self) -> bool:
         """Are the intrinsics and poses of two cameras or more stated, exactly or not?"""
         return sum(camera.stated for camera in self.cameras) > 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from .functions import FunctionInfo, FunctionReader
@@ -30,7 +31,7 @@ class Binding:
     parameters: dict[str, Parameter]
     """The function's own, and those of the chosen method."""
 
-    @property
+    @cached_property
     def code(self) -> str:
         """Fingerprint of all code that runs."""
         if self.method is None:

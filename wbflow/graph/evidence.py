@@ -107,8 +107,8 @@ def _promising(
         if (a := group(one)) != (b := group(other)):
             groups[a] = b
             keep[row] = True
-    chosen: np.ndarray = rows[keep]
-    return chosen
+    promising: np.ndarray = rows[keep]
+    return promising
 
 
 def _among_best(pairs: np.ndarray, promise: np.ndarray, most: int) -> np.ndarray:

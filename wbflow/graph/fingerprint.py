@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .modules import Modules, imported, origin_of
+from .modules import Modules, imported, origin_of, statements
 
 FOLLOWED = ("wbflow_stages",)
 """Packages whose modules are followed whoever imports them."""
@@ -44,7 +44,7 @@ class ModuleCode:
 
 def module_code(modules: Modules, module: str, path: Path) -> ModuleCode:
     """Read one module."""
-    tree = modules.tree(path)
+    tree = modules.parse(path)
     names = list(imported(tree, module, path))
     followed = [
         name
@@ -52,7 +52,7 @@ def module_code(modules: Modules, module: str, path: Path) -> ModuleCode:
         if name != module and _is_followed(modules, name, module) and (certain or modules.file(name) is not None)
     ]
     libraries = {name.partition(".")[0] for name, _ in names} & set(LIBRARIES)
-    digest = _digest(ast.dump(_bare(modules, module, path)))
+    digest = _digest(ast.dump(_bare(tree, modules, module, path)))
     return ModuleCode(digest, tuple(dict.fromkeys(followed)), tuple(sorted(libraries)))
 
 
@@ -72,7 +72,7 @@ def function_digest(modules: Modules, module: str, path: Path, name: str, table:
     table : str
         Name of a dictionary of methods in the same module, which is left out; the chosen method has its own fingerprint.
     """
-    tree = _bare(modules, module, path)
+    tree = _bare(modules.parse(path), modules, module, path)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and node.name == name and node in tree.body:
             node.name = "<this function>"
@@ -116,14 +116,12 @@ def _is_followed(modules: Modules, name: str, module: str) -> bool:
     return top == module.partition(".")[0] or top in FOLLOWED or modules.beside(name)
 
 
-def _bare(modules: Modules, module: str, path: Path) -> ast.Module:
-    """A tree of one's own without docstrings, and without the names of modules that are followed."""
-    tree = modules.parse(path)
-    for node in ast.walk(tree):
+def _bare(tree: ast.Module, modules: Modules, module: str, path: Path) -> ast.Module:
+    """The tree of a module, stripped of docstrings and of the names of modules that are followed."""
+    for node in statements(tree):
         for block in ("body", "orelse", "finalbody"):
-            statements = getattr(node, block, None)
-            if isinstance(statements, list):
-                setattr(node, block, [s for s in statements if not _is_text(s)])
+            if block in node._fields:
+                setattr(node, block, [s for s in getattr(node, block) if not _is_text(s)])
         if isinstance(node, ast.ImportFrom):
             origin = origin_of(node, module, path)
             if _is_followed(modules, origin, module):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -145,9 +145,23 @@ def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
     return ".".join([*base, node.module] if node.module else base)
 
 
+def statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """All statements of a tree, and what holds them, in the order of `ast.walk`; most nodes of a tree are expressions."""
+    waiting = deque([tree])
+    while waiting:
+        node = waiting.popleft()
+        for block in node._fields:
+            if block in _BLOCKS:
+                waiting.extend(getattr(node, block))
+        yield node
+
+
+_BLOCKS = frozenset({"body", "handlers", "orelse", "finalbody", "cases"})
+
+
 def imported(tree: ast.AST, module: str, path: Path) -> Iterator[tuple[str, bool]]:
     """Names of everything imported anywhere in a module, in the order of the text; whether a module is meant for certain."""
-    for node in ast.walk(tree):
+    for node in statements(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, True) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -168,7 +168,7 @@ def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence:
     for cameras in [cameras for cameras in wanted if cameras not in found] if len(views) > ALL_KNOWN else ():
         first = {camera_of(view): view for view in reversed(views) if camera_of(view) in cameras}
         if len(first) == 2:
-            one, other = sorted(first.values(), key=views.index)
-            found[cameras] = pair = one, other
-            evidence[pair] = (math.nan, 0.0)
+            left, right = sorted(first.values(), key=views.index)
+            found[cameras] = left, right
+            evidence[left, right] = math.nan, 0.0
     return set(found.values())

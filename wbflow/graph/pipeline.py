@@ -33,7 +33,6 @@ from .rows import (
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
 
-
 SITE_TYPES = {
     SiteValue.CAPTURES: "wbflow_stages.types:Capture",
     SiteValue.MASK: "wbflow_stages.types:Capture",
@@ -206,6 +205,7 @@ STAGES: tuple[Stage, ...] = (
             "placements": _PLACEMENTS,
             "geometries": FromStage("geometry", Which.ALL, empty_if_stated=True),
             "survey": FromSite(SiteValue.SURVEY),
+            "frames_if_rough": FromStage("frames", Which.ALL, only_if_rough=True),
         },
         offers={"frames": FromStage("frames", Which.ALL), "features": FromStage("features", Which.ALL)},
         role=Role.WORLD,

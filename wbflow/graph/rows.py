@@ -99,6 +99,8 @@ class FromStage:
     """May be missing: then the function gets None, or an entry less."""
     unless_posed: bool = False
     """Not needed (an empty mapping) where the site file gives every camera's intrinsics and pose."""
+    only_if_rough: bool = False
+    """Not needed (an empty mapping) where the site file states no whole pose with standard deviations."""
     empty_if_stated: bool = False
     """May be an empty mapping where the site file states the intrinsics and poses of two cameras or more."""
     unless: tuple[str, ...] = ()

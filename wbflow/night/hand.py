@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -20,6 +21,8 @@ from .worker import Done
 
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""
+LOOK_SECONDS = 0.25
+"""How often it is looked whether it is still there."""
 PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Of an image whose header nobody has read before OpenCV does."""
 
@@ -44,6 +47,9 @@ class Hand:
         finally:
             theirs.close()
         self.pipe = Connection(ours.detach())
+        self._told = select.poll()
+        self._told.register(self.pipe.fileno(), select.POLLIN)
+        self._looked = 0.0
         self.ready = False
         """Has it said that it works?"""
         self.since = time.monotonic()
@@ -60,9 +66,11 @@ class Hand:
     def heard(self) -> tuple[list[Done | None], bool]:
         """What it has told (None: it is done with what it was given), and whether it is still there."""
         told: list[Done | None] = []
-        alive = self._process.poll() is None
+        alive = True
+        if (now := time.monotonic()) > self._looked + LOOK_SECONDS:  # its pipe tells of its end, unless another process holds it
+            alive, self._looked = self._process.poll() is None, now
         try:
-            while self.pipe.poll():
+            while self._told.poll(0):
                 told.append(self.pipe.recv())
         except (EOFError, OSError):
             alive = False

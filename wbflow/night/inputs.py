@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from ..config.site import Site, SiteCamera
 from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
-from ..store.cache import Cache, Receipt
+from ..store.cache import Receipt
 from ..task import Subject, Task
 from .captures import CaptureFile
 from .obstacles import Impossible, Waiting, because
@@ -28,7 +28,6 @@ class Inputs:
     captures: dict[str, list[CaptureFile]]
     masks: dict[str, CaptureFile]
     expectations: dict[str, str]
-    cache: Cache
     subjects: Subjects
     stages: Collection[Stage]
     """Those that take part tonight."""
@@ -93,7 +92,7 @@ class Inputs:
             return self.pinned.input(need, stage, task)
         if isinstance(need, FromPast):
             return self.pinned.observed(need, task)
-        if need.unless_posed and self.site.posed:
+        if self._needless(need):
             return Joined({})
         origin = stage_named(need.stage)
         if need.which in {Which.ALL, Which.AROUND}:
@@ -101,14 +100,14 @@ class Inputs:
         part = need.part
         if part and origin.scope == "site" and stage.scope != "site":
             camera = side(need, task)
-            part = dataclasses.replace(part, entry="--".join(camera or task.subject))
+            part = Part(part.field, "--".join(camera or task.subject))
         return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, among)
 
     def upstreams(self, task: Task, needs: Mapping[str, Need]) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found: list[Task] = []
         for need in needs.values():
-            if not isinstance(need, FromStage) or (need.unless_posed and self.site.posed):
+            if not isinstance(need, FromStage) or self._needless(need):
                 continue
             origin = stage_named(need.stage)
             if need.optional and origin not in self.stages:
@@ -118,6 +117,10 @@ class Inputs:
             else:
                 found.append(Task(origin.name, subject_of(origin, need, task)))
         return list(dict.fromkeys(found))
+
+    def _needless(self, need: FromStage) -> bool:
+        """Does what the site file says of poses make it an empty mapping?"""
+        return (need.unless_posed and self.site.posed) or (need.only_if_rough and not self.site.rough)
 
     def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
         if upstream in among:
@@ -140,7 +143,7 @@ class Inputs:
     def _found(self, upstream: Task, part: Part | None, receipt: Receipt) -> Stored:
         known = self._resolved.get((upstream, part))
         if known is None or known[0] is not receipt:
-            known = receipt, Stored(upstream, part).resolved(self.cache, receipt)
+            known = receipt, Stored(upstream, part).resolved(receipt)
             self._resolved[upstream, part] = known
         return known[1]
 
@@ -174,9 +177,9 @@ class Inputs:
         """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question."""
         assert need.part
         items: dict[Subject, Value | Stored] = {}
+        optional = dataclasses.replace(need, optional=True)
         for camera in self.subjects.around(task.subject[0]):
-            part = dataclasses.replace(need.part, entry=camera)
-            stored = self._stored(Task(origin.name), dataclasses.replace(need, optional=True), part, set())
+            stored = self._stored(Task(origin.name), optional, Part(need.part.field, camera), set())
             if isinstance(stored, Stored):
                 items[camera,] = stored
         if not items:

@@ -239,7 +239,7 @@ class Pinned:
             part = dataclasses.replace(part, entry="--".join(subject))
         if part and str(part) not in receipt.parts:
             return Absent()
-        return Stored(upstream, part).resolved(self.cache, receipt)
+        return Stored(upstream, part).resolved(receipt)
 
 
 def judged(state: State | None) -> Health | None:

@@ -63,6 +63,8 @@ class Plan:
     """Cameras whose captures are not of tonight."""
     _agenda: Agenda = field(default_factory=Agenda)
     _bindings: dict[str, Binding] = field(default_factory=dict)
+    _known_parameters: dict[str, tuple[dict[str, Any], dict[str, str]]] = field(default_factory=dict)
+    """By stage, or by the function in its place."""
     _stages: list[Stage] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -81,7 +83,7 @@ class Plan:
         cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
-        known = self.site, self.captures, self.masks, self.expectations, self.cache
+        known = self.site, self.captures, self.masks, self.expectations
         self._from = Inputs(*known, self._subjects, self._stages, self.states, self._pinned)
 
     def refresh(self) -> None:
@@ -104,8 +106,6 @@ class Plan:
         self.undrawn.pop(task, None)
         self._pinned.settled(task)
         self._agenda.settled(task)
-        if state.receipt and state.outcome != "cached":
-            self.cache.learn(state.receipt)
 
     def forget(self, task: Task) -> None:
         """Take a settled task back (its artifact turned out damaged)."""
@@ -129,6 +129,8 @@ class Plan:
         for task in [spec.task for spec in lane] if lane is not None else list(self.busy):
             self.busy.discard(task)
             self._agenda.add(task)
+            if (state := self.states.get(task)) and state.receipt and state.outcome != "cached":
+                self.cache.learn(state.receipt)
 
     def news(self) -> list[tuple[Task, State]]:
         """The tasks that have been settled since somebody asked last."""
@@ -237,18 +239,17 @@ class Plan:
         """The spec of a task; inputs made by tasks `among` may still be unresolved.  rework: what takes the function's place."""
         bound = self._bound(stage, rework)
         inputs = self._from.of(stage, task, bound.needs, among or set())
-        stated = self._stated_parameters(stage, task)
-        stated = stated if rework is None else {name: value for name, value in stated.items() if name in bound.parameters}
+        parameters, left_to_function = self._parameters(stage, task, rework)
         return TaskSpec(
             task,
             bound.function.dotted,
             bound.code,
-            bound.defaults() | stated,
+            parameters,
             inputs,
             stage.table,
             self._picture(stage, task, inputs, among or set()),
             bool(self.force & {task.stage, str(task)}),
-            {name: text for name, text in bound.left_to_function().items() if name not in stated},
+            left_to_function,
             folder=self._folder,
         )
 
@@ -279,6 +280,18 @@ class Plan:
                 stage = dataclasses.replace(stage, function=rework.function, needs=rework.needs, offers={}, method=None)
             self._bindings[name] = bind(stage, use, values, self.site.reader)
         return self._bindings[name]
+
+    def _parameters(self, stage: Stage, task: Task, rework: Rework | None) -> tuple[dict[str, Any], dict[str, str]]:
+        """Parameters of a task, and the text of those that its function works out: the same for all subjects of a stage."""
+        name = rework.function if rework else stage.name
+        known = self._known_parameters.get(name)
+        if known is None or stage.component_parameter:
+            bound = self._bound(stage, rework)
+            stated = self._stated_parameters(stage, task)
+            stated = stated if rework is None else {name: v for name, v in stated.items() if name in bound.parameters}
+            left = {name: text for name, text in bound.left_to_function().items() if name not in stated}
+            known = self._known_parameters[name] = bound.defaults() | stated, left
+        return known
 
     def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
@@ -116,6 +117,12 @@ class _Hands:
             self._executor.close()
         self._executor = None
 
+    def settle(self) -> None:
+        """Whatever was done lasts."""
+        if self._executor:
+            with suppress(OSError):  # it is there all the same, as long as the power does not go
+                self._cache.settle()
+
     def reports(self) -> Iterator[Report]:
         return self._executor.reports() if self._executor else iter(())
 
@@ -162,6 +169,7 @@ def _until_settled(
             hands.submit(lanes)
         elif not plan.busy:
             try:
+                hands.settle()
                 return _products(plan, intact)
             except DamagedArtifact as damage:
                 repairs.make_again(damage.task, damage.what)

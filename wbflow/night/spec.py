@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 from ..graph.rows import Part, PointTable
 from ..store import artifact
-from ..store.cache import Cache, Preimage, Receipt
+from ..store.cache import Preimage, Receipt
 from ..task import Subject, Task
 from .captures import CaptureFile
 
@@ -47,8 +46,8 @@ class Stored:
 
     task: Task
     part: Part | None = None
-    path: Path | None = None
-    """None while a task of the same lane makes it."""
+    file: str = ""
+    """Its name beside the receipt; "" while a task of the same lane makes it."""
     file_digest: str = ""
     content: str = ""
     """Digest of the artifact, or of the part."""
@@ -56,10 +55,10 @@ class Stored:
     def digest(self) -> str:
         return self.content
 
-    def resolved(self, cache: Cache, receipt: Receipt) -> Stored:
+    def resolved(self, receipt: Receipt) -> Stored:
         """The same input, now that its task is done."""
         content = receipt.parts[str(self.part)] if self.part else receipt.digest
-        return dataclasses.replace(self, path=cache.path(receipt), file_digest=receipt.digest, content=content)
+        return Stored(self.task, self.part, receipt.file or "", receipt.digest, content)
 
 
 @dataclass(frozen=True)

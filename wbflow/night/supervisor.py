@@ -24,7 +24,7 @@ from .hand import Hand
 from .limits import Limits
 from .spec import TaskSpec
 from .state import Cause
-from .worker import Done
+from .worker import Done, unkept
 
 LOOK_SECONDS = 0.25
 """How often clocks and memory are looked at."""
@@ -113,6 +113,8 @@ class Supervisor:
         """End all workers, whatever they are at."""
         for hand in [*self._idle, *self._busy]:
             hand.end()
+        for lane in self._busy.values():
+            list(self._kept(lane))
         self._idle, self._busy, self._queue, self._alone = [], {}, [], []
 
     def _expected(self, lane: _Lane) -> float:
@@ -196,6 +198,7 @@ class Supervisor:
         if not hand.ready:
             self.close()
             raise WbflowError(f"no worker process can be started: the first {why.partition(',')[0]}", remedy=_INSTALLED)
+        yield from self._kept(lane)
         task = lane.at_work.task
         lane.losses += 1
         if lane.losses == 1:
@@ -205,9 +208,18 @@ class Supervisor:
         remedy = "lower `resolution`, or give it more with --memory" if cause is Cause.OUT_OF_MEMORY else "look at its function"
         yield from _failed(lane, f"{why}, twice; {remedy}", cause)
 
+    def _kept(self, lane: _Lane) -> Iterator[Report]:
+        """What a lane had finished stays, though its worker is gone; what cannot be kept has to be made again."""
+        for task, receipt in lane.receipts.items():
+            try:
+                self._cache.assure(receipt)
+            except OSError as error:
+                yield Report(lane.specs, unkept(task, error))
+
     def _too_slow(self, hand: Hand) -> Iterator[Report]:
         lane = self._busy.pop(hand)
         hand.end()
+        yield from self._kept(lane)
         task = lane.at_work.task
         before = self._limits.past.stages.get(task.stage)
         usual = f" ({task.stage} takes {_time(before)} as a rule)" if before is not None else ""

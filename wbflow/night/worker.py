@@ -17,6 +17,7 @@ from ..graph.codec import result_bytes, result_of
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
 from ..store import artifact
+from ..store.atomic import Prepared
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..store.digests import ChangedFile
 from ..store.outside import read_outside
@@ -66,6 +67,8 @@ class Kept:
         return found
 
 
+QUICK_SECONDS = 0.25
+"""By the clock: results of tasks that take no longer are made to last once for the lane, not each."""
 MOST_KEPT = 4
 """So many artifacts of the whole site are kept from lane to lane."""
 
@@ -81,6 +84,26 @@ class _Lane:
     """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
     clock: Callable[[], float] = time.process_time
     """CPU seconds."""
+    unsettled: dict[Task, Prepared] = field(default_factory=dict)
+    """Receipts that are not in their places yet."""
+
+    def keep(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
+        """Keep a result: what took its time at once, what was quick at the end of the lane, with the rest of it."""
+        if receipt.wall > QUICK_SECONDS:
+            self.cache.write(receipt, data)
+        else:
+            self.unsettled[receipt.preimage.task] = self.cache.prepare(receipt, data)
+
+    def settle(self) -> list[Done]:
+        """Put all receipts into their places.  What cannot be kept is not there, and has to be made again."""
+        tasks, receipts = list(self.unsettled), list(self.unsettled.values())
+        self.unsettled = {}
+        try:
+            if receipts:
+                self.cache.settle(receipts)
+        except OSError as error:
+            return [unkept(task, error) for task in tasks]
+        return []
 
 
 def do_lane(
@@ -107,12 +130,28 @@ def do_lane(
     """
     offer(specs[0].folder)
     lane = _Lane(cache, kept, dict(receipts), clock=clock)
-    for spec in specs:
-        done = dataclasses.replace(_attempt(spec, lane), damages=tuple(cache.damages()))
-        yield done
-        if done.receipt is None or done.receipt.outcome == "rejected":
-            return
-        lane.receipts[spec.task] = done.receipt
+    try:
+        for spec in specs:
+            done = _attempt(spec, lane)
+            ends = spec is specs[-1] or done.receipt is None or done.receipt.outcome == "rejected"
+            lost = lane.settle() if ends else []
+            if damages := cache.damages():
+                done = dataclasses.replace(done, damages=tuple(damages))
+            if spec.task not in {one.task for one in lost}:
+                yield done
+            yield from lost
+            if ends or done.receipt is None:
+                return
+            lane.receipts[spec.task] = done.receipt
+    finally:
+        for prepared in lane.unsettled.values():
+            prepared.drop()
+
+
+def unkept(task: Task, error: OSError) -> Done:
+    """A result whose receipt could not be kept: it is not there."""
+    why = f"the result of '{task}' could not be kept: {error.strerror or error}"
+    return Done(task, "damaged", reason=printable(why), damaged=task)
 
 
 def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
@@ -132,7 +171,7 @@ def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
         if spec.redraw:
             return _redraw(spec, spec.redraw, lane)
         inputs = {name: _resolve(value, lane) for name, value in spec.inputs.items()}
-        resolved = dataclasses.replace(spec, inputs=inputs)
+        resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
         preimage = resolved.preimage()
         key = preimage.key()
         if not spec.force and (receipt := lane.cache.find(preimage, key)):
@@ -187,7 +226,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
-    lane.cache.write(receipt, data)
+    lane.keep(receipt, data)
     lane.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
@@ -237,8 +276,8 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
 
 def _resolve(value: Input, lane: _Lane) -> Input:
     """Give inputs made earlier in this lane their place in the cache."""
-    if isinstance(value, Stored) and value.path is None:
-        return value.resolved(lane.cache, lane.receipts[value.task])
+    if isinstance(value, Stored) and not value.file:
+        return value.resolved(lane.receipts[value.task])
     return value
 
 
@@ -285,8 +324,8 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
 
 
 def _bytes_of(value: Stored, lane: _Lane) -> bytes:
-    assert value.path is not None
-    return lane.cache.read(value.task, value.path, value.file_digest)
+    path = lane.cache.work.artifact_file(value.task, value.file)
+    return lane.cache.read(value.task, path, value.file_digest)
 
 
 def _from_plain(value: Value) -> Any:

@@ -166,10 +166,10 @@ def _of_tasks(plan: Plan) -> Iterator[str]:
         if not task.subject:  # few, and with all that is published of them
             yield from map(str, plan.cache.work.of_key(task, receipt.key))
             continue
-        stem = str(plan.cache.work.artifact(task, receipt.key, ""))
-        yield f"{stem}.json"
+        name = plan.cache.work.receipt_name(task, receipt.key)
+        yield name
         if receipt.file:
-            yield str(plan.cache.path(receipt))
+            yield f"{name[: name.rindex('/')]}/{receipt.file}"
             if task.stage in drawn:
                 yield str(plan.cache.work.drawing(task, receipt.key))
                 yield str(plan.cache.work.picture(task, receipt.key))
@@ -180,7 +180,7 @@ def _of_reference(cache: Cache, reference: Reference | None) -> Iterator[str]:
     work = cache.work
     yield from (str(work.reference_record), str(work.reference_twin))
     for task, pinned in reference.artifacts.items() if reference else ():
-        yield from map(str, cache.copies(task, pinned.key))
+        yield from cache.copies(task, pinned.key)
 
 
 def _now() -> datetime.datetime:

@@ -76,7 +76,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
     offer(spec.folder)
     values = arguments_of(spec, night.plan.cache)
-    nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name) for name, value in values.items()}
+    nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, night.plan.cache) for name, value in values.items()}
     state = night.plan.states.get(task)
     receipt = Cache(night.plan.cache.work).by_key(task, spec.preimage().key())
     told: dict[str, Any] = {
@@ -128,10 +128,10 @@ def _waits(plan: Plan, task: Task, first: Task) -> UsageError:
     return UsageError(f"'{task}' waits for '{first}', which has not been made yet", remedy=remedy)
 
 
-def _write(how: Input, value: Any, folder: Path, name: str) -> Any:
+def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
     """Write an input; one that the cache keeps as a file that people can open is copied."""
-    if isinstance(how, Stored) and not how.part and how.path and (table := stage_named(how.task.stage).table):
+    if isinstance(how, Stored) and not how.part and how.file and (table := stage_named(how.task.stage).table):
         file = f"{name}{table.suffix}"
-        shutil.copyfile(how.path, folder / file)
+        shutil.copyfile(cache.work.artifact_file(how.task, how.file), folder / file)
         return {"table": file, "restore": table.restore}
     return function(PLAIN_FILES)(value, folder, name)

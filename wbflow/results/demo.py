@@ -33,6 +33,7 @@ def write_demo(
     captures: int | None = None,
     seed: int = 0,
     lenses: str = "standard",
+    surfaces: str = "standard",
 ) -> None:
     """Render a demo scene into `folder`; the same arguments write the same bytes.
 
@@ -52,6 +53,8 @@ def write_demo(
         Of everything that is drawn at random.
     lenses : str
         A name of `wbflow_stages.synthetic.variants.VARIANTS`.
+    surfaces : str
+        A name of `wbflow_stages.synthetic.weak.SURFACES`.
 
     Raises
     ------
@@ -60,7 +63,8 @@ def write_demo(
     UsageError
         An unknown scene or light, or no captures.
     """
-    chosen = {"small": small, "light": light, "cameras": cameras, "captures": captures, "seed": seed, "lenses": lenses}
+    kinds = {"light": light, "lenses": lenses, "surfaces": surfaces}
+    chosen = {"small": small, "cameras": cameras, "captures": captures, "seed": seed, **kinds}
     _write(folder, lambda: function(DEMO_FILES)(scene, **chosen))
 
 

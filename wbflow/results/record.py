@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import functools
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,6 +22,8 @@ from ..store.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Sec
 from ..task import Task
 from .views import by_camera, of_camera
 
+_Worlds = list[tuple[dict[str, Any], WorldReports]]
+
 
 def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float) -> RunRecord:
     """The record of a run that ends now; nothing is judged yet.
@@ -38,10 +41,11 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
     peak_rss_mb : float
         Memory of its largest worker.
     """
-    pairs = tuple(_pair(plan, pair) for pair in _pairs(plan))
+    worlds = _worlds(plan)
+    pairs = tuple(_pair(plan, pair, worlds) for pair in _pairs(plan))
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
-        views.setdefault(view.camera, []).append(_camera(plan, view.id))
+        views.setdefault(view.camera, []).append(_camera(plan, view.id, worlds))
     cameras = tuple(of_camera(records, _sums()) for records in views.values())
     product = stage_with(Role.PRODUCT).name
     main = plan.states.get(Task(product))
@@ -108,7 +112,8 @@ def _why_no_pairs(plan: Plan) -> str | None:
     return f"no two cameras were matched: {reason} ({count} of {dropped.total()} pairs)"
 
 
-def reported(scope: str) -> list[str]:
+@functools.cache
+def reported(scope: str) -> tuple[str, ...]:
     """Names of all figures that stages report of a camera or of a pair, in the order of the pipeline."""
     names: dict[str, None] = {}
     for stage in STAGES:
@@ -116,10 +121,10 @@ def reported(scope: str) -> list[str]:
             names |= dict.fromkeys(stage.reports.fields)
         if stage.world_reports:
             names |= dict.fromkeys(stage.world_reports.cameras if scope == "camera" else stage.world_reports.pairs)
-    return list(names)
+    return tuple(names)
 
 
-def _camera(plan: Plan, camera: str) -> CameraRecord:
+def _camera(plan: Plan, camera: str, worlds: _Worlds) -> CameraRecord:
     record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")), health=plan.health(camera))
     for stage, reports in _reporting("camera"):
         state = plan.states.get(Task(stage.name, (camera,)))
@@ -129,7 +134,7 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
             return replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
         notes = tuple(_figures(state).get(reports.notes, ()))
         record = replace(record, notes=record.notes + notes, figures={**record.figures, **_told(state, reports)})
-    for solved, world in _worlds(plan):
+    for solved, world in worlds:
         entries = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
         told = {name: value for name, value in entries.items() if value is not None}
         note = solved.get(world.camera_notes, {}).get(camera)
@@ -141,7 +146,7 @@ def _camera(plan: Plan, camera: str) -> CameraRecord:
     return record
 
 
-def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
+def _pair(plan: Plan, pair: tuple[str, str], worlds: _Worlds) -> PairRecord:
     record = PairRecord(*pair, "ok", figures=dict.fromkeys(reported("pair")))
     for stage, reports in _reporting("pair"):
         state = plan.states.get(Task(stage.name, pair))
@@ -154,7 +159,7 @@ def _pair(plan: Plan, pair: tuple[str, str]) -> PairRecord:
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
     found = plan.states.get(Task(stage_with(Role.GEOMETRY).name, pair))
     record = replace(record, figures={**record.figures, "matched": found.usable if found else None})
-    for solved, world in _worlds(plan):
+    for solved, world in worlds:
         told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
         record = replace(record, figures={**record.figures, **told})
     return record
@@ -165,11 +170,12 @@ def _sums() -> frozenset[str]:
     return frozenset(name for _, reports in _reporting("camera") for name in reports.sums)
 
 
+@functools.cache
 def _reporting(scope: str) -> list[tuple[Stage, Reports]]:
     return [(stage, stage.reports) for stage in STAGES if stage.scope == scope and stage.reports]
 
 
-def _worlds(plan: Plan) -> list[tuple[dict[str, Any], WorldReports]]:
+def _worlds(plan: Plan) -> _Worlds:
     """Figures of site-wide results, and what they report of cameras and pairs."""
     reporting = {stage.name: stage.world_reports for stage in STAGES}
     return [(_figures(state), world) for task, state in plan.states.items() if (world := reporting.get(task.stage))]

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
+import functools
 import os
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from .room import told_full
+
+if TYPE_CHECKING:
+    import ctypes
 
 _PIECE = 1 << 20
 
@@ -35,6 +39,29 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, la
     OSError
         One of a full disk says how much was needed, and how much is free.
     """
+    put(prepare(path, data, lasts=lasts), ours=ours)
+    if settle and lasts:
+        sync_folder(path.parent)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A file that is written, and not yet in its place."""
+
+    temporary: str
+    path: Path
+    size: int
+
+    def drop(self) -> None:
+        """It is not wanted any more."""
+        _drop(self.temporary)
+
+
+def prepare(path: Path, data: bytes | bytearray, *, lasts: bool = False) -> Prepared:
+    """Write a file under a temporary name beside its place, on a disk that has room for it; `put` is the rest.
+
+    lasts: see `write_atomic`.  Raises OSError.
+    """
     temporary = _beside(path)
     try:
         with _opened(temporary) as file:
@@ -42,15 +69,25 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, la
             if lasts:
                 file.flush()
                 os.fsync(file.fileno())
-        _into_place(temporary, path, ours)
     except OSError as error:
         _drop(temporary)
         raise told_full(error, path, len(data)) from None
     except BaseException:
         _drop(temporary)
         raise
-    if settle and lasts:
-        sync_folder(path.parent)
+    return Prepared(temporary, path, len(data))
+
+
+def put(prepared: Prepared, *, ours: bool = False) -> None:
+    """Put a file into its place with one rename.  ours: see `write_atomic`.  Raises OSError."""
+    try:
+        _into_place(prepared.temporary, prepared.path, ours)
+    except OSError as error:
+        prepared.drop()
+        raise told_full(error, prepared.path, prepared.size) from None
+    except BaseException:
+        prepared.drop()
+        raise
 
 
 def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
@@ -70,10 +107,11 @@ def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
     """
     temporary = _beside(name)
     try:
-        with path.open("rb") as source, _opened(temporary) as target:
-            shutil.copyfileobj(source, target, _PIECE)
-            target.flush()
+        with open(path, "rb", 0) as source, _opened(temporary) as target:  # noqa: PTH123 (hot path)
+            while piece := source.read(_PIECE):
+                target.write(piece)
             if lasts:
+                target.flush()
                 os.fsync(target.fileno())
         _into_place(temporary, name, gives_way=True)
     except OSError as error:
@@ -85,13 +123,22 @@ def sync_all(folder: Path) -> None:
     """Make all that was written to the file system of a folder last: many files at once cost what one does."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+        syncfs = getattr(_libc(), "syncfs", None)
         if syncfs is None:  # not Linux
             os.sync()
         elif syncfs(descriptor) != 0:
-            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(folder))
+            from ctypes import get_errno
+
+            raise OSError(get_errno(), os.strerror(get_errno()), str(folder))
     finally:
         os.close(descriptor)
+
+
+@functools.cache
+def _libc() -> ctypes.CDLL:
+    import ctypes  # here: it takes a while, and a night with nothing to do syncs no file system
+
+    return ctypes.CDLL(None, use_errno=True)
 
 
 def clear(path: Path) -> None:

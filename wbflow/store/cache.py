@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,11 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Task
 from . import artifact
-from .atomic import clear, write_atomic
+from .atomic import Prepared, clear, prepare, put, sync_all, write_atomic
 from .digests import Stamp, stamp_at
 from .layout import WorkFolder
 from .outside import read_outside
-from .signed import Damaged, read_signed, write_signed
+from .signed import Damaged, read_signed, signed, write_signed
 
 
 class DamagedArtifact(WbflowError):
@@ -125,17 +125,17 @@ class Cache:
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """The receipt of a task under a key that is known."""
-        return self._receipt(task, self.work.receipt(task, key))
+        return self._receipt(task, self.work.receipt_name(task, key))
 
     def newest(self, task: Task) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""
-        receipts = [r for path in self.work.receipts(task) if (r := self._receipt(task, path))]
+        receipts = [r for path in self.work.receipts(task) if (r := self._receipt(task, str(path)))]
         return max(receipts, key=lambda r: r.finished, default=None)
 
     def receipts(self) -> Iterator[Receipt]:
         """Every intact receipt."""
         for path in self.work.receipts():
-            if receipt := self._receipt(None, path):
+            if receipt := self._receipt(None, str(path)):
                 yield receipt
 
     def note(self, what: str, task: Task | None = None) -> None:
@@ -181,8 +181,41 @@ class Cache:
         """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
         if data is not None and receipt.file:
             write_atomic(self._beside(receipt, receipt.file), data, settle=False, ours=True)
+        write_signed(*self._told(receipt))
+
+    def prepare(self, receipt: Receipt, data: bytes | bytearray | None) -> Prepared:
+        """The same of one of many: it is not done before `settle` has put its receipt into its place.  Raises OSError."""
+        if data is not None and receipt.file:
+            write_atomic(self._beside(receipt, receipt.file), data, lasts=False, ours=True)
+        place, of, told = self._told(receipt)
+        return prepare(place, signed(of, told))
+
+    def settle(self, receipts: Iterable[Prepared] = ()) -> None:
+        """Put receipts into their places, once all that was written lasts.  Raises OSError."""
+        waiting = list(receipts)
+        try:
+            sync_all(self.work.cache)
+            while waiting:
+                put(waiting.pop(0), ours=True)
+        finally:
+            for one in waiting:
+                one.drop()
+
+    def assure(self, receipt: Receipt) -> None:
+        """Keep a receipt that its worker may have been lost with before it was in its place.  Raises OSError."""
+        place, of, told = self._told(receipt)
+        known = self._read(receipt.preimage.task, place)
+        if known and known.digest == receipt.digest:
+            return
+        sync_all(self.work.cache)
+        write_signed(place, of, told)
+        for left in place.parent.glob(f".{place.name}.*"):
+            left.unlink()
+
+    def _told(self, receipt: Receipt) -> tuple[Path, str, dict[str, Any]]:
+        """A receipt's file, what it is of, and what it says."""
         place = self.work.receipt(receipt.preimage.task, receipt.key)
-        write_signed(place, self.work.place(place), {**vars(receipt), "preimage": vars(receipt.preimage)})
+        return place, self.work.place(place), {**vars(receipt), "preimage": vars(receipt.preimage)}
 
     def quarantine(self, path: Path) -> None:
         """Take an artifact out of use: the receipt goes first, the file is kept for whoever wants to know why."""
@@ -197,23 +230,21 @@ class Cache:
 
     def learn(self, receipt: Receipt) -> None:
         """Somebody else has kept an artifact, and says with which receipt: it need not be read."""
-        place = self.work.receipt(receipt.preimage.task, receipt.key)
-        if (stamp := stamp_at(place)) is not None:
-            self._known[str(place)] = stamp, receipt
+        name = self.work.receipt_name(receipt.preimage.task, receipt.key)
+        if (stamp := stamp_at(name)) is not None:
+            self._known[name] = stamp, receipt
 
     def untouched(self) -> bool:
         """Are all receipts that were read or written through this cache as they were then?"""
         return all(stamp_at(name) == stamp for name, (stamp, _) in self._known.items())
 
-    def copies(self, task: Task, key: str) -> list[Path]:
+    def copies(self, task: Task, key: str) -> list[str]:
         """Where the reference keeps the receipt and the artifact of a key that is known here."""
-        receipt = self.by_key(task, key)
-        names = [f"{key}.json", *([receipt.file] if receipt and receipt.file else [])]
-        return [self.work.pinned(self.work.artifact_file(task, name)) for name in names]
+        receipt, name = self.by_key(task, key), self.work.pinned_name(task, key)
+        return [name, *([f"{name[: name.rindex('/')]}/{receipt.file}"] if receipt and receipt.file else [])]
 
-    def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
+    def _receipt(self, task: Task | None, name: str) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
-        name = str(path)
         stamp = stamp_at(name)
         if stamp is None and not os.path.lexists(name):
             return None
@@ -221,7 +252,7 @@ class Cache:
         if known is not None and known[0] == stamp:
             receipt: Receipt | None = known[1]
         else:
-            receipt = self._read(task, path)
+            receipt = self._read(task, Path(name))
             if receipt is not None and stamp is not None:
                 self._known[name] = stamp, receipt
         if receipt and receipt.file and (wrong := _wrong_size(f"{name[: name.rindex('/')]}/{receipt.file}", receipt.bytes)):

@@ -35,8 +35,11 @@ def run_id(moment: datetime.datetime) -> str:
 
 def started_by(name: str) -> datetime.datetime | None:
     """When the run of an id was started (UTC); None for a folder that somebody else has made."""
-    try:
-        return datetime.datetime.strptime(name, _RUN_ID).replace(tzinfo=datetime.UTC)
+    digits = name[:8] + name[9:15]
+    if len(name) != 16 or name[8] + name[15] != "TZ" or not (digits.isascii() and digits.isdigit()):
+        return None
+    try:  # not strptime, which compiles expressions first
+        return datetime.datetime.fromisoformat(name)
     except ValueError:
         return None
 
@@ -143,13 +146,17 @@ class WorkFolder:
         """What is known of an artifact; without it there is none."""
         return self.artifact(task, key, ".json")
 
+    def receipt_name(self, task: Task, key: str) -> str:
+        """The same as text, for whoever asks of every task whether it is there."""
+        return f"{self._of(task)}/{key}.json"
+
     def receipt_beside(self, artifact: Path) -> Path:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
 
     def place(self, path: Path) -> str:
         """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
-        return "/".join(path.parts[-3:])
+        return "/".join(str(path).rsplit("/", 3)[-3:])
 
     def of_key(self, task: Task, key: str) -> list[Path]:
         """All files of a task under a key, the receipt first."""
@@ -262,7 +269,7 @@ class WorkFolder:
         """Those in which an earlier form of a product is looked for (there are nights that make none), newest first."""
         return self.run_ids()[: -_LOOK_BACK - 1 : -1]
 
-    @property
+    @cached_property
     def reference(self) -> Path:
         """The folder of the pinned reference."""
         return self.root / "reference"
@@ -279,7 +286,14 @@ class WorkFolder:
 
     def pinned(self, path: Path) -> Path:
         """Where the reference keeps a file of the cache."""
-        return self.reference / path.relative_to(self.cache)
+        within = str(path).removeprefix(f"{self.cache}/")
+        if within == str(path):
+            raise ValueError(f"{path} is not in {self.cache}")
+        return Path(f"{self.reference}/{within}")
+
+    def pinned_name(self, task: Task, key: str) -> str:
+        """Where the reference keeps a receipt."""
+        return f"{self.reference}{self.receipt_name(task, key).removeprefix(str(self.cache))}"
 
     @property
     def ledger(self) -> Path:

@@ -7,7 +7,6 @@ import datetime
 import fcntl
 import json
 import os
-import socket
 import stat
 import time
 from collections.abc import Iterator
@@ -39,7 +38,7 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         with contextlib.suppress(OSError):  # on a full disk it is held without a word
             file.truncate(0)
-            os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}).encode())
+            os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "since": since}).encode())
         try:
             yield
         finally:

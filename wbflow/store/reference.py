@@ -180,18 +180,20 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
         The disk is full, or there is no right to write.
     """
     work = cache.work
-    kept = {work.reference_record, work.reference_twin}
+    kept = {str(work.reference_record), str(work.reference_twin)}
     for receipt in receipts:
         for path in _files(cache, receipt):
-            copy_atomic(path, work.pinned(path), lasts=False)
-            kept.add(work.pinned(path))
+            copy = work.pinned(path)
+            copy_atomic(path, copy, lasts=False)
+            kept.add(str(copy))
     if work.reference.is_dir():
         sync_all(work.reference)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, signed(_OF, reference.to_json(), indent=1), ours=True)
-    for path in work.reference.rglob("*"):
-        if path.is_file() and path not in kept:
-            path.unlink()
+    for folder, _, names in os.walk(work.reference):
+        for name in names:
+            if (old := f"{folder}/{name}") not in kept and os.path.isfile(old):  # noqa: PTH113 (hot path)
+                os.unlink(old)  # noqa: PTH108
     _remove_empty(work.reference)
 
 
@@ -280,6 +282,6 @@ def _files(cache: Cache, receipt: Receipt) -> list[Path]:
 
 
 def _remove_empty(folder: Path) -> None:
-    for inner in sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True):
-        if not any(inner.iterdir()):
-            inner.rmdir()
+    for inner, _, names in os.walk(folder, topdown=False):
+        if not names and inner != str(folder) and not os.listdir(inner):  # noqa: PTH208 (hot path)
+            os.rmdir(inner)  # noqa: PTH106

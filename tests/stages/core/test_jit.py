@@ -84,6 +84,47 @@ def test_a_read_only_installation_without_a_home_works(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
+_SLOW = """
+import numpy as np
+from wbflow_stages.core.jit import kernel
+
+@kernel
+def inner(x):
+    return x + 1.0
+
+@kernel
+def outer(x):
+    total = 0.0
+    for k in range(x.shape[0]):
+        total += inner(x[k]) ** 3
+    return total
+"""
+
+
+_AT_ONCE = """
+import slow, numpy
+print("ready", flush=True)
+input()
+slow.outer(numpy.ones(3))
+print(sum(slow.outer.stats.cache_misses.values()))
+"""
+
+
+def test_two_processes_compile_a_kernel_once_between_them(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(_SLOW)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels"), "PYTHONPATH": str(tmp_path)}
+    both = [subprocess.Popen([sys.executable, "-c", _AT_ONCE], env=environment, stdout=-1, stdin=-1, text=True) for _ in range(2)]
+    for process in both:
+        assert process.stdout
+        assert process.stdout.readline() == "ready\n"
+    for process in both:  # both are let go before either is waited for
+        assert process.stdin
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    told = [process.communicate()[0].strip() for process in both]
+    assert sorted(told) == ["0", "1"]
+
+
 def test_no_kernel_uses_anything_of_another_file_of_the_stages() -> None:
     """What a kernel calls or reads is compiled into it, and numba looks at its own file's time stamp only."""
     root = Path(wbflow_stages.__file__).parent

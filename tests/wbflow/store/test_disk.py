@@ -45,15 +45,15 @@ def test_a_disk_that_fills_up_on_the_way_loses_nothing_that_is_finished(toy: Toy
     cloud = toy.cloud
     toy.run("--force", "frames")
     fresh = ToySite(toy.folder.parent / "fresh", toy.cameras)
-    sync, left = os.fsync, iter(range(60))
+    replace, left = os.replace, iter(range(60))
 
-    def fills_up(descriptor: int) -> None:
+    def fills_up(temporary: str, path: Path) -> None:
         if next(left, None) is None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        sync(descriptor)
+        replace(temporary, path)
 
     with monkeypatch.context() as full:
-        full.setattr(os, "fsync", fills_up)
+        full.setattr(os, "replace", fills_up)
         from click.testing import CliRunner
 
         from wbflow.cli import main

@@ -94,7 +94,7 @@ def _content(sources: Sources) -> dict[str, Any]:
 
     record, album = sources.record, Album(sources)
     keys = {task: event.key for task, event in sources.tasks.items() if event.usable and event.key}
-    maker = Maker(sources.work, sources.site.reader)
+    maker = Maker(sources.cache, sources.site.reader)
     points = points_of(maker, keys) if record.cloud else []
     layout = laid_out(sources, points)
     charts = trends(sources)

@@ -1,0 +1,186 @@
+"""What many cameras cost: the pair graph and the plan, pairs without poses, and a rendered site from 8 cameras to 64.
+
+    scripts/bench_pipeline.py plan [--cameras 100 300 1000]       poses known, nothing but the pair graph and the plan
+    scripts/bench_pipeline.py overlap [--cameras 100 300 1000]    no poses: made-up keypoints
+    scripts/bench_pipeline.py growth [--width 640] [--until STAGE]  the yard with 8 and with 64 cameras, poses withheld
+    scripts/bench_pipeline.py first [--jobs 1 2]                  the first run without compiled kernels, and the second
+
+CPU seconds of the whole process tree; `--json FILE` writes rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench_files import write_rows
+
+KEYS = ("system", "cameras", "what", "tasks", "cpu_s", "wall_s")
+ALIKE = 0.1
+"""A pair is good that shares so much, by the truth, at 8 to 50 degrees."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement."""
+
+    cameras: int
+    what: str
+    tasks: int
+    cpu_s: float
+    wall_s: float
+    system: str = "wbflow"
+
+
+def clean_frame(captures: Sequence[Any], lens: Any) -> Any:
+    """The stage `frames` of the made-up plan: every picture is black."""
+    from wbflow_stages.types import Frame, View
+
+    black = np.zeros((8, 8, 3), np.uint8)
+    return Frame(black, np.ones((8, 8), bool), View(640, 480, lens.K))
+
+
+def detect(frame: Any) -> Any:
+    """Its stage `features`: one keypoint."""
+    from wbflow_stages.types import Features
+
+    one = np.ones(1, np.float32)
+    return Features(np.zeros((1, 2)), np.eye(2)[None], np.eye(1, 128, dtype=np.float32), one, np.zeros(1, np.uint8), frame.view)
+
+
+def plan(cameras: int) -> Iterator[Row]:
+    """Cameras on a grid of masts, eight metres apart, that look anywhere."""
+    random = np.random.default_rng(0)
+    side = int(np.ceil(np.sqrt(cameras)))
+    rows = []
+    for k in range(cameras):
+        centre = np.array([k % side * 8.0, k // side * 8.0, 7.0]) + random.normal(0, 1, 3) * (1, 1, 0.3)
+        bearing = random.uniform(0, 2 * np.pi)
+        target = centre + 12 * np.array([np.cos(bearing), np.sin(bearing), 0]) - (0, 0, 6)
+        pose = {"position": centre.tolist(), "look_at": target.tolist()}
+        lens = {"fx": 560, "fy": 560, "cx": 319.5, "cy": 239.5, "width": 640, "height": 480}
+        rows.append({"id": f"c{k:04d}", "intrinsics": lens, "pose": pose})
+    off = dict.fromkeys(("health", "scene", "refine", "coverage", "changes"), False)
+    stages = {"frames": {"use": "bench_pipeline:clean_frame"}, "features": {"use": "bench_pipeline:detect"}, **off}
+    site = {"site": "plan", "captures": {"root": "captures", "pattern": "{camera}.txt"}, "cameras": rows, "stages": stages}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "captures").mkdir()
+        for k in range(cameras):
+            (folder / "captures" / f"c{k:04d}.txt").write_text(f"{k}")
+        (folder / "site.yaml").write_text(json.dumps(site))
+        _wbflow("run", folder / "site.yaml", "--until", "features")
+        cpu, wall = _wbflow("run", folder / "site.yaml", "--until", "pairs")
+        told = json.loads((folder / ".wbflow" / "plan" / "runs" / "latest" / "run.json").read_bytes())
+        for stage, seconds in told["seconds"]["stages"].items():
+            yield Row(cameras, stage, seconds["tasks"], seconds["cpu"], seconds["wall"])
+        yield Row(cameras, "whole run, with report", 2, cpu, wall)
+        cpu, wall = _wbflow("run", folder / "site.yaml", "--dry-run")
+        yield Row(cameras, "plan", len(told["pairs"]), cpu, wall)
+
+
+def overlap(cameras: int) -> Iterator[Row]:
+    """Views along a row of things, each of which shares some with a dozen others."""
+    from wbflow_stages.overlap import estimate_overlap
+    from wbflow_stages.types import Features, View
+
+    random, view = np.random.default_rng(0), View(1024, 768)
+    world = random.normal(size=(800 + 120 * cameras, 128)).astype(np.float32)
+    seen = {}
+    for k in range(cameras):
+        own = np.abs(world[120 * k : 120 * k + 800] + 0.3 * random.normal(size=(800, 128)).astype(np.float32))
+        own /= np.linalg.norm(own, axis=1, keepdims=True)
+        one = np.ones(800, np.float32)
+        seen[f"c{k}"] = Features(np.zeros((800, 2)), np.tile(np.eye(2), (800, 1, 1)), own, one, one.astype(np.uint8) - 1, view)
+    (found, cpu, wall) = _timed(lambda: estimate_overlap(dict.fromkeys(seen, view), {}, seen))
+    yield Row(cameras, "overlap", len(found.pairs), cpu, wall)
+
+
+def growth(width: int, until: str, memory: str) -> Iterator[Row]:
+    """The same yard with 64 cameras and with every eighth of them."""
+    from many_cameras import render, write_site
+
+    site = render(64, (width, width * 9 // 16))
+    with tempfile.TemporaryDirectory() as name:
+        for every in (8, 1):
+            folder = Path(name) / str(every)
+            withheld, posed = write_site(site, folder, every=every)
+            cpu, wall = _wbflow("run", withheld, "--until", until, "--memory", memory)
+            record = json.loads((folder / ".wbflow" / "withheld" / "runs" / "latest" / "run.json").read_bytes())
+            yield Row(64 // every, f"until {until}", sum(record["tasks"].values()), cpu, wall)
+            for stage, seconds in record["seconds"]["stages"].items():
+                yield Row(64 // every, stage, seconds["tasks"], seconds["cpu"], seconds["wall"])
+            _wbflow("run", posed, "--until", "pairs")
+            known = json.loads((folder / ".wbflow" / "posed" / "runs" / "latest" / "run.json").read_bytes())
+            chosen, right = ({(p["left"], p["right"]) for p in told["pairs"]} for told in (record, known))
+            print(f"{64 // every} cameras: {len(chosen)} pairs, {len(right)} by poses, {len(chosen & right)} of them the same")
+
+
+def first(jobs: int, site: Path) -> Iterator[Row]:
+    """A site that has been rendered, with and without compiled kernels."""
+    with tempfile.TemporaryDirectory() as name:
+        for k, what in enumerate(("first", "second")):
+            arguments = ("run", site, "--jobs", str(jobs), "--work", Path(name) / str(k))
+            cpu, wall = _wbflow(*arguments, kernels=Path(name) / "kernels")
+            yield Row(jobs, f"{what} run, {jobs} jobs", 0, cpu, wall)
+
+
+def _wbflow(command: str, *arguments: object, kernels: Path | None = None) -> tuple[float, float]:
+    """CPU seconds of all processes, and seconds by the clock, of a command that need not find all well."""
+    words = [sys.executable, "-m", "wbflow", command, *map(str, arguments), "-q"]
+    if command == "run" and "--jobs" not in arguments:
+        words += ["--jobs", "1"]
+    paths = [str(Path(__file__).resolve().parent), os.environ.get("PYTHONPATH", "")]
+    own = {"PYTHONPATH": os.pathsep.join(paths)} | ({"NUMBA_CACHE_DIR": str(kernels)} if kernels else {})
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(words, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+    if done.returncode not in {0, 1, 3}:  # without a cloud is 1
+        raise SystemExit(f"{' '.join(words)} ended with {done.returncode}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, time.perf_counter() - start
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, float, float]:
+    cpu, wall = time.process_time(), time.perf_counter()
+    return work(), time.process_time() - cpu, time.perf_counter() - wall
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["plan", "overlap", "growth", "first"])
+    parser.add_argument("--cameras", type=int, nargs="+", default=[100, 300, 1000])
+    parser.add_argument("--width", type=int, default=640, help="of the rendered pictures, in pixels")
+    parser.add_argument("--until", default="fuse", help="the last stage of the rendered site")
+    parser.add_argument("--memory", default="2GB", help="of the rendered site")
+    parser.add_argument("--jobs", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--site", type=Path, help="a rendered site, for `first`: wbflow demo DIR --small")
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    rows: list[Row] = []
+    made: dict[str, Callable[[], Iterable[Row]]] = {
+        "plan": lambda: (row for count in asked.cameras for row in plan(count)),
+        "overlap": lambda: (row for count in asked.cameras for row in overlap(count)),
+        "growth": lambda: growth(asked.width, asked.until, asked.memory),
+        "first": lambda: (row for jobs in asked.jobs for row in first(jobs, asked.site)),
+    }
+    for row in made[asked.what]():
+        each = 1000 * row.cpu_s / max(row.cameras, 1)
+        print(f"{row.cameras:5} cameras  {row.what:24}{row.tasks:7} {row.cpu_s:8.2f} CPU s {each:9.1f} ms a camera", flush=True)
+        rows.append(row)
+    if asked.json:
+        write_rows(rows, KEYS, asked.json)
+
+
+if __name__ == "__main__":
+    main()

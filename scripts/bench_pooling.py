@@ -1,0 +1,134 @@
+"""Is F of a wide pair better known from the matches of many nights?    bench_pooling.py DEMO RUN RUN... --pairs gate--mast-2 ...
+
+DEMO is a folder that `wbflow demo --nights N` has made, the RUNs are folders of runs of its nights, with their work folder's
+cache: their frames are matched, whether the runs did that or not.  The error of F is the median distance of true correspondences
+to their epipolar lines, in both images.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import wbflow
+from wbflow.graph.rows import Role
+from wbflow_stages.core.cameras import backproject, project, ray_angles
+from wbflow_stages.features import detect
+from wbflow_stages.geometry import estimate_geometry
+from wbflow_stages.matches import match
+from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
+from wbflow_stages.types import Camera, Float64s, Frame, Geometry, Matches, Rejected
+
+_STEP_PX = 4
+"""Every so manieth pixel of the true depth is a correspondence."""
+
+_SAME = 0.02
+"""Both true depths agree within this share: the place is seen by both cameras."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True correspondences of a pair."""
+
+    x1: Float64s
+    x2: Float64s
+    """(n, 2) pixels."""
+    angle_deg: float
+    """Median angle between their rays."""
+
+    def words(self, found: Geometry | Rejected) -> str:
+        """How right a geometry is."""
+        if isinstance(found, Rejected):
+            return f"rejected: {found.reason} { ({k: round(v, 2) for k, v in found.figures.items()}) }"
+        error = float(np.median(symmetric_epipolar_distance(found.F, self.x1, self.x2)))
+        return f"F is {error:.2f} px off, {found.inliers} inliers of {found.matches} matches, score {found.score:.1f}"
+
+
+def cameras_of(demo: Path) -> dict[str, Camera]:
+    """The cameras as they should be."""
+    told = json.loads((demo / "cameras.json").read_text())["cameras"]
+    entries = {entry["id"]: entry for entry in told} if isinstance(told, list) else told
+    found = {}
+    for name, entry in entries.items():
+        depth = _depth(demo, name)
+        K, R, C = (np.array(entry[key], dtype=np.float64) for key in ("K", "R", "C"))
+        found[name] = Camera(K=K.reshape(3, 3), R=R.reshape(3, 3), C=C.ravel(), width=depth.shape[1], height=depth.shape[0])
+    return found
+
+
+def _depth(demo: Path, name: str) -> np.ndarray:
+    return np.asarray(np.load(demo / "truth" / "depth" / f"{name}.npz")["depth"])
+
+
+def truth_of(demo: Path, cameras: Mapping[str, Camera], left: str, right: str) -> Truth:
+    """Where both cameras see the same, by the true depths."""
+    one, two = cameras[left], cameras[right]
+    depth, other = _depth(demo, left), _depth(demo, right)
+    y, x = np.mgrid[0 : one.height : _STEP_PX, 0 : one.width : _STEP_PX].reshape(2, -1)
+    seen = depth[y, x] > 0
+    x1 = np.column_stack([x, y])[seen].astype(np.float64)
+    X = backproject(one, x1, depth[y, x][seen].astype(np.float64))
+    x2, z = project(two, X)
+    inside = (z > 0) & (x2 > 0).all(axis=1) & (x2 < [two.width - 1, two.height - 1]).all(axis=1)
+    x1, x2, z, X = x1[inside], x2[inside], z[inside], X[inside]
+    column, row = np.rint(x2).astype(int).T
+    same = np.abs(other[row, column] - z) < _SAME * z
+    angle = float(np.degrees(np.median(ray_angles(one.C - X[same], two.C - X[same]))))
+    return Truth(x1[same], x2[same], angle)
+
+
+def pooled(nights: list[Matches]) -> Matches:
+    """The matches of all nights, as places in the pictures: their keypoints are those of several pictures."""
+    return replace(
+        nights[0],
+        x1=np.vstack([m.x1 for m in nights]),
+        x2=np.vstack([m.x2 for m in nights]),
+        i1=None,
+        i2=None,
+        probability=np.concatenate([m.probability for m in nights]),
+        affine=None,
+        searched=(),
+    )
+
+
+def told(truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
+    """Print what each night says, and what all nights up to it do together."""
+    matched: list[Matches] = []
+    for number, (left, right) in enumerate(frames, 1):
+        first, second = detect(left), detect(right)
+        if isinstance(first, Rejected) or isinstance(second, Rejected):
+            print(f"  night {number}: no keypoints")
+            continue
+        found = match(first, second, left_frame=left, right_frame=right)
+        if isinstance(found, Rejected):
+            print(f"  night {number}: {found.reason}")
+            continue
+        print(f"  night {number}: {truth.words(estimate_geometry(found, first, second))}", flush=True)
+        matched.append(found)
+        if len(matched) > 1:
+            together = estimate_geometry(pooled(matched), first, second)
+            print(f"  {len(matched)} nights: {truth.words(together)}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("demo", type=Path)
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--pairs", nargs="+", required=True)
+    arguments = parser.parse_args()
+    cameras = cameras_of(arguments.demo)
+    nights = [wbflow.open_run(folder).finished.of_cameras(Role.FRAME) for folder in arguments.runs]
+    for pair in arguments.pairs:
+        left, right = pair.split("--")
+        truth = truth_of(arguments.demo, cameras, left, right)
+        print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
+        told(truth, [(frames[left], frames[right]) for frames in nights])
+
+
+if __name__ == "__main__":
+    main()

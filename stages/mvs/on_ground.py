@@ -1,0 +1,149 @@
+"""Matches on the ground between cameras that are known to within their standard deviations.
+
+Keypoints on paving that repeats match wrong stones, each as well as the right one.  But where two cameras are known nearly, and
+the ground with them, a patch of one is expected in the other to within some pixels: as the ground maps it, it is looked for there
+and nowhere else, and counts only where nothing else in reach looks the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import Camera, Float32s, Float64s
+from .ground import below_horizon, ground_homography
+
+_PATCHES = 64
+"""Patches across the wider side of a view."""
+
+_RADIUS = 6
+
+_ALIKE = 0.75
+"""Patches correlate so well at least..."""
+
+_CLEARER = 0.12
+"""...and so much better than anywhere else in reach that is no neighbour."""
+
+_BESIDE_PX = 3
+"""So near to the best place all places are one."""
+
+_LEAST_SPREAD = 16.0
+"""Variance of grey levels: flatter patches look alike anywhere."""
+
+_MOST_STRETCH = 4.0
+"""What is seen from so much farther or nearer away, in pixels that it covers, is no witness."""
+
+
+def ground_matches(
+    images: tuple[Float32s, Float32s], cameras: tuple[Camera, Camera], plane: Float64s, reach_px: float
+) -> tuple[Float64s, Float64s]:
+    """(n, 2), (n, 2) pixels of both views that show the same places of the ground.
+
+    Parameters
+    ----------
+    images : tuple
+        (h, w) float32 grey of both views.
+    cameras : tuple
+        As well as they are known.
+    plane : ndarray
+        (4,) the ground.
+    reach_px : float
+        How far patches may be from where cameras and ground put them.
+    """
+    camera1, camera2 = cameras
+    if any(plane[:3] @ camera.C + plane[3] <= 0 for camera in cameras):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    patches = below_horizon(camera1, plane[:3], _PATCHES)
+    found = np.full((len(patches), 4), np.nan)
+    _search(*images, patches, ground_homography(camera1, camera2, plane), int(np.ceil(reach_px)), found)
+    best, second = found[:, 2], found[:, 3]
+    with np.errstate(invalid="ignore"):
+        clear = (best >= _ALIKE) & (best >= second + _CLEARER)
+    return patches[clear], found[clear, :2]
+
+
+@kernel
+def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, reach: int, found: Float64s) -> None:
+    """For each patch its place in image 2 (2), how well it fits there, and how well at the best other place."""
+    h1, w1 = image1.shape
+    h2, w2 = image2.shape
+    side = 2 * _RADIUS + 1
+    u, v, here = np.empty(side * side), np.empty(side * side), np.empty(side * side)
+    scores = np.empty((2 * reach + 1, 2 * reach + 1))
+    for k in range(len(patches)):
+        x, y = int(patches[k, 0]), int(patches[k, 1])
+        if x < _RADIUS or y < _RADIUS or x >= w1 - _RADIUS or y >= h1 - _RADIUS:
+            continue
+        if not _mapped(image1, x, y, H, u, v, here):
+            continue
+        wide, high = u.max() - u.min(), v.max() - v.min()
+        stretched = wide * high > _MOST_STRETCH * side * side or wide * high < side * side / _MOST_STRETCH
+        inside = u.min() >= reach and v.min() >= reach and u.max() < w2 - 1 - reach and v.max() < h2 - 1 - reach
+        if stretched or not inside or here.var() < _LEAST_SPREAD:
+            continue
+        _correlate(image2, u, v, here, reach, scores)
+        _best_place(scores, reach, found[k])
+        z = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+        found[k, 0] += (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / z
+        found[k, 1] += (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / z
+
+
+@kernel
+def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float64s, here: Float64s) -> bool:
+    """Where H takes the pixels around one (u, v), and their grey levels; False where some are behind the camera."""
+    n = 0
+    for j in range(y - _RADIUS, y + _RADIUS + 1):
+        for i in range(x - _RADIUS, x + _RADIUS + 1):
+            z = H[2, 0] * i + H[2, 1] * j + H[2, 2]
+            if z <= 0:
+                return False
+            u[n] = (H[0, 0] * i + H[0, 1] * j + H[0, 2]) / z
+            v[n] = (H[1, 0] * i + H[1, 1] * j + H[1, 2]) / z
+            here[n] = image1[j, i]
+            n += 1
+    return True
+
+
+@kernel
+def _correlate(image2: Float32s, u: Float64s, v: Float64s, here: Float64s, reach: int, scores: Float64s) -> None:
+    """Correlation of a patch with image 2 at each shift of its place there."""
+    n = len(here)
+    mean, spread = here.mean(), here.var()
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            s2, s22, s12 = 0.0, 0.0, 0.0
+            for m in range(n):
+                a, b = int(u[m]), int(v[m])
+                f, g = u[m] - a, v[m] - b
+                a, b = a + across, b + down
+                there = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
+                there += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
+                s2 += there
+                s22 += there * there
+                s12 += here[m] * there
+            spread2 = max(s22 / n - (s2 / n) ** 2, 0.0)
+            scores[down + reach, across + reach] = (s12 / n - mean * s2 / n) / np.sqrt((spread + 4.0) * (spread2 + 4.0))
+
+
+@kernel
+def _best_place(scores: Float64s, reach: int, found: Float64s) -> None:
+    """The shift (2) of the best score, to fractions by a parabola each way; it; and the best one that is not beside it."""
+    size = 2 * reach + 1
+    best, row, column = -1.0, 0, 0
+    for r in range(size):
+        for c in range(size):
+            if scores[r, c] > best:
+                best, row, column = scores[r, c], r, c
+    if row == 0 or column == 0 or row == size - 1 or column == size - 1:
+        return
+    second = -1.0
+    for r in range(size):
+        for c in range(size):
+            if max(abs(r - row), abs(c - column)) > _BESIDE_PX:
+                second = max(second, scores[r, c])
+    bend_across = scores[row, column - 1] - 2 * best + scores[row, column + 1]
+    bend_down = scores[row - 1, column] - 2 * best + scores[row + 1, column]
+    if bend_across < 0 and bend_down < 0:
+        found[0] = column - reach + 0.5 * (scores[row, column - 1] - scores[row, column + 1]) / bend_across
+        found[1] = row - reach + 0.5 * (scores[row - 1, column] - scores[row + 1, column]) / bend_down
+        found[2], found[3] = best, second

@@ -1,0 +1,80 @@
+"""Surfaces on which little is to be seen: white plaster, wet asphalt, snow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .paint import Colour, Texture, encode, mix, shape_of
+from .random_fields import Rng, cracks, fractal_noise
+
+SURFACES = {
+    "standard": "as the scene has them",
+    "weak": "white plaster on the walls, wet asphalt on the western half of the ground, snow on the eastern",
+}
+"""What each is."""
+
+_GLOSS = 0.7
+"""Of a film of water on asphalt, through which stones stand out."""
+
+
+def check_surfaces(surfaces: str, scene: str) -> None:
+    """Raises ValueError for what is no row of `SURFACES`, and for a scene that has no such surfaces."""
+    if surfaces not in SURFACES:
+        raise ValueError(f"surfaces are {', '.join(SURFACES)}, not {surfaces!r}")
+    if surfaces != "standard" and scene != "yard":
+        raise ValueError(f"the yard has {surfaces} surfaces, {scene} has not")
+
+
+def white_plaster(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Fresh paint on even render: a per cent of contrast, a few hair cracks.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m, height_m, texel_m : float
+        Its size and the side of a texel, metres.
+    """
+    image = _nearly_even(rng, (width_m, height_m), texel_m, (0.80, 0.79, 0.76), broad=0.012, fine=0.006, fine_m=0.05)
+    hair = cracks(rng, image.shape[:2], texel_m, count=int(width_m / 5), length_m=1.5)
+    mix(image, (0.45, 0.43, 0.40), 0.4 * hair)
+    return encode(image, texel_m)
+
+
+def wet_asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Dark, with stones of a few centimetres that hardly differ, and the sky in its water.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m, height_m, texel_m : float
+        Its size and the side of a texel, metres.
+    """
+    image = _nearly_even(rng, (width_m, height_m), texel_m, (0.045, 0.045, 0.048), broad=0.06, fine=0.08, fine_m=0.04)
+    seams = cracks(rng, image.shape[:2], texel_m, count=int(width_m * height_m / 60), length_m=3.0)
+    mix(image, (0.02, 0.02, 0.02), 0.7 * seams)
+    return encode(image, texel_m, _GLOSS)
+
+
+def snow(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Fresh snow: soft waves of one per cent.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m, height_m, texel_m : float
+        Its size and the side of a texel, metres.
+    """
+    image = _nearly_even(rng, (width_m, height_m), texel_m, (0.86, 0.88, 0.90), broad=0.015, fine=0.010, fine_m=0.12)
+    return encode(image, texel_m)
+
+
+def _nearly_even(
+    rng: Rng, size_m: tuple[float, float], texel_m: float, colour: Colour, *, broad: float, fine: float, fine_m: float
+) -> np.ndarray:
+    """(h, w, 3) of one colour, but for relative deviations over metres (`broad`), and over `fine_m` metres and less (`fine`)."""
+    shape = shape_of(*size_m, texel_m)
+    tone = 1 + broad * fractal_noise(rng, shape, texel_m, 3.0) + fine * fractal_noise(rng, shape, texel_m, fine_m, octaves=2)
+    return np.asarray(tone[..., None] * np.asarray(colour, np.float32), np.float32)

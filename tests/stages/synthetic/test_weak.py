@@ -1,0 +1,42 @@
+"""The yard in white plaster, wet asphalt and snow: the same shapes, with little on them, and a sky that lies in the wet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbflow_stages.core.luminance import luminance
+from wbflow_stages.synthetic.lighting import light_of
+from wbflow_stages.synthetic.renderer import PreparedScene, build_atlas, look, shade
+from wbflow_stages.synthetic.scene import SceneBuilder
+from wbflow_stages.synthetic.scenes import render
+from wbflow_stages.synthetic.weak import wet_asphalt
+
+
+def test_weak_surfaces_have_the_yards_shape_and_little_contrast() -> None:
+    usual, weak = (
+        render("yard", size=(96, 54), cameras=1, captures=1, surfaces=kind).cameras[0] for kind in ("standard", "weak")
+    )
+    assert np.array_equal(usual.depth, weak.depth)
+    steps = [np.abs(np.diff(luminance(camera.captures[0]), axis=1)) for camera in (usual, weak)]
+    assert np.median(steps[1]) < 0.8 * np.median(steps[0])
+
+
+@pytest.mark.parametrize(("surfaces", "scene"), [("muddy", "yard"), ("weak", "square")])
+def test_surfaces_that_no_scene_has_are_refused(surfaces: str, scene: str) -> None:
+    with pytest.raises(ValueError, match="surfaces"):
+        render(scene, small=True, surfaces=surfaces)
+
+
+def test_wet_ground_is_bright_where_it_is_seen_low_and_dark_from_above() -> None:
+    build = SceneBuilder()
+    paving = build.add_texture(wet_asphalt(np.random.default_rng(0), 2.0, 2.0, 0.1))
+    build.quad((-50.0, 50.0, 0.0), (100.0, 0.0, 0.0), (0.0, -100.0, 0.0), paving)
+    scene = build.build()
+    prepared = PreparedScene(scene, light_of("day", ()), build_atlas(scene.textures))
+    seen = []
+    for forward in (0.3, 12.0):
+        ray = np.array([[0.0, forward, -1.0]], np.float32)
+        at = look(prepared, np.array([0.0, 0.0, 2.0]), ray / np.linalg.norm(ray), 0.001)
+        seen.append(float(shade(prepared, at, np.zeros((1, 2), np.float32)).mean()))
+    assert seen[1] > 3 * seen[0]
