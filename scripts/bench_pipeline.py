@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     rows: list[Row] = []
-    made = {
+    made: dict[str, Callable[[], Iterable[Row]]] = {
         "plan": lambda: (row for count in asked.cameras for row in plan(count)),
         "overlap": lambda: (row for count in asked.cameras for row in overlap(count)),
         "growth": lambda: growth(asked.width, asked.until, asked.memory),

@@ -100,18 +100,18 @@ def told(truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
     """Print what each night says, and what all nights up to it do together."""
     matched: list[Matches] = []
     for number, (left, right) in enumerate(frames, 1):
-        own = detect(left), detect(right)
-        if isinstance(own[0], Rejected) or isinstance(own[1], Rejected):
+        first, second = detect(left), detect(right)
+        if isinstance(first, Rejected) or isinstance(second, Rejected):
             print(f"  night {number}: no keypoints")
             continue
-        found = match(*own, left_frame=left, right_frame=right)
+        found = match(first, second, left_frame=left, right_frame=right)
         if isinstance(found, Rejected):
             print(f"  night {number}: {found.reason}")
             continue
-        print(f"  night {number}: {truth.words(estimate_geometry(found, *own))}", flush=True)
+        print(f"  night {number}: {truth.words(estimate_geometry(found, first, second))}", flush=True)
         matched.append(found)
         if len(matched) > 1:
-            together = estimate_geometry(pooled(matched), *own)
+            together = estimate_geometry(pooled(matched), first, second)
             print(f"  {len(matched)} nights: {truth.words(together)}", flush=True)
 
 

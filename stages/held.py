@@ -100,12 +100,17 @@ def hold_poses(
     main = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
     placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main.items()}
     asked = {n: known.get(n, view) for n, view in views.items() if n in main or n in lost}
-    limits = {
-        "max_rotation_error_deg": max_rotation_error_deg,
-        "max_epipolar_px": max_epipolar_px,
-        "min_angle_deg": min_angle_deg,
-    }
-    found = solve_poses(asked, placements, around, survey, **limits) if around else Rejected(Reason.NO_POSED_CAMERA)
+    if not around:
+        return _with_solved(held, Rejected(Reason.NO_POSED_CAMERA), lost)
+    found = solve_poses(
+        asked,
+        placements,
+        around,
+        survey,
+        max_rotation_error_deg=max_rotation_error_deg,
+        max_epipolar_px=max_epipolar_px,
+        min_angle_deg=min_angle_deg,
+    )
     return _with_solved(held, found, lost)
 
 

@@ -13,7 +13,7 @@ Surface Normal Diffusion, ICCV 2015.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -93,23 +93,18 @@ def refine(
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
-    useful = _sources(camera, others, depth, min_angle_deg, max_angle_deg)
-    if not useful:
+    finer = _as_fine(camera, others, depth, _sources(camera, others, depth, min_angle_deg, max_angle_deg))
+    if not finer:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    finer = {other: _finer(camera, cameras[other], depth) for other in useful}
-    # what a view shows that sees much less fits at many depths: it is asked only where there is no other
-    around = ([other for other in useful if finer[other] * _UNLIKE >= 1] or useful)[: min(max_sources, 32)]
+    around = list(finer)[: min(max_sources, 32)]
     reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
     spacing = _spacing_px(max(image.shape), [finer[other] for other in around])
     far = max(2, round(5 * max(image.shape) / 768))
     then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
-    planes = _planes_of(depth)
-    if then_depth is not None:
-        planes = np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
-    known = np.isfinite(planes[0])
-    nearest, farthest = np.percentile(planes[0][known], [99.8, 0.2])
+    planes = _first_planes(depth, then_depth)
+    nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(radius))
     cost = propagation.improve(planes, sweeps if then_depth is None else min(sweeps, _AGAIN), far, 0.9 * farthest, 1.1 * nearest)
     ground = ground_planes(camera, scene.ground) if scene is not None and scene.ground is not None else None
@@ -128,9 +123,22 @@ def refine(
     return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
 
 
+def _as_fine(camera: Camera, others: Mapping[str, Camera], depth: DepthMap, useful: Sequence[str]) -> dict[str, float]:
+    """How much finer useful views see than the camera.  What a view shows that sees much less fits at many depths: it is asked
+    only where there is no other."""
+    finer = {name: _finer(camera, others[name], depth) for name in useful}
+    return {name: times for name, times in finer.items() if times * _UNLIKE >= 1} or finer
+
+
 def _planes_of(depth: DepthMap) -> Float32s:
     """(3, h, w): inverse depth, and how it changes per pixel in x and y; nan where unknown."""
     return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
+
+
+def _first_planes(depth: DepthMap, then_depth: DepthMap | None) -> Float32s:
+    """Tonight's, and the reference's where tonight has none."""
+    planes = _planes_of(depth)
+    return planes if then_depth is None else np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
 
 
 def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap | None) -> bool:

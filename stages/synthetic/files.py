@@ -74,7 +74,9 @@ def demo_files(
         An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
     """
     kinds = {"lenses": lenses, "surfaces": surfaces}
-    site = render(scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, **kinds)
+    site = render(
+        scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, lenses=lenses, surfaces=surfaces
+    )
     which = ({} if scene == "yard" else {"scene": scene}) | {key: kind for key, kind in kinds.items() if kind != "standard"}
     told = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
     return DemoFiles(told, _files(site, scene, light, lenses))

@@ -39,7 +39,19 @@ DRUMS = ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
 
 
 def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...], surfaces: str = "standard") -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel; surfaces: see `weak.SURFACES`."""
+    """Everything that stands still.
+
+    Parameters
+    ----------
+    rng
+        What is drawn at random.
+    texel_m
+        Metres per texel of the textures.
+    mounts
+        What the cameras stand on.
+    surfaces
+        See `weak.SURFACES`.
+    """
     build = SceneBuilder()
     build.kind = STATIC
     _ground(build, rng, texel_m, surfaces)

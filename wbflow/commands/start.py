@@ -53,8 +53,7 @@ def demo(
     from ..results.demo import write_demo, write_nights
 
     if nights is None:
-        kinds = {"scene": scene, "light": light, "lenses": lenses, "surfaces": surfaces}
-        write_demo(folder, small=small, cameras=cameras, seed=seed, **kinds)
+        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed, lenses=lenses, surfaces=surfaces)
     elif (scene, light, lenses, surfaces) != ("yard", "day", "standard", "standard"):
         raise UsageError(
             "--nights renders the yard, each night in its own light", remedy="leave out --scene, --light, --lenses and --surfaces"

@@ -33,7 +33,6 @@ from .rows import (
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
 
-
 SITE_TYPES = {
     SiteValue.CAPTURES: "wbflow_stages.types:Capture",
     SiteValue.MASK: "wbflow_stages.types:Capture",

@@ -13,7 +13,7 @@ from wbflow_stages.core.cameras import project, relative_pose
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
-from wbflow_stages.types import Camera, Float32s, Frame, Geometry, Pair, Placement, View
+from wbflow_stages.types import Camera, Float32s, Frame, Geometry, Pair, Placement, Poses, View
 
 STONE = 25
 """Texels along each side of a stone."""
@@ -58,6 +58,7 @@ def test_rough_poses_are_adjusted_to_paving_and_are_uncertain_without_its_frames
     pairs = no_keypoints(frames)
     before = solve_poses(views, known, pairs)
     after = solve_poses(views, known, pairs, None, frames)
+    assert isinstance(before, Poses) and isinstance(after, Poses)
     assert set(before.uncertain) == set(known) and not after.uncertain
     assert max(row_errors(dict(before.cameras))) > 0.8
     assert max(row_errors(dict(after.cameras))) < 0.15

@@ -98,7 +98,7 @@ def test_workers_are_told_of_folders_as_they_call_them(tmp_path: Path, monkeypat
     monkeypatch.setattr(distributed, "Client", lambda *positional, **named: client)
     captures = (CaptureFile("gate.png", tmp_path / "gate.png", "d1g35t"), CaptureFile("roof.png", Path("/other/roof.png"), ""))
     files = Files("Capture", captures)
-    here = Stored(Task("frames", ("gate",)), path=tmp_path / "work" / "frame.wbf")
+    here = Stored(Task("frames", ("gate",)), file="frame.wbf")
     spec = TaskSpec(
         Task("poses", ()),
         "toy_stages:solve",
