@@ -43,7 +43,7 @@ def damage(bench: Bench, reduced: bool) -> Row:
     """One file, in one way; then the same night, and one whose tasks read what is there."""
     row = Row("damaged file")
     sites = _three_nights(bench, pin="none"), _three_nights(bench)
-    tries = 1 if reduced else 20
+    tries = 1 if reduced else 16
     for k in range(tries):
         made = sites[(k + 1) % 2]
         for sort, pattern in SORTS.items():

@@ -87,7 +87,8 @@ def disparity_preview(
     width: int = WIDTH,
     **_: object,
 ) -> Uint8s:
-    """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given.
+    """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given,
+    below it what the colours mean.
 
     Parameters
     ----------
@@ -111,8 +112,10 @@ def disparity_preview(
 
 
 def depth_preview(depth: DepthMap, **_: object) -> Uint8s:
-    """Depth of one view, near in warm colours; black where unknown."""
-    return _jpeg(_fit(_coloured((1.0 / depth.depth).astype(np.float32))[0], WIDTH))
+    """Depth of one view, near in warm colours; black where unknown; below it what the colours mean."""
+    coloured, low, high = _coloured((1.0 / depth.depth).astype(np.float32))
+    shown = _fit(coloured[0], WIDTH)
+    return _jpeg(_with_scale(shown, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else shown)
 
 
 def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera], **_: object) -> Uint8s:
@@ -192,9 +195,28 @@ def _disparities(disparity: Disparity, width: int) -> Uint8s:
     """Disparity of both views side by side, on one scale of colours."""
     from ..rectification.warping import disparity_px  # here: as above
 
-    coloured = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
+    coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
     none = np.zeros((0, 2))
-    return _side_by_side(coloured[0], coloured[1], none, none, width)[0]
+    shown = _side_by_side(coloured[0], coloured[1], none, none, width)[0]
+    return _with_scale(shown, f"{low:.1f} px", f"{high:.1f} px") if high > low else shown
+
+
+def _with_scale(picture: Uint8s, low: str, high: str) -> Uint8s:
+    """The picture, and below it a strip with the scale of colours between its ends."""
+    wide = picture.shape[1]
+    size = max(0.35, 0.4 * wide / WIDTH)
+    ends = [cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0] for words in (low, high)]
+    strip: Uint8s = np.full((round(42 * size), wide, 3), 24, np.uint8)
+    start, end = ends[0] + 12, min(wide - ends[1] - 12, ends[0] + 12 + wide // 3)
+    if end > start:
+        ramp = np.linspace(0, 255, end - start).astype(np.uint8)[None]
+        bar = cv2.cvtColor(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+        strip[len(strip) // 4 : 3 * len(strip) // 4, start:end] = bar
+        for words, x in ((low, 6), (high, end + 6)):
+            cv2.putText(
+                strip, words, (x, round(0.7 * len(strip))), cv2.FONT_HERSHEY_SIMPLEX, size, (225, 225, 225), 1, cv2.LINE_AA
+            )
+    return np.concatenate([picture, strip])
 
 
 def _hue(share: float) -> tuple[int, int, int]:
@@ -203,16 +225,17 @@ def _hue(share: float) -> tuple[int, int, int]:
     return int(red), int(green), int(blue)
 
 
-def _coloured(*maps: Float32s) -> list[Uint8s]:
-    """Each (h, w, 3) uint8: the common 2nd to 98th percentile spread over a colour map; black where there is no value."""
+def _coloured(*maps: Float32s) -> tuple[list[Uint8s], float, float]:
+    """Each (h, w, 3) uint8: the common 2nd to 98th percentile spread over a colour map, black where there is no value; and these
+    two values."""
     known = np.concatenate([values[np.isfinite(values)] for values in maps])
-    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 1.0)
+    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 0.0)
     pictures = []
     for values in maps:
         level = np.nan_to_num((values - low) / max(high - low, 1e-12)).clip(0, 1) * 255
         coloured = cv2.cvtColor(cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
         pictures.append(np.where(np.isfinite(values)[..., None], coloured, 0).astype(np.uint8))
-    return pictures
+    return pictures, float(low), float(high)
 
 
 def _directions(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float64s]:

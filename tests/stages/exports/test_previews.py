@@ -57,7 +57,9 @@ def test_disparity_is_black_where_unknown_and_coloured_by_nearness() -> None:
     left[:, 100:] = 16 * np.linspace(5, 60, 100).astype(np.int16)
     confidence = np.zeros((100, 200), np.uint8)
     shown = picture(disparity_preview(Disparity(left, left, confidence, confidence, 0, 0.5)))
-    assert shown.shape[1] == 404 and shown[:, :95].max() < 40
+    assert shown.shape[1] == 404 and shown[:100, :95].max() < 40
+    ramp = shown[100:][len(shown[100:]) // 2].astype(int)
+    assert shown.shape[0] > 110 and (ramp[:, 2] - ramp[:, 0]).argmax() < (ramp[:, 0] - ramp[:, 2]).argmax(), "far to near"
     far, near = shown[50, 105].astype(int), shown[50, 195].astype(int)
     assert far[2] > far[0] and near[0] > near[2]
 
@@ -80,7 +82,9 @@ def test_a_rectified_pair_fits() -> None:
     left, right = (yard.frames[name] for name in pair)
     rows = picture(rectified_preview(rectification, left, right))
     both = picture(disparity_preview(yard.disparities[pair], left=left, right=right, rectification=rectification))
-    assert rows.std() > 20 and abs(both.shape[0] - 2 * rows.shape[0] - 4) <= 1
+    alone = picture(disparity_preview(yard.disparities[pair]))
+    assert rows.std() > 20 and abs(both.shape[0] - rows.shape[0] - alone.shape[0] - 4) <= 1
+    assert 0 < alone.shape[0] - rows.shape[0] < 30, "a scale below it"
 
 
 def test_nothing_is_no_reason_to_fail() -> None:
