@@ -71,10 +71,12 @@ def flat_places(night: Night, size: float, count: int) -> Float64s:
     rng = np.random.default_rng(round(100 * size))
     points = night.cloud.points.astype(np.float64)
     level = points[np.abs(night.cloud.normals[:, 2]) > 0.9]
+    ordered = points[np.argsort(points[:, 0])]
     places: list[Float64s] = []
     for k in rng.permutation(len(level))[:3000]:
         X = level[k]
-        over = points[np.abs(points[:, :2] - X[:2]).max(axis=1) < 0.6 * size]
+        strip = slice(*np.searchsorted(ordered[:, 0], [X[0] - 0.6 * size, X[0] + 0.6 * size]))
+        over = ordered[strip][np.abs(ordered[strip, :2] - X[:2]).max(axis=1) < 0.6 * size]
         spread = np.ptp(np.quantile(over[:, 2], [0.05, 0.95]))
         apart = all(np.linalg.norm(X[:2] - other[:2]) > 2.5 * size + 1 for other in places)
         if apart and spread < FLAT_M and len(over) > 0.5 * (1.2 * size / 0.05) ** 2:

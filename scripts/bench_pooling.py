@@ -51,8 +51,7 @@ class Truth:
 
 def cameras_of(demo: Path) -> dict[str, Camera]:
     """The cameras as they should be."""
-    told = json.loads((demo / "cameras.json").read_text())["cameras"]
-    entries = {entry["id"]: entry for entry in told} if isinstance(told, list) else told
+    entries = json.loads((demo / "cameras.json").read_text())
     found = {}
     for name, entry in entries.items():
         depth = _depth(demo, name)

@@ -112,17 +112,17 @@ def _resemblance(left: Float32s, right: Float32s, ratio: float) -> float:
         return 0.0
     similarity = left @ right.T
     forward, ok_forward = _distinctive(similarity, ratio)
-    backward, ok_backward = _distinctive(similarity.T, ratio)
+    backward, ok_backward = _distinctive(np.ascontiguousarray(similarity.T), ratio)  # along columns it takes three times as long
     mutual = backward[forward] == np.arange(len(left))
     return float((mutual & ok_forward & ok_backward[forward]).sum() / min(len(left), len(right)))
 
 
 def _distinctive(similarity: Float32s, ratio: float) -> tuple[Int32s, Bools]:
-    """Per row the best column, and whether its distance is below `ratio` times the second's."""
+    """Per row the best column, and whether its distance is below `ratio` times the second's; it is given back as it was."""
     rows = np.arange(len(similarity))
     best = similarity.argmax(axis=1)
     first = similarity[rows, best]
-    rest = similarity.copy()
-    rest[rows, best] = -1.0
-    second = rest.max(axis=1)
+    similarity[rows, best] = -1.0
+    second = similarity.max(axis=1)
+    similarity[rows, best] = first
     return best.astype(np.int32), np.asarray((2 - 2 * first) < ratio**2 * (2 - 2 * second))

@@ -19,7 +19,7 @@ from ..mvs.on_ground import ground_matches
 from ..twoview.epipolar import triangulate_depth
 from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
 from .adjusted import Adjusted
-from .pose_check import DEVIATIONS, Sigma
+from .pose_check import Sigma
 from .within import MIN_MATCHES, adjust_within
 
 _MOST_PLANES = 4
@@ -28,7 +28,9 @@ _SAME_HEIGHT = 0.06
 """Heights within this share of each other are the same plane."""
 _FINE_REACH_PX = 6.0
 """Patches are off by no more once the poses have been adjusted roughly."""
-_WIDEST_REACH_PX = 32.0
+_REACH_SIGMAS, _WIDEST_REACH_PX = 2.0, 24.0
+"""Patches are looked for so many standard deviations away, and no farther than so many pixels: the wider, the fewer are the only
+ones in reach that look so."""
 _BENEATH = 0.1
 """Matches farther under the plane than this share of the camera's height above it are of look-alikes."""
 _ROUGH, _FINE = 80, 200
@@ -113,7 +115,7 @@ class _Site:
             camera, sigma = self.known[name], self.sigmas.get(name, Sigma())
             away = 4.0 * abs(float(plane[:3] @ camera.C + plane[3]))
             square += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / away)) ** 2
-        return min(DEVIATIONS * float(np.sqrt(square)), _WIDEST_REACH_PX)
+        return min(_REACH_SIGMAS * float(np.sqrt(square)), _WIDEST_REACH_PX)
 
 
 def _planes(site: _Site) -> list[Float64s]:

@@ -13,7 +13,7 @@ from .renderer import Lamp, Light, PreparedScene
 VARIANTS = {
     "standard": "as the scene has them",
     "fisheye": "every second camera sees 180 degrees, with twice the pixels along each side",
-    "brown": "all see 100 degrees, and bend lines strongly",
+    "brown": "all see 100 degrees with half as many pixels again along each side, and bend lines strongly",
     "mixed": "every second camera has four times the pixels of its neighbours along each side",
     "infrared": "colour, infrared, grey, infrared; at night the infrared ones see by their own lamp",
 }
@@ -43,7 +43,7 @@ def _fitted(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
     if lenses == "fisheye" and every_second:
         return replace(viewpoint, model="fisheye", distortion=_FISHEYE, hfov_deg=180.0, scale=2.0)
     if lenses == "brown":
-        return replace(viewpoint, distortion=_BARREL, hfov_deg=100.0, whole_picture=True)
+        return replace(viewpoint, distortion=_BARREL, hfov_deg=100.0, whole_picture=True, scale=1.5)
     if lenses == "mixed":
         return replace(viewpoint, scale=2.0 if every_second else 0.5)
     if lenses == "infrared":

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..task import camera_of
 from .choice import MOST_AT_A_CAMERA, adds_little, choose
-from .evidence import ALL_KNOWN, MOST_DROPPED, Evidence, Pair, cameras_of, evidence_of, unfit, worth
+from .evidence import ALL_KNOWN, MOST_DROPPED, Evidence, Known, Pair, cameras_of, evidence_of, unfit
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -93,20 +93,20 @@ def select_pairs(
     candidates.add_nodes_from(overlap.cameras)
     reasons: dict[Pair, str] = {}
     orders = itertools.count()  # to count the edges each time would be quadratic
-    for pair, (angle, shared) in evidence.items():
+    for pair, (angle, shared, promise) in evidence.items():
         if cameras_of(pair) in banned:
             reasons[pair] = "excluded by the site file"
         elif pair not in forced and (why := unfit(angle, shared, (min_angle, max_angle))):
             reasons[pair] = why
         else:
-            candidates.add_edge(*pair, weight=worth(angle, shared), order=next(orders))
+            candidates.add_edge(*pair, weight=promise, order=next(orders))
     chosen = choose(candidates, degree, [p for p in evidence if p in forced and cameras_of(p) not in banned])
     counts = Counter(camera for pair in chosen for camera in pair)
     told = _told(evidence, chosen)
     edges = []
-    for pair, (angle, shared) in evidence.items():
+    for pair, (angle, shared, promise) in evidence.items():
         if pair in told:
-            reason = chosen.get(pair) or reasons.get(pair) or _why_not(pair, worth(angle, shared), counts, degree)
+            reason = chosen.get(pair) or reasons.get(pair) or _why_not(pair, promise, counts, degree)
             edges.append(Edge(*pair, kept=pair in chosen, reason=reason, angle_deg=angle, shared=shared))
     kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
     full = {view: _left_out(view, candidates, chosen) for view in candidates if counts[view] >= MOST_AT_A_CAMERA}
@@ -148,14 +148,14 @@ def _told(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
     """The pairs that are told of: all chosen ones, and of the others those that are among the first of one of their cameras."""
     told, counts = set(chosen), Counter[str]()
     dropped = [pair for pair in evidence if pair not in told]
-    for pair in sorted(dropped, key=lambda pair: -worth(*evidence[pair])):
+    for pair in sorted(dropped, key=lambda pair: -evidence[pair][2]):
         if min(counts[camera] for camera in pair) < MOST_DROPPED:
             told.add(pair)
             counts.update(pair)
     return told
 
 
-def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, tuple[float, float]]) -> set[Pair]:
+def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, Known]) -> set[Pair]:
     """The pairs that are always matched: of two cameras with several views, those views that promise most.
 
     Of many views those that share nothing are not among the evidence; asked for they are, and told of as such.
@@ -163,12 +163,12 @@ def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence:
     found = dict[frozenset[str], Pair]()
     for pair in evidence if wanted else ():
         cameras = cameras_of(pair)
-        if cameras in wanted and (cameras not in found or worth(*evidence[pair]) > worth(*evidence[found[cameras]])):
+        if cameras in wanted and (cameras not in found or evidence[pair][2] > evidence[found[cameras]][2]):
             found[cameras] = pair
     for cameras in [cameras for cameras in wanted if cameras not in found] if len(views) > ALL_KNOWN else ():
         first = {camera_of(view): view for view in reversed(views) if camera_of(view) in cameras}
         if len(first) == 2:
             left, right = sorted(first.values(), key=views.index)
             found[cameras] = left, right
-            evidence[left, right] = math.nan, 0.0
+            evidence[left, right] = math.nan, 0.0, 0.0
     return set(found.values())
