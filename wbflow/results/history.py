@@ -34,7 +34,7 @@ class Entry:
         if self.verdict is None:
             return ""
         words = f"{self.verdict.level}: {self.verdict.findings[0]}" if self.verdict.findings else self.verdict.level
-        words += f", the same as {self.same_as}" if self.same_as else ""
+        words = f"the same as {self.same_as}: {words}" if self.same_as else words
         return words if len(words) <= MOST_WORDS else f"{words[: MOST_WORDS - 3]}..."
 
     def to_json(self) -> dict[str, Any]:

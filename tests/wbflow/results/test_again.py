@@ -54,7 +54,7 @@ def test_a_person_is_told_which_run_it_repeats(toy: ToySite) -> None:
     said = toy.wbflow("run", "--jobs", "1").stdout
     assert f"nothing has changed since run {first}" in said
     assert "wbflow history" in said and "wbflow compare" not in said
-    assert toy.wbflow("history").stdout.splitlines()[-1].endswith(f"good, the same as {first}")
+    assert toy.wbflow("history").stdout.splitlines()[-1].endswith(f"the same as {first}: good")
 
 
 def cut(path: Path) -> None:
