@@ -202,3 +202,20 @@ def test_a_renamed_function_in_a_moved_file_keeps_the_cache(toy: ToySite) -> Non
     matcher(toy, "other:search")
     assert toy.wbflow("run", "--jobs", "1").returncode == 0
     assert toy.ran() == set()
+
+
+def test_frames_are_looked_at_for_poses_only_where_these_are_stated_roughly(toy: ToySite) -> None:
+    (toy.folder / "plugin.py").write_text(
+        "def solve(views, placements, geometries, survey, frames_if_rough):\n"
+        "    raise ValueError(f'frames of {sorted(frames_if_rough)}')\n"
+    )
+    pose = {"K": [[8, 0, 4], [0, 8, 4], [0, 0, 1]], "width": 8, "height": 8, "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    exact = {camera: pose | {"C": [k, 0, 0]} for k, camera in enumerate(toy.cameras)}
+    rough = exact | {"roof": exact["roof"] | {"position_sigma_m": 0.05, "rotation_sigma_deg": 0.3}}
+    site = json.loads(toy.file.read_text())
+    site["stages"]["poses"] = {"use": "plugin:solve"}
+    toy.file.write_text(json.dumps(site | {"calibration": "cameras.json"}))
+    for stated, frames in ((exact, []), (rough, sorted(toy.cameras))):
+        (toy.folder / "cameras.json").write_text(json.dumps(stated))
+        run = toy.run("--until", "poses", code=None)["run"]
+        assert f"frames of {frames}" in (toy.work / "runs" / run / "log.jsonl").read_text()
