@@ -39,6 +39,8 @@ class ToySite:
     """Its cameras are compared with the reference."""
     dated: bool = False
     """Captures are `<camera>-<date>.txt`."""
+    backend: str = "processes"
+    """Where `run` has its tasks done; threads start at once, where a test is of what nights leave and not of who did it."""
 
     def __post_init__(self) -> None:
         (self.folder / "captures").mkdir(parents=True)
@@ -104,7 +106,8 @@ class ToySite:
         from wbflow.cli import main
 
         jobs = [] if "--jobs" in arguments else ["--jobs", "1"]
-        result = CliRunner().invoke(main, ["run", str(self.file), "--json", *jobs, *arguments], env=self.env())
+        command = ["run", str(self.file), "--json", "--backend", self.backend, *jobs, *arguments]
+        result = CliRunner().invoke(main, command, env=self.env())
         assert code in {None, result.exit_code}, result.output
         record: dict[str, Any] = json.loads(result.stdout)
         return record

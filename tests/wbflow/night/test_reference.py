@@ -33,7 +33,7 @@ def toy_stages(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def toy(tmp_path: Path) -> ToySite:
     """A site with three cameras whose first night is pinned."""
-    site = ToySite(tmp_path, ["a", "b", "c"], watched=True, dated=True)
+    site = ToySite(tmp_path, ["a", "b", "c"], watched=True, dated=True, backend="threading")
     site.run("--date", FIRST)
     return site
 

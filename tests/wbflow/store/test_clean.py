@@ -18,7 +18,7 @@ from wbflow.store.layout import WorkFolder
 @pytest.fixture
 def small(tmp_path: Path, toy: ToySite) -> ToySite:
     """Two cameras, so that a night takes no time."""
-    return ToySite(tmp_path / "small", ["gate", "roof"])
+    return ToySite(tmp_path / "small", ["gate", "roof"], backend="threading")
 
 
 def night(toy: ToySite, day: int, view: str = "", **keep: Any) -> str:
