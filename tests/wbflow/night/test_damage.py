@@ -19,8 +19,9 @@ from wbflow.store.layout import WorkFolder
 
 @pytest.fixture
 def toy(toy: ToySite) -> ToySite:
-    """Without a reference, which would put back what it holds itself (see test_reference.py)."""
+    """Without a reference, which would put back what it holds itself (see test_reference.py); tasks are done in threads."""
     toy.keys["pin"] = "none"
+    toy.backend = "threading"
     toy.write()
     return toy
 

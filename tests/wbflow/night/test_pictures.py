@@ -11,6 +11,13 @@ from tests.helpers.toy_site import ToySite
 ORIGINAL = "def show(geometry, left, right):\n    return b'first' + bytes(left.image[0, 0, :1])\n"
 
 
+@pytest.fixture
+def toy(toy: ToySite) -> ToySite:
+    """Tasks are done in threads: who did them does not matter here."""
+    toy.backend = "threading"
+    return toy
+
+
 def pictures(toy: ToySite, stage: str) -> dict[str, bytes]:
     return {path.parent.name: path.read_bytes() for path in (toy.work / "cache" / stage).rglob("*.jpg")}
 

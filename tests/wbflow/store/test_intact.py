@@ -14,6 +14,13 @@ from wbflow.store.layout import WorkFolder
 
 
 @pytest.fixture
+def toy(toy: ToySite) -> ToySite:
+    """Tasks are done in threads: who did them does not matter here."""
+    toy.backend = "threading"
+    return toy
+
+
+@pytest.fixture
 def settled(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     """A site with three nights behind it, each planned, whose cloud is known to be intact, however young its files are."""
     monkeypatch.setattr("wbflow.store.digests._SETTLED_NS", -(10**18))
