@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from .core.bending import straight_frame, straight_frames
-from .core.cameras import ray_angles, scaled_intrinsics, transfer
+from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
 from .mvs.ground import ground_planes
@@ -202,8 +202,7 @@ def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:
     """How many times finer another camera sees the surface than this one does."""
     y, x = np.nonzero(np.isfinite(start.depth[::8, ::8]))
     z = start.depth[::8, ::8][y, x].astype(np.float64)
-    points = (np.column_stack([8.0 * x, 8.0 * y, np.ones(len(x))]) @ np.linalg.inv(camera.K).T * z[:, None]) @ camera.R + camera.C
-    there = (points - other.C) @ other.R[2]
+    there = project(other, backproject(camera, np.column_stack([8.0 * x, 8.0 * y]), z))[1]
     seen = there > 0
     return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
 

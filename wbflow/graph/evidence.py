@@ -31,11 +31,13 @@ def cameras_of(pair: Pair) -> frozenset[str]:
     return frozenset(map(camera_of, pair))
 
 
-def worth(angle: float, shared: float) -> float:
-    """How much a pair promises: what it shares, best at 10 to 25 degrees (wide enough to be precise, narrow enough to match)."""
-    if math.isnan(angle):
-        return shared
-    return shared / (1 + max(0.0, (10 - angle) / 10) ** 2 + max(0.0, (angle - 25) / 15) ** 2)
+def worth(angle: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """(m,) how much pairs promise: what they share, best at 10 to 25 degrees: wide enough to be exact, narrow enough to match."""
+    import numpy as np
+
+    off = np.maximum(0.0, (10 - angle) / 10) ** 2 + np.maximum(0.0, (angle - 25) / 15) ** 2
+    promise: np.ndarray = shared / (1 + np.nan_to_num(off))
+    return promise
 
 
 def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | None:
@@ -71,15 +73,12 @@ def evidence_of(overlap: Any, angles: tuple[float, float], asked: Collection[fro
     number = {camera: k for k, camera in enumerate(dict.fromkeys(camera_names))}
     camera = np.array([number[name] for name in camera_names], np.int64)
     rows = np.flatnonzero(camera[overlap.pairs[:, 0]] != camera[overlap.pairs[:, 1]])
-    count = len(rows)
+    count, promise = len(rows), worth(overlap.angle_deg, _apart_enough(overlap))
     if count > len(names) * MOST_CANDIDATES // 2:
         wanted = {tuple(sorted(number[name] for name in pair)) for pair in asked if pair <= number.keys()}
-        rows = _promising(overlap, rows, camera, angles, wanted)
-    columns = (x[rows].tolist() for x in (overlap.pairs, overlap.angle_deg, overlap.shared, _apart_enough(overlap)))
-    found = {
-        (names[i], names[j]): (angle, shared, worth(angle, apart)) for (i, j), angle, shared, apart in zip(*columns, strict=True)
-    }
-    return found, count
+        rows = _promising(overlap, rows, promise, camera, angles, wanted)
+    columns = (x[rows].tolist() for x in (overlap.pairs, overlap.angle_deg, overlap.shared, promise))
+    return {(names[i], names[j]): tuple(known) for (i, j), *known in zip(*columns, strict=True)}, count
 
 
 def _apart_enough(overlap: Any) -> np.ndarray:
@@ -103,15 +102,32 @@ def _apart_enough(overlap: Any) -> np.ndarray:
 
 
 def _promising(
-    overlap: Any, rows: np.ndarray, camera: np.ndarray, angles: tuple[float, float], wanted: Collection[tuple[int, ...]]
+    overlap: Any,
+    rows: np.ndarray,
+    promise: np.ndarray,
+    camera: np.ndarray,
+    angles: tuple[float, float],
+    wanted: Collection[tuple[int, ...]],
 ) -> np.ndarray:
-    """Those of the rows that are worth thinking over, in their order."""
+    """Those of the rows that are worth thinking over, in their order.
+
+    Parameters
+    ----------
+    overlap, angles
+        As of `evidence_of`.
+    rows
+        Of the overlap, that are pairs of two cameras.
+    promise
+        What each row of the overlap promises.
+    camera
+        The number of each view's camera.
+    wanted
+        Pairs of these numbers that are all looked at.
+    """
     import numpy as np
 
-    pairs, angle, shared = overlap.pairs[rows], overlap.angle_deg[rows], _apart_enough(overlap)[rows]
-    off = np.maximum(0, (10 - angle) / 10) ** 2 + np.maximum(0, (angle - 25) / 15) ** 2
-    promise = shared / (1 + np.nan_to_num(off))  # as `worth` has it
-    fit = (shared > 0) & (np.isnan(angle) | ((angle >= angles[0]) & (angle <= angles[1])))
+    pairs, angle, promise = overlap.pairs[rows], overlap.angle_deg[rows], promise[rows]
+    fit = (promise > 0) & (np.isnan(angle) | ((angle >= angles[0]) & (angle <= angles[1])))
     keep = _among_best(pairs, promise, MOST_DROPPED)
     fits = np.flatnonzero(fit)
     keep[fits[_among_best(pairs[fits], promise[fits], MOST_CANDIDATES)]] = True

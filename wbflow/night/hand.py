@@ -22,7 +22,7 @@ from .worker import Done
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""
 LOOK_SECONDS = 0.25
-"""How often it is looked whether it is still there."""
+"""How often clocks and memory are looked at, and whether a worker is still there."""
 PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Of an image whose header nobody has read before OpenCV does."""
 

@@ -20,14 +20,12 @@ from ..store.cache import Cache, Receipt
 from ..store.sizes import in_words
 from ..task import Task
 from . import machine
-from .hand import Hand
+from .hand import LOOK_SECONDS, Hand
 from .limits import Limits
 from .spec import TaskSpec
 from .state import Cause
 from .worker import Done, unkept
 
-LOOK_SECONDS = 0.25
-"""How often clocks and memory are looked at."""
 START_SECONDS = 120.0
 """A worker process that has not started in this time never will."""
 
