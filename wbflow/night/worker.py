@@ -324,8 +324,8 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
 
 
 def _bytes_of(value: Stored, lane: _Lane) -> bytes:
-    path = lane.cache.work.artifact_file(value.task, value.file)
-    return lane.cache.read(value.task, path, value.file_digest)
+    name = lane.cache.work.artifact_name(value.task, value.file)
+    return lane.cache.read(value.task, name, value.file_digest)
 
 
 def _from_plain(value: Value) -> Any:
