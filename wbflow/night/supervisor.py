@@ -282,6 +282,8 @@ class Supervisor:
                     self._cache.assure(receipt)
                 except OSError as error:
                     yield Report(lane.specs, unkept(task, error))
+            for spec in lane.specs:
+                self._cache.sweep(spec.task)
 
     def _too_slow(self, hand: Hand) -> Iterator[Report]:
         handful = self._busy.pop(hand)

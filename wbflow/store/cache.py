@@ -209,9 +209,12 @@ class Cache:
             return
         sync_all(self.work.cache)
         write_signed(place, of, told)
-        path = Path(place)
-        for left in path.parent.glob(f".{path.name}.*"):
-            left.unlink()
+        self.sweep(receipt.preimage.task)
+
+    def sweep(self, task: Task) -> None:
+        """Remove what a worker that is gone has left half-written of a task."""
+        for left in self.work.unfinished(task):
+            left.unlink(missing_ok=True)
 
     def _told(self, receipt: Receipt) -> tuple[str, str, dict[str, Any]]:
         """A receipt's file, what it is of, and what it says."""

@@ -181,6 +181,10 @@ class WorkFolder:
             if not path.name.startswith("."):
                 yield path
 
+    def unfinished(self, task: Task) -> Iterator[Path]:
+        """Files of a task that have not got their names yet."""
+        return self.task(task).glob(f".*{_UNFINISHED}")
+
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""
         return self.quarantine / "--".join(path.relative_to(self.cache).parts)

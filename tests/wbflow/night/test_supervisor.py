@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from toy_stages import detect as well
 def detect(frame, *, at: float = 0.0):
     """Does to its process what the file `wicked` beside the faults says."""
     features = well(frame)
+    with open(os.path.join(os.environ["TOY_FAULTS"], "did"), "a") as did:
+        did.write(f"{features.xy[0, 0]}\\n")
     what, _, where = open(os.path.join(os.environ["TOY_FAULTS"], "wicked")).read().partition(" ")
     if str(int(features.xy[0, 1])) == where:
         if what == "hang":
@@ -81,6 +84,20 @@ def test_a_task_at_fault_costs_itself_and_the_reason_is_said(
 ) -> None:
     behave(wicked, what)
     assert said in reason_of(wicked.run(*options, code=3))
+
+
+def test_of_quick_lanes_handed_out_together_one_loses_its_worker_and_the_others_are_done_once(tmp_path: Path) -> None:
+    site = ToySite(tmp_path / "toy", [f"c{k:02d}" for k in range(11)] + ["roof"])
+    (site.folder / "wicked_stage.py").write_text(WICKED)
+    described = json.loads(site.file.read_text())
+    described["stages"]["features"] = {"use": "wicked_stage:detect"}
+    described["cameras"] = ["c00", "c01", "c02", "roof", *site.cameras[3:-1]]
+    site.file.write_text(json.dumps(described))
+    behave(site, "leave")
+    result = site.wbflow("run", "--jobs", "1", "--until", "features")
+    assert result.returncode == 3, result.stderr
+    done = sorted(Counter((site.folder / "faults" / "did").read_text().split()).values())
+    assert done == [1] * 11 + [2], "once more alone, and nobody else for its sake"
 
 
 def test_five_megabytes_of_escape_codes_are_a_short_reason(wicked: ToySite) -> None:
