@@ -109,6 +109,9 @@ class Supervisor:
 
     def close(self) -> None:
         """End all workers, whatever they are at."""
+        for hand, lane in self._busy.items():
+            for done in filter(None, hand.heard()[0]):  # what it had told, and nobody has read
+                lane.count(done)
         for hand in [*self._idle, *self._busy]:
             hand.end()
         for lane in self._busy.values():
@@ -213,6 +216,8 @@ class Supervisor:
                 self._cache.assure(receipt)
             except OSError as error:
                 yield Report(lane.specs, unkept(task, error))
+        for spec in lane.specs:
+            self._cache.tidy(spec.task)
 
     def _too_slow(self, hand: Hand) -> Iterator[Report]:
         lane = self._busy.pop(hand)

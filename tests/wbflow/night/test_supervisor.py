@@ -7,14 +7,18 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
+from wbflow.cli import main
 from wbflow.night import limits
 from wbflow.night.limits import Limits
+from wbflow.night.supervisor import Report, Supervisor
 from wbflow.store.past import Past
 from wbflow.task import Task
 
@@ -112,6 +116,27 @@ def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
     assert not [path for path in Path("/dev/shm").glob("*") if str(process.pid) in path.name.replace("_", "-").split("-")]
+
+
+def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_half_written_is_left(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy.fault("slow", "0.2")
+
+    def interrupted(supervisor: Supervisor) -> Iterator[Report]:
+        """Ctrl-C, when a worker has told of a task of its lane, and is at the next."""
+        supervisor._assign()
+        until(lambda: any(toy.work.rglob(".*.json.*.tmp")))
+        time.sleep(0.1)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Supervisor, "reports", interrupted)
+        assert CliRunner().invoke(main, ["run", str(toy.file), "--jobs", "1", "-q"], env=toy.env()).exit_code == 130
+    assert not list(toy.work.rglob("*.tmp"))
+    assert list((toy.work / "cache").glob("frames/*/*.json"))
+    (toy.folder / "faults" / "slow").unlink()
+    assert toy.run()["tasks"]["cached"] >= 1
 
 
 def workers_of(parent: int) -> list[int]:
