@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
@@ -57,11 +57,14 @@ class Hand:
         self.most = 0
         """Most bytes that it was seen to hold since then."""
 
-    def give(self, lane: list[TaskSpec], receipts: Mapping[Task, Receipt], cache: Cache) -> None:
-        """Hand it a lane.  One that is dead takes it, too: that is found out when it is next listened to."""
+    def give(self, lanes: Sequence[tuple[list[TaskSpec], Mapping[Task, Receipt]]], cache: Cache) -> None:
+        """Hand it lanes, each with the receipts of what was done of it.
+
+        One that is dead takes them, too: that is found out when it is next listened to.
+        """
         self.since, self.most = time.monotonic(), 0
         with suppress(OSError):
-            self.pipe.send((lane, dict(receipts), cache))
+            self.pipe.send((lanes, cache))
 
     def heard(self) -> tuple[list[Done | None], bool]:
         """What it has told (None: it is done with what it was given), and whether it is still there."""

@@ -32,17 +32,22 @@ def serve(descriptor: int, parent: int) -> None:
     _end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides what becomes of its workers
     offer_first()
-    from .worker import Kept, do_lane
+    from .worker import Kept, Unsettled, do_lane
 
     pipe, kept = Connection(descriptor), Kept()
     try:
         pipe.send(None)
         while True:
-            lane, receipts, cache = pipe.recv()
-            for done in do_lane(lane, cache, receipts, kept):
-                pipe.send(done)
+            lanes, cache = pipe.recv()
+            unsettled = Unsettled(cache)
+            for lane, receipts in lanes:
+                for done in do_lane(lane, cache, receipts, kept, unsettled):
+                    pipe.send(done)
+                    del done
+            for lost in unsettled.settle():
+                pipe.send(lost)
             pipe.send(None)
-            del lane, receipts, done
+            del lanes, lane, receipts
     except (EOFError, BrokenPipeError, ConnectionResetError):
         sys.stdout.flush()
         os._exit(0)  # without waiting for threads that a stage may have left

@@ -10,10 +10,11 @@ from __future__ import annotations
 import datetime
 import heapq
 import itertools
+import math
+import select
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
-from multiprocessing.connection import wait
 
 from ..errors import WbflowError
 from ..store.cache import Cache, Receipt
@@ -28,6 +29,8 @@ from .worker import Done, unkept
 
 START_SECONDS = 120.0
 """A worker process that has not started in this time never will."""
+HANDFUL_SECONDS = 0.25
+"""Lanes that together take no longer are handed out at once: their results are made to last at once, too."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,31 @@ class _Lane:
             self.receipts[done.task] = done.receipt
 
 
+@dataclass
+class _Handful:
+    """Lanes that a worker has in hand; it does one after the other."""
+
+    lanes: list[_Lane]
+    over: int = 0
+    """So many have come to their end, and wait for the rest: what they have made lasts when all of it does."""
+
+    @property
+    def lane(self) -> _Lane:
+        """The one at work."""
+        return self.lanes[min(self.over, len(self.lanes) - 1)]
+
+    @property
+    def at_work(self) -> Task:
+        return self.lane.at_work.task
+
+    def count(self, done: Done) -> bool:
+        """Count what has ended; is another task begun?"""
+        lane = self.lane
+        lane.count(done)
+        self.over += not lane.goes_on(done)
+        return self.over < len(self.lanes)
+
+
 class Supervisor:
     """Does lanes in worker processes of its own; see `executor.Executor`."""
 
@@ -84,18 +112,22 @@ class Supervisor:
         self._numbers = itertools.count()
         self._alone: list[_Lane] = []  # that have lost a worker, and wait until nothing else is at work
         self._idle: list[Hand] = []
-        self._busy: dict[Hand, _Lane] = {}
+        self._busy: dict[Hand, _Handful] = {}
+        self._took: dict[str, float] = {}  # what the last task of each stage took tonight, seconds by the clock
         self._kills = machine.kills_for_memory()
         self._until = limits.until
         self._look = 0.0  # when memory is looked at next
 
     def submit(self, lanes: list[list[TaskSpec]]) -> None:
         """Lanes to be done, longest expected first, else in their order."""
-        for lane in map(_Lane, lanes):
+        self._line_up(map(_Lane, lanes))
+
+    def _line_up(self, lanes: Iterable[_Lane]) -> None:
+        for lane in lanes:
             heapq.heappush(self._queue, (-self._expected(lane), next(self._numbers), lane))
 
     def reports(self) -> Iterator[Report]:
-        """What becomes of tasks, as it happens; ends when a lane has ended and no other is queued behind it, and once when the
+        """What becomes of tasks, as it happens; ends when lanes have ended and no other is queued behind them, and once when the
         time of the run is over."""
         ended = False
         while self._queue or (not ended and (self._busy or self._alone)):
@@ -109,13 +141,13 @@ class Supervisor:
 
     def close(self) -> None:
         """End all workers, whatever they are at."""
-        for hand, lane in self._busy.items():
-            for done in filter(None, hand.heard()[0]):  # what it had told, and nobody has read
-                lane.count(done)
+        for hand, handful in self._busy.items():
+            for done in filter(None, hand.heard()[0] if hand.ready else ()):  # what it had told, and nobody has read
+                handful.count(done)
         for hand in [*self._idle, *self._busy]:
             hand.end()
-        for lane in self._busy.values():
-            list(self._kept(lane))
+        for handful in self._busy.values():
+            list(self._kept(handful))
         self._idle, self._busy, self._queue, self._alone = [], {}, [], []
 
     def _expected(self, lane: _Lane) -> float:
@@ -125,31 +157,50 @@ class Supervisor:
     def _assign(self) -> None:
         """Give work to who has none, and start workers for what is left."""
         first = bool(self._queue)
-        room = 1 if not first else self._jobs if not any(lane.losses for lane in self._busy.values()) else 0
+        alone = any(lane.losses for handful in self._busy.values() for lane in handful.lanes)
+        room = 1 if not first else self._jobs if not alone else 0
         while (self._queue if first else self._alone) and len(self._busy) < room:
-            lane = heapq.heappop(self._queue)[2] if first else self._alone.pop(0)
+            lanes = self._next_lanes() if first else [self._alone.pop(0)]
             hand = self._idle.pop() if self._idle else Hand()
-            hand.give(lane.specs[lane.finished :], lane.receipts, self._cache)
-            self._busy[hand] = lane
-            self._begun(lane.at_work.task)
+            hand.give([(lane.specs[lane.finished :], lane.receipts) for lane in lanes], self._cache)
+            self._busy[hand] = _Handful(lanes)
+            self._begun(lanes[0].at_work.task)
+
+    def _next_lanes(self) -> list[_Lane]:
+        """The next lane; where it is known to be quick, with others that are, but no more than each worker's share of them."""
+        most = len(self._queue) // (2 * self._jobs)
+        lanes, seconds = [heapq.heappop(self._queue)[2]], 0.0
+        while len(lanes) < most:
+            seconds += self._tonight(lanes[-1])
+            if seconds + self._tonight(self._queue[0][2]) > HANDFUL_SECONDS:
+                break
+            lanes.append(heapq.heappop(self._queue)[2])
+        return lanes
+
+    def _tonight(self, lane: _Lane) -> float:
+        """What a lane will take, by what the like took tonight, and by what it took before."""
+        took = sum(self._took.get(spec.task.stage, math.inf) for spec in lane.specs)
+        return max(took, self._expected(lane))
 
     def _listen(self) -> Iterator[Report]:
-        wait([hand.pipe for hand in self._busy], LOOK_SECONDS)
+        self._wait()
         fullest = self._above_memory()
-        for hand, lane in list(self._busy.items()):
+        for hand, handful in list(self._busy.items()):
             told, alive = hand.heard()
             for done in told:
                 if not hand.ready:
                     hand.ready = True
                 elif done is not None:
-                    lane.count(done)
-                    yield Report(lane.specs, done)
-                    if lane.goes_on(done):
-                        self._begun(lane.at_work.task)
+                    specs, another = handful.lane.specs, handful.count(done)
+                    self._took[done.task.stage] = done.receipt.wall if done.receipt else math.inf
+                    yield Report(specs, done)
+                    if another:
+                        self._begun(handful.at_work)
                 else:
                     self._idle.append(hand)
                     del self._busy[hand]
-                    yield Report(lane.specs, None)
+                    for lane in handful.lanes:
+                        yield Report(lane.specs, None)
             if hand not in self._busy:
                 continue
             if not alive:
@@ -159,8 +210,15 @@ class Supervisor:
             elif not hand.ready and hand.age > START_SECONDS:
                 self.close()
                 raise WbflowError(f"a worker process has not started in {START_SECONDS:.0f} s", remedy="is the machine well?")
-            elif hand.age > self._limits.seconds_for(lane.at_work.task):
+            elif hand.age > self._limits.seconds_for(handful.at_work):
                 yield from self._too_slow(hand)
+
+    def _wait(self) -> None:
+        """Until one of those at work tells something, or it is time to look at them."""
+        poll = select.poll()
+        for hand in self._busy:
+            poll.register(hand.pipe.fileno(), select.POLLIN)
+        poll.poll(LOOK_SECONDS * 1000)
 
     def _above_memory(self) -> Hand | None:
         """Who has to go because all workers together hold too much: those without work at once, else the fullest."""
@@ -195,11 +253,13 @@ class Supervisor:
         return how, Cause.WORKER_LOST
 
     def _lost(self, hand: Hand, why: str, cause: Cause) -> Iterator[Report]:
-        lane = self._busy.pop(hand)
+        handful = self._busy.pop(hand)
         if not hand.ready:
             self.close()
             raise WbflowError(f"no worker process can be started: the first {why.partition(',')[0]}", remedy=_INSTALLED)
-        yield from self._kept(lane)
+        lane = yield from self._left(handful)
+        if lane is None:
+            return
         task = lane.at_work.task
         lane.losses += 1
         if lane.losses == 1:
@@ -209,20 +269,31 @@ class Supervisor:
         remedy = "lower `resolution`, or give it more with --memory" if cause is Cause.OUT_OF_MEMORY else "look at its function"
         yield from _failed(lane, f"{why}, twice; {remedy}", cause)
 
-    def _kept(self, lane: _Lane) -> Iterator[Report]:
-        """What a lane had finished stays, though its worker is gone; what cannot be kept has to be made again."""
-        for task, receipt in lane.receipts.items():
-            try:
-                self._cache.assure(receipt)
-            except OSError as error:
-                yield Report(lane.specs, unkept(task, error))
-        for spec in lane.specs:
-            self._cache.tidy(spec.task)
+    def _left(self, handful: _Handful) -> Generator[Report, None, _Lane | None]:
+        """Of lanes whose worker is gone: what was finished stays, what was not begun waits again; returns the one at work."""
+        yield from self._kept(handful)
+        for lane in handful.lanes[: handful.over]:
+            yield Report(lane.specs, None)
+        self._line_up(handful.lanes[handful.over + 1 :])
+        return handful.lane if handful.over < len(handful.lanes) else None
+
+    def _kept(self, handful: _Handful) -> Iterator[Report]:
+        """What lanes had finished stays, though their worker is gone; what cannot be kept has to be made again."""
+        for lane in handful.lanes:
+            for task, receipt in lane.receipts.items():
+                try:
+                    self._cache.assure(receipt)
+                except OSError as error:
+                    yield Report(lane.specs, unkept(task, error))
+            for spec in lane.specs:
+                self._cache.tidy(spec.task)
 
     def _too_slow(self, hand: Hand) -> Iterator[Report]:
-        lane = self._busy.pop(hand)
+        handful = self._busy.pop(hand)
         hand.end()
-        yield from self._kept(lane)
+        lane = yield from self._left(handful)
+        if lane is None:
+            return
         task = lane.at_work.task
         before = self._limits.past.stages.get(task.stage)
         usual = f" ({task.stage} takes {_time(before)} as a rule)" if before is not None else ""

@@ -74,30 +74,16 @@ MOST_KEPT = 4
 
 
 @dataclass
-class _Lane:
-    """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
+class Unsettled:
+    """Results that are written, and whose receipts are not in their places yet: they are made to last all at once."""
 
     cache: Cache
-    kept: Kept
-    receipts: dict[Task, Receipt] = field(default_factory=dict)
-    results: dict[str, Any] = field(default_factory=dict)
-    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
-    clock: Callable[[], float] = time.process_time
-    """CPU seconds."""
-    unsettled: dict[Task, Prepared] = field(default_factory=dict)
-    """Receipts that are not in their places yet."""
-
-    def keep(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
-        """Keep a result: what took its time at once, what was quick at the end of the lane, with the rest of it."""
-        if receipt.wall > QUICK_SECONDS:
-            self.cache.write(receipt, data)
-        else:
-            self.unsettled[receipt.preimage.task] = self.cache.prepare(receipt, data)
+    receipts: dict[Task, Prepared] = field(default_factory=dict)
 
     def settle(self) -> list[Done]:
         """Put all receipts into their places.  What cannot be kept is not there, and has to be made again."""
-        tasks, receipts = list(self.unsettled), list(self.unsettled.values())
-        self.unsettled = {}
+        tasks, receipts = list(self.receipts), list(self.receipts.values())
+        self.receipts = {}
         try:
             if receipts:
                 self.cache.settle(receipts)
@@ -105,15 +91,44 @@ class _Lane:
             return [unkept(task, error) for task in tasks]
         return []
 
+    def drop(self) -> None:
+        """They are not wanted any more."""
+        for prepared in self.receipts.values():
+            prepared.drop()
+
+
+@dataclass
+class _Lane:
+    """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
+
+    cache: Cache
+    kept: Kept
+    unsettled: Unsettled
+    receipts: dict[Task, Receipt] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
+    """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
+    clock: Callable[[], float] = time.process_time
+    """CPU seconds."""
+
+    def keep(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
+        """Keep a result: what took its time at once, what was quick with the rest of what was."""
+        if receipt.wall > QUICK_SECONDS:
+            self.cache.write(receipt, data)
+        else:
+            self.unsettled.receipts[receipt.preimage.task] = self.cache.prepare(receipt, data)
+
 
 def do_lane(
     specs: list[TaskSpec],
     cache: Cache,
     receipts: Mapping[Task, Receipt],
     kept: Kept,
+    unsettled: Unsettled,
     clock: Callable[[], float] = time.process_time,
 ) -> Iterator[Done]:
     """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
+
+    What was quick is done when the caller has settled it.
 
     Parameters
     ----------
@@ -125,27 +140,21 @@ def do_lane(
         Of earlier tasks of the lane, where it goes on after a worker was lost.
     kept : Kept
         What the worker keeps from lane to lane.
+    unsettled : Unsettled
+        Takes the results that were quick.
     clock : callable
         CPU seconds: of the process, or of the thread where others work beside it.
     """
     offer(specs[0].folder)
-    lane = _Lane(cache, kept, dict(receipts), clock=clock)
-    try:
-        for spec in specs:
-            done = _attempt(spec, lane)
-            ends = spec is specs[-1] or done.receipt is None or done.receipt.outcome == "rejected"
-            lost = lane.settle() if ends else []
-            if damages := cache.damages():
-                done = dataclasses.replace(done, damages=tuple(damages))
-            if spec.task not in {one.task for one in lost}:
-                yield done
-            yield from lost
-            if ends or done.receipt is None:
-                return
-            lane.receipts[spec.task] = done.receipt
-    finally:
-        for prepared in lane.unsettled.values():
-            prepared.drop()
+    lane = _Lane(cache, kept, unsettled, dict(receipts), clock=clock)
+    for spec in specs:
+        done = _attempt(spec, lane)
+        if damages := cache.damages():
+            done = dataclasses.replace(done, damages=tuple(damages))
+        yield done
+        if done.receipt is None or done.outcome == "rejected":
+            return
+        lane.receipts[spec.task] = done.receipt
 
 
 def unkept(task: Task, error: OSError) -> Done:
@@ -156,12 +165,14 @@ def unkept(task: Task, error: OSError) -> Done:
 
 def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
     """The same, all at once, in one of several threads."""
-    return list(do_lane(specs, cache, {}, Kept(), time.thread_time))
+    unsettled = Unsettled(cache)
+    done = list(do_lane(specs, cache, {}, Kept(), unsettled, time.thread_time))
+    return done + unsettled.settle()
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
-    lane = _Lane(cache, Kept())
+    lane = _Lane(cache, Kept(), Unsettled(cache))
     return {name: _load(value, lane) for name, value in spec.inputs.items()}
 
 
@@ -324,8 +335,8 @@ def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
 
 
 def _bytes_of(value: Stored, lane: _Lane) -> bytes:
-    path = lane.cache.work.artifact_file(value.task, value.file)
-    return lane.cache.read(value.task, path, value.file_digest)
+    name = lane.cache.work.artifact_name(value.task, value.file)
+    return lane.cache.read(value.task, name, value.file_digest)
 
 
 def _from_plain(value: Value) -> Any:

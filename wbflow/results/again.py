@@ -171,8 +171,8 @@ def _of_tasks(plan: Plan) -> Iterator[str]:
         if receipt.file:
             yield f"{name[: name.rindex('/')]}/{receipt.file}"
             if task.stage in drawn:
-                yield str(plan.cache.work.drawing(task, receipt.key))
-                yield str(plan.cache.work.picture(task, receipt.key))
+                yield plan.cache.work.drawing_name(task, receipt.key)
+                yield plan.cache.work.picture_name(task, receipt.key)
 
 
 def _of_reference(cache: Cache, reference: Reference | None) -> Iterator[str]:

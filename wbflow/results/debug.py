@@ -132,6 +132,6 @@ def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any
     """Write an input; one that the cache keeps as a file that people can open is copied."""
     if isinstance(how, Stored) and not how.part and how.file and (table := stage_named(how.task.stage).table):
         file = f"{name}{table.suffix}"
-        shutil.copyfile(cache.work.artifact_file(how.task, how.file), folder / file)
+        shutil.copyfile(cache.work.artifact_name(how.task, how.file), folder / file)
         return {"table": file, "restore": table.restore}
     return function(PLAIN_FILES)(value, folder, name)

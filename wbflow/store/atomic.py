@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Literal
 
 from .room import told_full
 
 if TYPE_CHECKING:
     import ctypes
+    from io import FileIO
 
 _PIECE = 1 << 20
+_MINE = os.urandom(4).hex()
+"""Tells this process from those of other machines that have its number."""
+_NUMBERS = itertools.count()
 
 
-def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, lasts: bool = True, ours: bool = False) -> None:
+def write_atomic(
+    path: Path | str, data: bytes | bytearray, *, settle: bool = True, lasts: bool = True, ours: bool = False
+) -> None:
     """Write a file so that a reader, or the next boot, sees all of it or the old one: temporary name, fsync, rename.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         Where.
     data : bytes
         What.
@@ -41,7 +48,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, settle: bool = True, la
     """
     put(prepare(path, data, lasts=lasts), ours=ours)
     if settle and lasts:
-        sync_folder(path.parent)
+        sync_folder(os.path.dirname(path) or ".")  # noqa: PTH120
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class Prepared:
     """A file that is written, and not yet in its place."""
 
     temporary: str
-    path: Path
+    path: Path | str
     size: int
 
     def drop(self) -> None:
@@ -57,7 +64,7 @@ class Prepared:
         _drop(self.temporary)
 
 
-def prepare(path: Path, data: bytes | bytearray, *, lasts: bool = False) -> Prepared:
+def prepare(path: Path | str, data: bytes | bytearray, *, lasts: bool = False) -> Prepared:
     """Write a file under a temporary name beside its place, on a disk that has room for it; `put` is the rest.
 
     lasts: see `write_atomic`.  Raises OSError.
@@ -65,9 +72,10 @@ def prepare(path: Path, data: bytes | bytearray, *, lasts: bool = False) -> Prep
     temporary = _beside(path)
     try:
         with _opened(temporary) as file:
-            file.write(data)
+            written = file.write(data)
+            while written < len(data):  # no more than 2 GB at once
+                written += file.write(memoryview(data)[written:])
             if lasts:
-                file.flush()
                 os.fsync(file.fileno())
     except OSError as error:
         _drop(temporary)
@@ -90,12 +98,12 @@ def put(prepared: Prepared, *, ours: bool = False) -> None:
         raise
 
 
-def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
+def copy_atomic(path: Path | str, name: Path | str, *, lasts: bool = True) -> None:
     """Put a copy of a file in the place of what bears a name there: what happens to one does not happen to the other.
 
     Parameters
     ----------
-    path, name : Path
+    path, name : Path or str
         From where to where.
     lasts : bool
         The power may go any moment.  False where the caller makes many copies last at once (see `sync_all`).
@@ -108,15 +116,39 @@ def copy_atomic(path: Path, name: Path, *, lasts: bool = True) -> None:
     temporary = _beside(name)
     try:
         with open(path, "rb", 0) as source, _opened(temporary) as target:  # noqa: PTH123 (hot path)
-            while piece := source.read(_PIECE):
-                target.write(piece)
+            _copy(source, target)
             if lasts:
-                target.flush()
                 os.fsync(target.fileno())
         _into_place(temporary, name, gives_way=True)
     except OSError as error:
         _drop(temporary)
-        raise told_full(error, name, path.stat().st_size) from None
+        raise told_full(error, name, os.stat(path).st_size) from None  # noqa: PTH116
+
+
+def copy_new(path: Path | str, name: Path | str) -> None:
+    """Put a copy of a file where nobody looks for one before something else says so; the caller makes it last (`sync_all`).
+
+    It is not there as a whole or not at all, unless something was there before.  Raises OSError.
+    """
+    with open(path, "rb", 0) as source:  # noqa: PTH123 (hot path)
+        try:
+            target = _opened(name, "xb")
+        except FileExistsError:  # of an earlier time, and somebody may look for it
+            copy_atomic(path, name, lasts=False)
+            return
+        try:
+            with target:
+                _copy(source, target)
+        except OSError as error:
+            _drop(name)
+            raise told_full(error, name, os.fstat(source.fileno()).st_size) from None
+
+
+def _copy(source: FileIO, target: FileIO) -> None:
+    while piece := source.read(_PIECE):
+        written = target.write(piece)
+        while written < len(piece):  # the disk is nearly full
+            written += target.write(piece[written:])
 
 
 def sync_all(folder: Path) -> None:
@@ -149,7 +181,7 @@ def clear(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path | str) -> None:
     """Make renames in a folder last through a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -158,32 +190,32 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _beside(path: Path) -> str:
+def _beside(path: Path | str) -> str:
     """A name in the same folder that nobody else has."""
-    folder, name = os.path.split(path)
-    return f"{folder or '.'}/.{name}.{os.getpid()}.{os.urandom(4).hex()}.tmp"
+    folder, _, name = os.fspath(path).rpartition("/")
+    return f"{folder or '.'}/.{name}.{os.getpid()}.{_MINE}.{next(_NUMBERS)}.tmp"
 
 
-def _opened(temporary: str) -> BinaryIO:
-    """A new file; its folder is made where there is none."""
+def _opened(name: Path | str, mode: Literal["wb", "xb"] = "wb") -> FileIO:
+    """A new file, which is written to without a buffer between; its folder is made where there is none."""
     try:
-        return open(temporary, "wb")  # noqa: PTH123 (hot path)
+        return open(name, mode, 0)  # noqa: PTH123 (hot path)
     except FileNotFoundError:
-        os.makedirs(os.path.dirname(temporary), exist_ok=True)  # noqa: PTH103, PTH120
-        return open(temporary, "wb")  # noqa: PTH123
+        os.makedirs(os.path.dirname(name), exist_ok=True)  # noqa: PTH103, PTH120
+        return open(name, mode, 0)  # noqa: PTH123
 
 
-def _into_place(temporary: str, path: Path, gives_way: bool) -> None:
+def _into_place(temporary: str, path: Path | str, gives_way: bool) -> None:
     """The last step; a folder that stands in the place gives way, where it may."""
     try:
         os.replace(temporary, path)  # noqa: PTH105 (hot path)
     except IsADirectoryError:
         if not gives_way:
             raise
-        clear(path)
+        clear(Path(path))
         os.replace(temporary, path)  # noqa: PTH105
 
 
-def _drop(temporary: str) -> None:
+def _drop(temporary: Path | str) -> None:
     with contextlib.suppress(FileNotFoundError):
         os.unlink(temporary)  # noqa: PTH108

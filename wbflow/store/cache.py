@@ -153,9 +153,9 @@ class Cache:
         """The artifact's file.  Raises ValueError for a rejected task, which has none."""
         if receipt.file is None:
             raise ValueError(f"{receipt.task} left no artifact")
-        return self._beside(receipt, receipt.file)
+        return Path(self._name(receipt, receipt.file))
 
-    def read(self, task: Task, path: Path, digest: str) -> bytes:
+    def read(self, task: Task, path: Path | str, digest: str) -> bytes:
         """The bytes of an artifact.
 
         Raises
@@ -170,9 +170,9 @@ class Cache:
                 data = b""
             if artifact.digest(data) == digest:
                 return data
-        gone = not path.exists()
-        self.quarantine(path)
-        raise DamagedArtifact(task, path, gone)
+        gone = not os.path.exists(path)  # noqa: PTH110
+        self.quarantine(Path(path))
+        raise DamagedArtifact(task, Path(path), gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
@@ -181,13 +181,13 @@ class Cache:
     def write(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
         """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
         if data is not None and receipt.file:
-            write_atomic(self._beside(receipt, receipt.file), data, settle=False, ours=True)
+            write_atomic(self._name(receipt, receipt.file), data, settle=False, ours=True)
         write_signed(*self._told(receipt))
 
     def prepare(self, receipt: Receipt, data: bytes | bytearray | None) -> Prepared:
         """The same of one of many: it is not done before `settle` has put its receipt into its place.  Raises OSError."""
         if data is not None and receipt.file:
-            write_atomic(self._beside(receipt, receipt.file), data, lasts=False, ours=True)
+            write_atomic(self._name(receipt, receipt.file), data, lasts=False, ours=True)
         place, of, told = self._told(receipt)
         return prepare(place, signed(of, told))
 
@@ -217,9 +217,9 @@ class Cache:
             with suppress(OSError):
                 left.unlink()
 
-    def _told(self, receipt: Receipt) -> tuple[Path, str, dict[str, Any]]:
+    def _told(self, receipt: Receipt) -> tuple[str, str, dict[str, Any]]:
         """A receipt's file, what it is of, and what it says."""
-        place = self.work.receipt(receipt.preimage.task, receipt.key)
+        place = self.work.receipt_name(receipt.preimage.task, receipt.key)
         return place, self.work.place(place), {**vars(receipt), "preimage": vars(receipt.preimage)}
 
     def quarantine(self, path: Path) -> None:
@@ -230,8 +230,9 @@ class Cache:
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
 
-    def _beside(self, receipt: Receipt, name: str) -> Path:
-        return self.work.artifact_file(receipt.preimage.task, name)
+    def _name(self, receipt: Receipt, name: str) -> str:
+        """A file beside a receipt."""
+        return self.work.artifact_name(receipt.preimage.task, name)
 
     def learn(self, receipt: Receipt) -> None:
         """Somebody else has kept an artifact, and says with which receipt: it need not be read."""
@@ -257,7 +258,7 @@ class Cache:
         if known is not None and known[0] == stamp:
             receipt: Receipt | None = known[1]
         else:
-            receipt = self._read(task, Path(name))
+            receipt = self._read(task, name)
             if receipt is not None and stamp is not None:
                 self._known[name] = stamp, receipt
         if receipt and receipt.file and (wrong := _wrong_size(f"{name[: name.rindex('/')]}/{receipt.file}", receipt.bytes)):
@@ -265,9 +266,9 @@ class Cache:
             return None
         return receipt
 
-    def _read(self, task: Task | None, path: Path) -> Receipt | None:
+    def _read(self, task: Task | None, name: str) -> Receipt | None:
         try:
-            fields = read_signed(path, self.work.place(path))
+            fields = read_signed(name, self.work.place(name))
             if fields is None:
                 return None
             fields["preimage"]["subject"] = tuple(fields["preimage"]["subject"])

@@ -115,12 +115,16 @@ class WorkFolder:
         """Where the artifacts of a task lie, whatever their key."""
         return Path(self._of(task))
 
-    def _of(self, task: Task) -> str:
-        return f"{self.cache}/{task.stage}/{'--'.join(task.subject) or 'site'}"  # one path is made, not four: hot
+    @cached_property
+    def _cache_name(self) -> str:
+        return str(self.cache)
 
-    def artifact_file(self, task: Task, name: str) -> Path:
-        """A file beside a task's receipts, by its name."""
-        return Path(f"{self._of(task)}/{name}")
+    def _of(self, task: Task) -> str:
+        return f"{self._cache_name}/{task.stage}/{'--'.join(task.subject) or 'site'}"  # text, not a path: hot
+
+    def artifact_name(self, task: Task, name: str) -> str:
+        """A file beside a task's receipts, by its name, as text: a path takes as long to make as a small file to write."""
+        return f"{self._of(task)}/{name}"
 
     def artifact(self, task: Task, key: str, suffix: str) -> Path:
         """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
@@ -130,9 +134,13 @@ class WorkFolder:
         """A picture of an artifact, for the report."""
         return self.artifact(task, key, ".jpg")
 
-    def drawing(self, task: Task, key: str) -> Path:
+    def picture_name(self, task: Task, key: str) -> str:
+        """The same as text."""
+        return f"{self._of(task)}/{key}.jpg"
+
+    def drawing_name(self, task: Task, key: str) -> str:
         """What the picture was drawn by, and why there is none."""
-        return self.artifact(task, key, ".drawn")
+        return f"{self._of(task)}/{key}.drawn"
 
     def published(self, task: Task, key: str) -> Path:
         """What runs publish of an artifact, besides itself."""
@@ -158,7 +166,7 @@ class WorkFolder:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
 
-    def place(self, path: Path) -> str:
+    def place(self, path: Path | str) -> str:
         """What a file of the cache is of, in words that are the same wherever the work folder lies: stage/subject/key.suffix."""
         return "/".join(str(path).rsplit("/", 3)[-3:])
 
@@ -297,7 +305,15 @@ class WorkFolder:
 
     def pinned_name(self, task: Task, key: str) -> str:
         """Where the reference keeps a receipt."""
-        return f"{self.reference}{self.receipt_name(task, key).removeprefix(str(self.cache))}"
+        return self.pinned_beside(self.receipt_name(task, key))
+
+    def pinned_beside(self, name: str) -> str:
+        """Where the reference keeps a file of the cache, as text."""
+        return f"{self._reference_name}{name.removeprefix(self._cache_name)}"
+
+    @cached_property
+    def _reference_name(self) -> str:
+        return str(self.reference)
 
     @property
     def ledger(self) -> Path:

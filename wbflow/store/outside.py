@@ -36,7 +36,7 @@ class Unreadable(WbflowError, OSError):
     """What lies under a name cannot be read, or will not be; `what` says why, without the name."""
 
 
-def read_outside(path: Path, most: int = MOST_CAPTURE_BYTES) -> bytes:
+def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
     """All bytes of a file.
 
     Raises
@@ -58,7 +58,7 @@ def read_outside(path: Path, most: int = MOST_CAPTURE_BYTES) -> bytes:
     return data
 
 
-def open_outside(path: Path, most: int = MOST_CAPTURE_BYTES) -> int:
+def open_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
     """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_outside` does."""
     try:
         _check(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices does something)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from ..task import Task
 from .artifact import digest, file_digest
@@ -38,13 +39,13 @@ def is_drawn(cache: Cache, task: Task, key: str, by: str) -> bool:
     by : str
         Digest of all that determines the picture now.
     """
-    path, file = cache.work.drawing(task, key), cache.work.picture(task, key)
+    path, file = cache.work.drawing_name(task, key), cache.work.picture_name(task, key)
     try:
         told = read_signed(path, cache.work.place(path))
         drawing = Drawing(**told) if told else None
         if drawing is None or drawing.digest != by:
             return False
-        if drawing.picture and drawing.picture != file_digest(file):
+        if drawing.picture and drawing.picture != file_digest(Path(file)):
             raise Damaged(f"{file} is damaged")
     except OSError:
         cache.note(f"{file} is gone", task)
@@ -73,11 +74,10 @@ def write_drawing(work: WorkFolder, task: Task, key: str, drawing: Drawing, pict
     picture : bytes, optional
         The JPEG file; None where there is none.
     """
-    file = work.picture(task, key)
     if picture is None:
-        file.unlink(missing_ok=True)
+        work.picture(task, key).unlink(missing_ok=True)
     else:
-        write_atomic(file, picture, lasts=False, ours=True)  # one that is found in part is drawn again
-    path = work.drawing(task, key)
+        write_atomic(work.picture_name(task, key), picture, lasts=False, ours=True)  # one that is found in part is drawn again
+    path = work.drawing_name(task, key)
     known = replace(drawing, picture=digest(picture) if picture is not None else None)
-    write_signed(path, work.place(path), asdict(known), lasts=False)
+    write_signed(path, work.place(path), vars(known), lasts=False)

@@ -18,7 +18,7 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Subject, Task
 from .artifact import file_digest
-from .atomic import clear, copy_atomic, sync_all, write_atomic
+from .atomic import clear, copy_atomic, copy_new, sync_all, write_atomic
 from .cache import Cache, Receipt
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, signed
@@ -182,14 +182,15 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     work = cache.work
     kept = {str(work.reference_record), str(work.reference_twin)}
     for receipt in receipts:
-        for path in _files(cache, receipt):
-            copy = work.pinned(path)
-            copy_atomic(path, copy, lasts=False)
-            kept.add(str(copy))
+        for name in _names(cache, receipt):
+            copy = work.pinned_beside(name)
+            copy_new(name, copy)  # nothing is looked for there before the record names it
+            kept.add(copy)
     if work.reference.is_dir():
         sync_all(work.reference)
+    told = signed(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
-        write_atomic(path, signed(_OF, reference.to_json(), indent=1), ours=True)
+        write_atomic(path, told, ours=True)
     for folder, _, names in os.walk(work.reference):
         for name in names:
             if (old := f"{folder}/{name}") not in kept and os.path.isfile(old):  # noqa: PTH113 (hot path)
@@ -277,8 +278,14 @@ def _differ(path: Path, copy: Path) -> bool:
 
 def _files(cache: Cache, receipt: Receipt) -> list[Path]:
     """An artifact, if there is one, and its receipt."""
-    artifact = [cache.path(receipt)] if receipt.file else []
-    return [*artifact, cache.work.receipt(receipt.preimage.task, receipt.key)]
+    return [Path(name) for name in _names(cache, receipt)]
+
+
+def _names(cache: Cache, receipt: Receipt) -> list[str]:
+    """The same as text."""
+    task = receipt.preimage.task
+    artifact = [cache.work.artifact_name(task, receipt.file)] if receipt.file else []
+    return [*artifact, cache.work.receipt_name(task, receipt.key)]
 
 
 def _remove_empty(folder: Path) -> None:

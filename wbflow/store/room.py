@@ -20,9 +20,9 @@ def free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def told_full(error: OSError, path: Path, need: int) -> OSError:
+def told_full(error: OSError, path: Path | str, need: int) -> OSError:
     """The same error with what was needed and what is free, where it says that a disk is full; else as it is."""
     if error.errno not in FULL:
         return error
-    words = f"the disk is full: {in_words(need)} needed, {in_words(free_bytes(path.parent))} free"
+    words = f"the disk is full: {in_words(need)} needed, {in_words(free_bytes(Path(path).parent))} free"
     return OSError(error.errno, words, str(path))

@@ -22,7 +22,7 @@ from .layout import RunPaths, WorkFolder, run_id, started_by
 from .outside import open_outside, read_outside
 from .record import CloudRecord, RunRecord, Verdict
 from .share import share_product, write_product
-from .signed import Unsigned, signed, unsigned
+from .signed import Unsigned, lines_of, signed, unsigned
 
 _OF = "run"
 
@@ -239,7 +239,7 @@ class UnfinishedRun:
             The disk is full, or there is no right to write.
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
-        return self.tell(log_of(events), signed(_OF, record.to_json(), indent=1), metrics, record.verdict)
+        return self.tell(log_of(events), signed(_OF, record.to_json(), in_lines=True), metrics, record.verdict)
 
     def tell(self, log: bytes, record: bytes, metrics: str, verdict: Verdict | None) -> RunFolder:
         """The same with all that is told of the run in bytes, besides the report, which is there.
@@ -333,7 +333,7 @@ def _sha256(path: Path) -> str | None:
 
 def text_of(record: RunRecord) -> str:
     """run.json without its checksum."""
-    return json.dumps({"of": _OF, **record.to_json()}, indent=1)
+    return lines_of({"of": _OF, **record.to_json()})
 
 
 def record_of(data: bytes) -> RunRecord:

@@ -16,7 +16,7 @@ def test_it_is_read_as_it_was_written_by_anybody(tmp_path: Path) -> None:
     write_signed(tmp_path / "memo.json", "memo", CONTENT)
     assert read_signed(tmp_path / "memo.json", "memo") == CONTENT
     assert json.loads((tmp_path / "memo.json").read_bytes())["points"] == 12
-    assert unsigned(signed("memo", CONTENT, indent=1), "memo") == CONTENT
+    assert unsigned(signed("memo", CONTENT, in_lines=True), "memo") == CONTENT
     assert signed("memo", CONTENT) == signed("memo", CONTENT)
 
 
