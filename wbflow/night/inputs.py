@@ -190,9 +190,12 @@ class Inputs:
         """Why a stage that joins many has none to join."""
         frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
         first = f": {faults[0]}" if faults else ""
-        views = [view for view in self.site.views if (state := self.states.get(Task(frame, (view.id,)))) and state.usable]
+        frames = {view.id: self.states.get(Task(frame, (view.id,))) for view in self.site.views}
+        views = [view for view in self.site.views if (state := frames[view.id]) and state.usable]
         usable = list(dict.fromkeys(view.camera for view in views))
         if len(usable) < 2:
+            if all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
+                first = f": {self.site.root} has none of this night"
             have = f"only camera {usable[0]} has" if usable else "no camera has"
             why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
             return Impossible(why, Cause.TOO_FEW_CAMERAS)

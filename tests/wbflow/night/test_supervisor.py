@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -111,7 +112,8 @@ def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
-    assert not [path for path in Path("/dev/shm").glob("*") if str(process.pid) in path.name.replace("_", "-").split("-")]
+    theirs = {str(pid) for pid in (process.pid, *workers)}
+    assert not [path for path in Path("/dev/shm").glob("*") if theirs & set(re.findall(r"\d+", path.name))]
 
 
 def workers_of(parent: int) -> list[int]:

@@ -25,7 +25,7 @@ def test_two_cameras_down_for_a_night(toy: ToySite) -> None:
         ("fewer-points", []),
         ("fewer-pairs", []),
     ]
-    assert second["verdict"]["findings"][3]["text"] == "1 pairs, 17 % of the usual 6"
+    assert second["verdict"]["findings"][3]["text"] == "1 pair, 17 % of the usual 6"
     for name in ("crane", "roof"):
         toy.capture(name).write_text(f"the next view from {name}")
     third = toy.run()
