@@ -325,7 +325,7 @@ def _why_few(record: RunRecord) -> str:
     gone = {camera.id for camera in record.cameras if not camera.ok}
     theirs = [pair for pair in unused if gone & {camera_of(pair.left), camera_of(pair.right)}]
     if 2 * len(theirs) > len(unused):
-        return f"they are with cameras that are left out ({shortened(', '.join(sorted(gone)))})"
+        return f"with cameras that are left out ({shortened(', '.join(sorted(gone)))})"
     return _most_common(unused)
 
 
