@@ -54,6 +54,17 @@ def test_the_morning_after_a_night_without_any_camera(toy: ToySite) -> None:
     assert (runs / "latest-good").resolve().name == good["run"]
 
 
+def test_the_morning_after_a_night_that_brought_no_files(toy: ToySite) -> None:
+    for name in toy.cameras:
+        toy.capture(name).unlink()
+    toy.backend = "threading"
+    record = toy.run(code=1)
+    captures = str(toy.folder / "captures")
+    first, *others = (finding["text"] for finding in record["verdict"]["findings"])
+    assert first == f"no cloud: no camera has a usable capture: there is none of this night in {captures}"
+    assert others == [f"no capture: there is no file {name}.txt; left out tonight" for name in toy.cameras]
+
+
 def test_quiet_says_nothing_of_a_good_night_and_the_findings_of_another(toy: ToySite) -> None:
     result = toy.wbflow("run", "-q", "--jobs", "1")
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
