@@ -107,8 +107,9 @@ def test_what_a_lane_had_finished_before_its_worker_was_lost_is_kept(toy: ToySit
 def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     toy.fault("slow", "30")
     process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), start_new_session=True)
-    until(lambda: len(workers_of(process.pid)) == 2)
+    until(lambda: len(list((toy.folder / "faults").glob("slow-*"))) == 2)  # both are at work: one that starts finds itself alone
     workers = workers_of(process.pid)
+    assert len(workers) == 2
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))

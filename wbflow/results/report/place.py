@@ -123,7 +123,8 @@ def _before(sources: Sources) -> list[Vector]:
     """The middle of the last cloud, for a night without one: its page is to lie as those of other nights do."""
     for record in sources.before:
         if record.cloud and record.poses and record.poses.metric:
-            return [_between(*record.cloud.bounds)]
+            x, y, z = ((low + high) / 2 for low, high in zip(*record.cloud.bounds, strict=True))
+            return [(x, y, z)]
     return []
 
 
