@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..errors import ExitCode, UsageError
+from ..errors import ExitCode, UsageError, counted
 from ..screen import say, stop
 from .common import PATH, json_option, load, place_of, run_argument, say_json, site_argument, work_option
 
@@ -151,4 +151,4 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     with hold_to_write(place, wait=False):
         done = remove(place, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"
-    say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
+    say(f"{verb} {counted(done.files, 'file')}, {done.bytes / 1e6:,.1f} MB, and {counted(len(done.runs), 'run')}")
