@@ -80,6 +80,7 @@ def clean_frame(
         raise EmptyCapture("no capture was found for this night")
     clean: list[_Clean] = []
     notes: list[str] = []
+    faults: list[BadCapture] = []
     chosen = _spread(captures, max_captures)
     camera: Straight | None = None
     for capture in chosen:
@@ -92,13 +93,22 @@ def clean_frame(
             if len(captures) == 1:
                 raise
             notes.append(f"{error}; left out")
+            faults.append(error)
     if not clean:
-        raise BadCapture("none of this night's captures can be used: " + "; ".join(notes))
+        raise BadCapture(f"none of this night's captures can be used: {_told(faults)}")
     clean = _spread(_most_common_size(clean, notes), max_captures)
     notes.extend(clean[0].camera.lost())
     if len(captures) > max_captures:
         notes.append(f"{max_captures} of {len(captures)} captures used")
     return _one_frame(clean, mask, overlays, chosen, notes)
+
+
+def _told(faults: Sequence[BadCapture]) -> str:
+    """What is wrong, once for each kind."""
+    alike: dict[type, list[BadCapture]] = {}
+    for fault in faults:
+        alike.setdefault(type(fault), []).append(fault)
+    return "; ".join(f"{first}{f' (and {len(more)} more like it)' if more else ''}" for first, *more in alike.values())
 
 
 def _one_frame(

@@ -28,7 +28,7 @@ from .night.options import Options
 from .results.afterwards import afterwards, mend_ledger
 from .results.again import Basis, again
 from .results.artifacts import FinishedRun, function, task_named
-from .store.events import Event, Listener, OnlyWarnings, Watcher
+from .store.events import Event, Listener, OnlyWarnings, TaskEvent, Watcher
 from .store.layout import WorkFolder
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
@@ -213,6 +213,7 @@ def run(
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, most, time_limit, stop_at)
     options.check()
+    options.check_subjects(site)
     with _faults_of_the_disk(site):
         return _run(site, options, listen or _quiet, watch)
 
@@ -249,13 +250,18 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
         basis, there = Basis.of(site), arrivals(site, options.date)
         journal = Journal(listen, watch, options.jobs)
         for note in site.notes:
-            journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+            journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy, standing=True)
         for damage in filter(None, (there.digests.damage, there.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         mend_ledger(place, journal)
-        if options.plain and not journal.events and (finished := again(there, basis, name, costs, place)):
+        if (
+            options.plain
+            and journal.events == journal.standing
+            and (finished := again(there, basis, name, costs, place, journal))
+        ):
             for event in finished.folder.events() if not isinstance(listen, OnlyWarnings) else ():
-                listen(event)
+                if isinstance(event, TaskEvent):
+                    listen(event)
             afterwards(finished, site, journal)
             _tell_people(site, finished, journal)
             return Run(finished)

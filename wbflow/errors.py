@@ -83,6 +83,11 @@ def printable(text: object, most: int = LONGEST) -> str:
     return words if words.isprintable() else _UNFIT.sub(_escaped, words)
 
 
+def counted(number: float, thing: str) -> str:
+    """So many of a thing: 1 pair, 1,204 points."""
+    return f"{number:,.0f} {thing}{'s' * (round(number) != 1)}"
+
+
 def _escaped(found: re.Match[str]) -> str:
     code = ord(found.group())
     if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name that is no text (PEP 383)

@@ -32,6 +32,11 @@ class Task(NamedTuple):
         return f"{self.stage} {'--'.join(self.subject)}".strip()
 
 
+def names_of(task: Task) -> set[str]:
+    """What people may call a task: its stage, itself, and of a view the same of its camera."""
+    return {task.stage, str(task), str(Task(task.stage, tuple(map(camera_of, task.subject))))}
+
+
 def component_name(number: int) -> str:
     """What a component of cameras other than the main one is called, as a subject: component-2 is the second."""
     return f"component-{number + 1}"

@@ -67,11 +67,30 @@ def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
     yield "depth/depth.json", _json({"unit": _unit(poses), "cameras": told})
 
 
-def mesh(cloud: Cloud) -> Files:
-    """mesh.ply: the surface through the cloud."""
+def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
+    """mesh.ply: the surface through the cloud, in its colours; mesh/mesh.obj: a coarser one with the photographs on it."""
     from .mesh import mesh_bytes, poisson_mesh
+    from .texture import object_files, textured
 
     yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
+    shown = textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames)
+    for name, data in object_files(shown, "mesh"):
+        yield f"mesh/{name}", data
+
+
+def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
+    """orthophoto.tif where the site is georeferenced, else orthophoto.png with its world file."""
+    from .mesh import poisson_mesh
+    from .orthophoto import geotiff, plain_files
+    from .orthophoto import orthophoto as seen_from_above
+    from .texture import textured
+
+    georeference = _georeference(poses)
+    photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames), georeference)
+    if georeference is not None:
+        yield "orthophoto.tif", geotiff(photo, georeference.epsg)
+    else:
+        yield from plain_files(photo).items()
 
 
 def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: Mapping[str, Geometry]) -> Files:

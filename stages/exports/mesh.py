@@ -33,7 +33,7 @@ class Mesh:
     """(m, 3) int32, counterclockwise seen from outside."""
 
 
-def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
+def poisson_mesh(cloud: Cloud, depth: int | None = None, coarser: int = 0) -> Mesh:
     """Mesh of a cloud.
 
     Parameters
@@ -42,12 +42,14 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
         With normals.
     depth
         Of the octree; None: so that its cells are about as wide as points are apart.
+    coarser
+        So many times its cells are twice as wide then: for a surface whose detail is in the photographs on it.
     """
     points = cloud.points.astype(np.float64)
     middle = points.mean(axis=0)
     if depth is None:
         span = float(np.ptp(points, axis=0).max()) * 1.1
-        depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST))
+        depth = int(np.clip(np.ceil(np.log2(span / spacing(points))), 5, DEEPEST)) - coarser
     source = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points - middle))
     source.normals = open3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
     source.colors = open3d.utility.Vector3dVector(cloud.colors / 255.0)

@@ -15,8 +15,10 @@ MOST = 65535
 
 
 def png(image: Uint8s | Uint16s) -> bytes:
-    """PNG of (h, w, 3) uint8 RGB, or of (h, w) uint8 or uint16."""
-    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)
+    """PNG of (h, w, 3) uint8 RGB, (h, w, 4) uint8 RGBA, or of (h, w) uint8 or uint16."""
+    if image.ndim == 3:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA), np.uint8)
+    done, data = cv2.imencode(".png", image)
     if not done:
         raise ValueError(f"no PNG can be made of {image.shape} {image.dtype}")
     return bytes(data.tobytes())

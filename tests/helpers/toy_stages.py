@@ -195,6 +195,7 @@ def _trouble(stage: str) -> None:
         return
     faults = Path(os.environ["TOY_FAULTS"])
     if (slow := faults / "slow").exists():
+        (faults / f"slow-{os.getpid()}").touch()
         time.sleep(float(slow.read_text()))
     for name in ("die", "once"):
         file = faults / name

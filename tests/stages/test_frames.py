@@ -120,6 +120,15 @@ def test_a_few_bytes_that_promise_gigabytes_are_not_decoded(
         decode(Capture("gate.jpg", np.frombuffer(bomb, np.uint8)), lens)
 
 
+def test_a_small_png_that_promises_900_million_pixels_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "imdecode", lambda *image: pytest.fail("it is decoded"))
+    good = cv2.imencode(".png", scene())[1].tobytes()
+    bomb = good[:16] + (30_000).to_bytes(4, "big") * 2 + good[24:] + bytes(151_000)
+    for lens, words in ((Lens(width=320, height=180), "has 30000 x 30000 pixels, the intrinsics are for"), (Lens(), "pixels")):
+        with pytest.raises(BadCapture, match=words):
+            decode(Capture("gate.png", np.frombuffer(bomb, np.uint8)), lens)
+
+
 @pytest.mark.parametrize("bits", [1, 8])
 def test_a_large_picture_of_next_to_nothing_is_decoded_and_judged_by_what_it_shows(bits: int) -> None:
     """Black packs to thousands of pixels in a byte: it is named for what it is."""
@@ -191,6 +200,10 @@ def test_damaged_captures_are_left_out_with_a_note_and_only_all_of_them_fail() -
     assert len(frame.notes) == 1 and "a.png ends after 500 bytes" in frame.notes[0]
     with pytest.raises(BadCapture, match=r"a\.png ends after 500 bytes.*c\.png is empty"):
         clean_frame([bad, Capture("c.png", good.data[:0])], Lens(), None)
+    with pytest.raises(
+        BadCapture, match=r": a\.png ends after 500 bytes[^;]* \(and 1 more like it\); c\.png is empty \(0 bytes\)$"
+    ):
+        clean_frame([bad, Capture("b.png", good.data[:600]), Capture("c.png", good.data[:0])], Lens(), None)
 
 
 def test_the_odd_size_of_a_night_is_left_out() -> None:

@@ -90,6 +90,7 @@ def test_a_site_file_with_errors_ends_with_2_and_writes_nothing(tmp_path: Path) 
         (("run",), "Missing argument"),
         (("run", "SITE", "--until", "coffee"), "there is no such stage"),
         (("run", "SITE", "--force", "coffee"), "name a stage"),
+        (("run", "SITE", "--force", "matches roof--gate"), "did you mean 'matches gate--roof'?"),
         (("run", "SITE", "--date", "noon"), "is no day"),
         (("run", "SITE", "--backend", "dask"), "needs --scheduler"),
         (("report", "SITE", "19990101T000000Z"), "no run"),

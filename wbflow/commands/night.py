@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ExitCode, UsageError, worst
+from ..errors import ExitCode, UsageError, counted, worst
 from ..screen import findings, next_command, say, summary
 from .common import (
     BACKENDS,
@@ -127,7 +127,7 @@ def _work_through(
     nights = _nights(site, date, since)
     for day in nights:
         if codes and (at := asked["stop_at"]) and at <= type(at).now():
-            say(f"{len(nights) - len(codes)} nights were not begun: the run was to stop at {at:%H:%M}", err=True)
+            say(f"{counted(len(nights) - len(codes), 'night')} not begun: the run was to stop at {at:%H:%M}", err=True)
             codes.append(ExitCode.DEGRADED)
             break
         with watching(site.name, telling.verbose, telling.quiet) as watch:
@@ -201,7 +201,9 @@ def _explain(site: Site, date: datetime.date | None, until: str | None, force: t
     from ..night.options import Options
     from ..results.status import explain, pairs_to_come, seconds_to_come, totals
 
-    Options(until=until, force=force).check()
+    options = Options(until=until, force=force)
+    options.check()
+    options.check_subjects(site)
     plan = open_night(site, date, until, force).plan
     plan.refresh()
     lines = explain(plan)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..errors import ExitCode, UsageError
+from ..errors import ExitCode, UsageError, counted
 from ..screen import say, stop
 from .common import PATH, json_option, load, place_of, run_argument, say_json, site_argument, work_option
 
@@ -104,7 +104,8 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
 @click.option("--e57", is_flag=True, help="The cloud as E57, on the map like LAZ; intensity is the confidence.")
 @click.option("--heights", is_flag=True, help="Heights seen from above: GeoTIFF where the site is on the map, else PNG, PFM.")
 @click.option("--depth", is_flag=True, help="Depth map of each camera: 16-bit PNG and PFM.")
-@click.option("--mesh", is_flag=True, help="The surface through the cloud (Poisson), as PLY.")
+@click.option("--mesh", is_flag=True, help="The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.")
+@click.option("--orthophoto", is_flag=True, help="The site from straight above: GeoTIFF, or PNG with its world file.")
 @click.option("--colmap", is_flag=True, help="Cameras, images and points as a COLMAP model.")
 @work_option
 def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked: bool) -> None:
@@ -150,4 +151,4 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     with hold_to_write(place, wait=False):
         done = remove(place, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
     verb = "would remove" if dry_run else "removed"
-    say(f"{verb} {done.files} files, {done.bytes / 1e6:,.1f} MB, and {len(done.runs)} runs")
+    say(f"{verb} {counted(done.files, 'file')}, {done.bytes / 1e6:,.1f} MB, and {counted(len(done.runs), 'run')}")

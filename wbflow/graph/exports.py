@@ -35,7 +35,13 @@ EXPORTS: tuple[Export, ...] = (
     Export("e57", "wbflow_stages.exports.forms:e57", {"cloud": _CLOUD, "poses": _WORLD}, extra="e57"),
     Export("heights", "wbflow_stages.exports.forms:heights", {"cloud": _CLOUD, "poses": _WORLD}, extra_on_the_map="geo"),
     Export("depth", "wbflow_stages.exports.forms:depth", {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)}),
-    Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD}),
+    Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)}),
+    Export(
+        "orthophoto",
+        "wbflow_stages.exports.forms:orthophoto",
+        {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)},
+        extra_on_the_map="geo",
+    ),
     Export(
         "colmap",
         "wbflow_stages.exports.forms:colmap",

@@ -190,11 +190,15 @@ class Inputs:
         """Why a stage that joins many has none to join."""
         frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
         first = f": {faults[0]}" if faults else ""
-        views = [view for view in self.site.views if (state := self.states.get(Task(frame, (view.id,)))) and state.usable]
+        frames = {view.id: self.states.get(Task(frame, (view.id,))) for view in self.site.views}
+        views = [view for view in self.site.views if (state := frames[view.id]) and state.usable]
         usable = list(dict.fromkeys(view.camera for view in views))
         if len(usable) < 2:
-            have = f"only camera {usable[0]} has" if usable else "no camera has"
-            why = f"{have} a usable capture, a cloud needs two that see the same things{first}"
+            why = f"no camera has a usable capture{first}"
+            if usable:
+                why = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first}"
+            elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
+                why = f"no camera has a usable capture: there is none of this night in {self.site.root}"
             return Impossible(why, Cause.TOO_FEW_CAMERAS)
         pairs = self.states.get(graph)
         if origin.scope == "pair" and not faults:

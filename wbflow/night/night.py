@@ -81,7 +81,8 @@ def open_night(
     """
     work, there = WorkFolder(site.work), arrived or arrivals(site, date)
     captures = there.captures
-    missing = {camera.id: expected(site, camera, there.date) for camera in site.cameras if not captures[camera.id]}
+    lost = [camera for camera in site.cameras if not captures[camera.id]]
+    missing = {camera.id: expected(site, camera, there.date).replace(f"{site.root}/", "") for camera in lost}
     reference, misfit = _reference(site, work)
     plan = Plan(
         site,

@@ -5,10 +5,16 @@ from __future__ import annotations
 import datetime
 import difflib
 import importlib.util
+import itertools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from ..errors import UsageError
+from ..task import camera_of, component_name
 from .mounts import Mount
+
+if TYPE_CHECKING:
+    from ..config.site import Site
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,24 @@ class Options:
             raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)
         if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
             raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
+
+    def check_subjects(self, site: Site) -> None:
+        """Raises UsageError for a task to be done again that the site cannot have."""
+        from ..graph.pipeline import stage_named  # here, as above
+
+        if not any(" " in name for name in self.force):
+            return
+        views = [name for view in site.views for name in dict.fromkeys((view.id, camera_of(view.id)))]
+        pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)}
+        subjects = {"camera": set(views), "pair": pairs, "site": {component_name(k) for k in range(1, len(views))}}
+        for name in self.force:
+            stage, _, subject = name.partition(" ")
+            there = subjects[stage_named(stage).scope]
+            if subject and subject not in there:
+                turned = "--".join(reversed(subject.split("--")))
+                close = [turned] if turned in there else difflib.get_close_matches(subject, sorted(there)[:20_000], n=1)
+                remedy = f"did you mean '{stage} {close[0]}'?" if close else "wbflow status SITE.yaml  lists the night's tasks"
+                raise UsageError(f"--force {name!r}: the site has no such task", remedy=remedy)
 
     def _check_stages(self) -> None:
         from ..graph.pipeline import STAGES  # here: a night on which nothing has changed has no use for the table

@@ -30,13 +30,15 @@ def outlook(plan: Plan, past: Past) -> tuple[StageOutlook, ...]:
         known = stage.name in past.stages
         walls = [past.expected(stage.name, str(task)) for task in tasks if task not in plan.states] if known else []
         seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, _rough(plan, stage))
-        found.append(StageOutlook(stage.name, pairs if stage.scope == "pair" and pairs else len(tasks), settled, seconds, known))
+        count = pairs if stage.scope == "pair" and pairs else len(tasks)
+        compiles = 0.0 if known else sum(ROUGH_SECONDS[stage.name][2:])
+        found.append(StageOutlook(stage.name, count, settled, seconds, known, compiles))
     return tuple(found)
 
 
 def _rough(plan: Plan, stage: Stage) -> float:
     """What a task of a stage takes that nobody has timed yet."""
-    fixed, each = ROUGH_SECONDS[stage.name]
+    fixed, each, *_ = ROUGH_SECONDS[stage.name]
     stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
     across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
     return fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)

@@ -88,7 +88,8 @@ def prepare(night: Night, journal: Journal) -> None:
         journal.repaired(fault)
     if plan.misfit and not fault:
         what = f"the reference is not used: {plan.misfit}"
-        journal.warn(what, remedy="this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference")
+        remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
+        journal.warn(what, remedy=remedy, standing=True)
     if plan.reference is None:
         return
     restored = restore(plan.cache, plan.reference)
@@ -97,7 +98,7 @@ def prepare(night: Night, journal: Journal) -> None:
             journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
     for task in restored.lost:
         what = f"'{task}' of the reference is damaged, or gone"
-        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
+        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one", standing=True)
 
 
 def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:

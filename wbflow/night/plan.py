@@ -20,7 +20,7 @@ from ..store.cache import Cache, Receipt
 from ..store.pictures import is_drawn
 from ..store.record import Health
 from ..store.reference import Reference
-from ..task import Task, component_name
+from ..task import Task, component_name, names_of
 from .agenda import Agenda
 from .captures import CaptureFile
 from .fit import misfit
@@ -248,7 +248,7 @@ class Plan:
             inputs,
             stage.table,
             self._picture(stage, task, inputs, among or set()),
-            bool(self.force & {task.stage, str(task)}),
+            bool(self.force & names_of(task)) if self.force else False,
             left_to_function,
             folder=self._folder,
         )

@@ -141,6 +141,9 @@ class Supervisor:
 
     def close(self) -> None:
         """End all workers, whatever they are at."""
+        for hand, handful in self._busy.items():
+            for done in filter(None, hand.heard()[0] if hand.ready else ()):  # what it had told, and nobody has read
+                handful.count(done)
         for hand in [*self._idle, *self._busy]:
             hand.end()
         for handful in self._busy.values():
@@ -283,7 +286,7 @@ class Supervisor:
                 except OSError as error:
                     yield Report(lane.specs, unkept(task, error))
             for spec in lane.specs:
-                self._cache.sweep(spec.task)
+                self._cache.tidy(spec.task)
 
     def _too_slow(self, hand: Hand) -> Iterator[Report]:
         handful = self._busy.pop(hand)

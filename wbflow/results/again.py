@@ -11,12 +11,13 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from ..graph.installed import installed_code
 from ..store.artifact import digest
 from ..store.cache import Cache
-from ..store.events import Event, TaskEvent, now
+from ..store.events import TaskEvent, WarningEvent, event_from_json, now
 from ..store.layout import WorkFolder
 from ..store.record import SAME_AS, Seconds, TaskCounts, stamp
 from ..store.reference import BadReference, Reference, read_reference
@@ -30,7 +31,7 @@ from .metrics import metrics
 if TYPE_CHECKING:
     from ..config.site import Site
     from ..night.arrivals import Arrivals
-    from ..night.journal import Costs
+    from ..night.journal import Costs, Journal
     from ..night.night import Night
     from ..night.plan import Plan
 
@@ -62,7 +63,7 @@ class Basis:
         return digest(json.dumps(told).encode())
 
 
-def again(there: Arrivals, basis: Basis, run: str, costs: Costs, work: WorkFolder) -> FinishedRun | None:
+def again(there: Arrivals, basis: Basis, run: str, costs: Costs, work: WorkFolder, journal: Journal) -> FinishedRun | None:
     """Publish the last whole night once more; None where anything may have changed since.
 
     Parameters
@@ -77,6 +78,8 @@ def again(there: Arrivals, basis: Basis, run: str, costs: Costs, work: WorkFolde
         What it has cost so far.
     work : WorkFolder
         The caller holds its lock.
+    journal : Journal
+        Is told again of what that night was warned of.
 
     Raises
     ------
@@ -97,14 +100,25 @@ def again(there: Arrivals, basis: Basis, run: str, costs: Costs, work: WorkFolde
         text = text.replace(str(number), str(round(spent, 2)), 1)
     data = sign(text.encode())
     record = record_of(data)
-    folder = unfinished.tell(night.log.replace(_AT, now()).encode(), data, metrics(record), record.verdict)
+    log = night.log.replace(_AT, now())
+    folder = unfinished.tell(log.encode(), data, metrics(record), record.verdict)
+    _warn_again(log, journal)
     show_again(work, run)
     there.digests.save()
     there.seen.save()
     return FinishedRun(work, folder, record, LoggedTasks(folder), Cache(work))
 
 
-def remember(finished: FinishedRun, night: Night, basis: Basis, events: list[Event]) -> None:
+def _warn_again(log: str, journal: Journal) -> None:
+    """Tell of the warnings that stand at the head of a log, but for those that have been told."""
+    said = {event.what for event in journal.standing}
+    for line in takewhile(lambda line: line.startswith('{"event": "warning"'), log.splitlines()):
+        warning = event_from_json(json.loads(line))
+        if isinstance(warning, WarningEvent) and warning.what not in said:
+            journal.warn(warning.what, task=warning.task, remedy=warning.remedy, standing=True)
+
+
+def remember(finished: FinishedRun, night: Night, basis: Basis, journal: Journal) -> None:
     """Remember a whole night on which nothing went wrong, for the next one.  The caller holds the lock.
 
     Parameters
@@ -115,7 +129,7 @@ def remember(finished: FinishedRun, night: Night, basis: Basis, events: list[Eve
         Its plan is settled.
     basis : Basis
         What it rested on at its beginning.
-    events : list of Event
+    journal : Journal
         All that happened.
 
     Raises
@@ -124,8 +138,9 @@ def remember(finished: FinishedRun, night: Night, basis: Basis, events: list[Eve
         The disk is full, or there is no right to write.
     """
     plan, record, work = night.plan, finished.record, finished.work
-    tasks = [event for event in events if isinstance(event, TaskEvent)]
-    open_ends = plan.ready or plan.waiting or plan.busy or plan.undrawn or len(tasks) < len(events)
+    tasks = [event for event in journal.events if isinstance(event, TaskEvent)]
+    warned = len(tasks) + len(journal.standing) < len(journal.events)
+    open_ends = plan.ready or plan.waiting or plan.busy or plan.undrawn or warned
     if open_ends or record.cloud is None or record.repaired or any(event.outcome not in _SETTLED for event in tasks):
         return
     if not night.site.reader.as_read():
@@ -145,7 +160,8 @@ def remember(finished: FinishedRun, night: Night, basis: Basis, events: list[Eve
     told = replace(told, tasks=counts, reference=used, later={**record.later, SAME_AS: record.run})
     rests_on = basis.with_captures(plan.night, night.captures, plan.masks, plan.stale, night.notes)
     products = products_of(work, record.run, [*record.files, finished.folder.paths.report.name])
-    texts = log_of(cached).decode(), text_of(told)
+    warnings = [replace(event, at=_AT) for event in journal.standing]
+    texts = log_of([*warnings, *cached]).decode(), text_of(told)
     keep(work, Unchanged(record.run, rests_on, stamps, products, tuple(files), *texts), newest)
 
 

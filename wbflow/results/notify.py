@@ -17,15 +17,18 @@ from typing import Any, Literal
 
 from ..config.site import Notify
 from ..errors import WbflowError
-from ..store.atomic import write_atomic
 from ..store.layout import RunPaths, WorkFolder
-from ..store.outside import read_outside
 from ..store.record import RunRecord, Verdict
+from ..store.signed import Damaged, read_signed, write_signed
 
 Occasion = Literal["degraded", "failed", "recovered", "heartbeat"]
 
 MOST_WORDS = 300
 """A summary has at most so many characters."""
+
+
+_OF = "notified"
+"""Whose signed file it is that holds what was told last."""
 
 
 class NotTold(WbflowError):
@@ -72,7 +75,7 @@ def notify(how: Notify, work: WorkFolder, run: RunPaths, record: RunRecord) -> O
     occasion = _occasion(state, _last(work), how.heartbeat)
     if occasion:
         _tell(how, occasion, run, record)
-        write_atomic(work.notified, json.dumps({"level": state.level, "findings": state.findings}).encode(), ours=True)
+        write_signed(work.notified, _OF, {"level": state.level, "findings": state.findings})
     return occasion
 
 
@@ -84,10 +87,10 @@ def _occasion(state: Known, last: Known, heartbeat: bool) -> Occasion | None:
 
 def _last(work: WorkFolder) -> Known:
     try:
-        data = json.loads(read_outside(work.notified))
-        return Known(str(data["level"]), tuple(map(str, data["findings"])))
-    except (OSError, ValueError, KeyError, TypeError):  # nothing was ever told, or nobody knows what
-        return Known()
+        data = read_signed(work.notified, _OF)
+    except Damaged:  # nobody knows what was told: what is wrong is told once more
+        data = None
+    return Known(str(data["level"]), tuple(map(str, data["findings"]))) if data else Known()
 
 
 def summary(record: RunRecord) -> str:

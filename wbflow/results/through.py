@@ -66,5 +66,5 @@ def through(
     if options.plain and not worked.interrupted:
         with contextlib.suppress(OSError):  # it costs planning the next night
             remember_site(site)
-            remember(finished, night, basis, journal.events)
+            remember(finished, night, basis, journal)
     return finished

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from ..config.site import Expected, Measure
-from ..errors import ExitCode
+from ..errors import ExitCode, counted
 from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import Role
 from ..night.plan import Plan
@@ -118,7 +118,7 @@ def exit_code(verdict: Verdict, interrupted: bool = False) -> ExitCode:
 
 def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     if facts.stopped:
-        text = f"{facts.stopped[0].reason}: {len(facts.stopped)} tasks were not done"
+        text = f"{facts.stopped[0].reason}: {counted(len(facts.stopped), 'task')} not done"
         remedy = "run it again without --stop-at: it goes on from there; begin earlier, or lower `resolution`"
         yield Finding("stopped", (), text, {"tasks": len(facts.stopped)}, remedy=remedy)
     if facts.interrupted:
@@ -158,7 +158,8 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
         return Finding("camera-alone", subject, text, remedy="look at where it points, and at `pairs:` in the site file")
     tried = [pair for pair in pairs if pair.outcome != "skipped"]
     if tried and not any(pair.ok for pair in tried):
-        text = f"none of its {len(tried)} pairs could be used: {_most_common(tried)}"
+        which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
+        text = f"{which} be used: {_most_common(tried)}"
         remedy = "look at where it points, and whether anything stands before it"
         return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
     return None
@@ -206,19 +207,20 @@ def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
     units = {s.name: f"{s.reports.expects.unit} {s.reports.expects.words}" for s in STAGES if s.reports and s.reports.expects}
+    things: dict[str, str] = {Measure.POINTS: "point", Measure.PAIRS: "pair", Measure.CAMERAS: "camera"}
     for name, value in figures.items():
-        limit, unit = expected.limit(name), units.get(name, name)
+        limit, much = expected.limit(name), f"{value:,.0f} {units[name]}" if name in units else counted(value, things[name])
         base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)
         if limit > 1:
             if value < limit:
-                yield _fewer(name, value, limit, f"{value:,.0f} {unit}, at least {limit:,.0f} are expected")
+                yield _fewer(name, value, limit, f"{much}, at least {limit:,.0f} are expected")
         elif name == Measure.CAMERAS:
             continue  # each one that is lost is a finding of its own
         elif base is not None and value < limit * base:
             whose = "the reference's" if usual.reference else "the usual"
-            yield _fewer(name, value, base, f"{value:,.0f} {unit}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
+            yield _fewer(name, value, base, f"{much}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
         elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
-            why = _most_common([pair for pair in record.pairs if not pair.ok])
+            why = _why_few(record)
             planned = float(len(record.pairs))
             yield _fewer(name, value, planned, f"only {value:.0f} of {planned:.0f} pairs could be used; most others: {why}")
 
@@ -315,6 +317,16 @@ def _with_down(camera: CameraRecord, record: RunRecord, past: Past) -> CameraRec
 
 def _most_common(pairs: Iterable[PairRecord]) -> str:
     return shortened(Counter(str(pair.reason) for pair in pairs).most_common(1)[0][0])
+
+
+def _why_few(record: RunRecord) -> str:
+    """Why most of the pairs that were not used were not."""
+    unused = [pair for pair in record.pairs if not pair.ok]
+    gone = {camera.id for camera in record.cameras if not camera.ok}
+    theirs = [pair for pair in unused if gone & {camera_of(pair.left), camera_of(pair.right)}]
+    if 2 * len(theirs) > len(unused):
+        return f"with cameras that are left out ({shortened(', '.join(sorted(gone)))})"
+    return _most_common(unused)
 
 
 def shortened(reason: str) -> str:

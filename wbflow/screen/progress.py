@@ -13,6 +13,8 @@ _TRUST = 3.0
 """What a stage took in earlier runs counts as much as so many of its tasks tonight."""
 _TRUST_ROUGH = 0.3
 """The same, where nothing but a rough guess is known."""
+_DOUBT = 1.0
+"""So many seconds of compiling, as they were stated, count before it is seen what it takes tonight."""
 _SLACK = 0.1
 """How much of all the work has to be done before tonight's pace counts as much as that of earlier runs."""
 
@@ -28,6 +30,8 @@ class StageProgress:
     """What a task was expected to take."""
     known: bool = False
     """By earlier runs?"""
+    compiles: float = 0.0
+    """What the first one was expected to take on top."""
     walls: list[float] = field(default_factory=list)
     """What tasks of tonight took, by the clock."""
     outcomes: dict[Task, str] = field(default_factory=dict)
@@ -87,22 +91,46 @@ class Progress:
         """How long the run still works, by the clock; None where it is not known yet what there is to do.
 
         Each stage's tasks take what they took in earlier runs, as much quicker or slower as tonight's have been until now, and
-        more and more what they take tonight; a stage has as many workers as it has tasks, at most all.
+        more and more what they take tonight; a stage has as many workers as it has tasks, at most all.  Where nobody has timed a
+        stage yet, its first task takes longer, and the others wait for what it compiles: as much as was stated, and as much more
+        or less as the stages before it have taken.
 
         now: seconds since 1970.
         """
         if not self.planned:
             return None
         pace = {known: self._pace(known) for known in (True, False)}
+        compiling = self._compiling(pace[False])
         total = 0.0
         for stage in self.stages.values():
             if not stage.left:
                 continue
-            each = self._each(stage, pace[stage.known])
-            begun = [now - since for task, since in self.running.items() if task.stage == stage.name][: stage.left]
-            work = (stage.left - len(begun)) * each + sum(_to_go(age, each) for age in begun)
-            total += work / min(self.workers, stage.left)
+            total += self._seconds_of(stage, now, self._each(stage, pace[stage.known]), compiling)
         return total
+
+    def _seconds_of(self, stage: StageProgress, now: float, each: float, compiling: float) -> float:
+        """How long a stage still works.
+
+        Parameters
+        ----------
+        stage : StageProgress
+            With something left to do.
+        now : float
+            Seconds since 1970.
+        each : float
+            What one of its tasks takes.
+        compiling : float
+            How much longer compiling takes than was stated.
+        """
+        workers = min(self.workers, stage.left)
+        begun = [now - since for task, since in self.running.items() if task.stage == stage.name][: stage.left]
+        if stage.compiles and not stage.walls:  # whoever has one in hand compiles, or waits for who does
+            first = compiling * stage.compiles
+            rest = (stage.left - len(begun)) * each / workers
+            return rest + (_to_go(max(begun), each + first) if begun else first)
+        if stage.compiles and len(stage.walls) < self.workers:  # these waited
+            begun = [min(age, each) for age in begun]
+        return ((stage.left - len(begun)) * each + sum(_to_go(age, each) for age in begun)) / workers
 
     def _plan(self, event: PlannedEvent) -> list[StageProgress]:
         self.planned, self.workers = True, event.workers
@@ -112,6 +140,7 @@ class Progress:
         for row in event.stages:
             stage = self.stages[row.stage]
             stage.tasks, stage.done, stage.seconds, stage.known = row.tasks, row.settled, row.seconds, row.known
+            stage.compiles = row.compiles
             if stage.fresh and earlier and not (stage.left or stage.told):
                 stage.told = True
                 ended.append(stage)
@@ -126,6 +155,12 @@ class Progress:
         slack = _SLACK * sum(stage.tasks * stage.seconds for stage in of_kind) if known else 0.0
         return (took + slack) / (expected + slack) if expected + slack > 0 else 1.0
 
+    def _compiling(self, pace: float) -> float:
+        """How much longer compiling takes tonight than was stated; next to nothing where it had been done before."""
+        seen = [stage for stage in self.stages.values() if stage.compiles and stage.walls]
+        took = sum(max(0.0, stage.walls[0] - self._each(stage, pace)) for stage in seen)
+        return (took + _DOUBT) / (sum(stage.compiles for stage in seen) + _DOUBT)
+
     def _each(self, stage: StageProgress, pace: float) -> float:
         """What one of a stage's tasks to come takes."""
         trust, walls = _TRUST if stage.known else _TRUST_ROUGH, self._telling(stage)
@@ -133,7 +168,8 @@ class Progress:
 
     def _telling(self, stage: StageProgress) -> list[float]:
         """What tasks took that tell of those to come: in a first run not each worker's first, which compiles, too."""
-        first = 0 if stage.known or stage.tasks <= self.workers else self.workers
+        few = stage.tasks <= self.workers and not stage.compiles
+        first = 0 if stage.known or few else self.workers
         return stage.walls[first:]
 
 

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -209,12 +210,12 @@ class Cache:
             return
         sync_all(self.work.cache)
         write_signed(place, of, told)
-        self.sweep(receipt.preimage.task)
 
-    def sweep(self, task: Task) -> None:
-        """Remove what a worker that is gone has left half-written of a task."""
-        for left in self.work.unfinished(task):
-            left.unlink(missing_ok=True)
+    def tidy(self, task: Task) -> None:
+        """Clear away what a worker that is gone has left half-written of a task."""
+        for left in self.work.half_written(task):
+            with suppress(OSError):
+                left.unlink()
 
     def _told(self, receipt: Receipt) -> tuple[str, str, dict[str, Any]]:
         """A receipt's file, what it is of, and what it says."""

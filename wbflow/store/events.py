@@ -101,6 +101,8 @@ class StageOutlook:
     """What one of the tasks to come takes by the clock: by the last runs, else roughly."""
     known: bool
     """Is that what the last runs took?"""
+    compiles: float = 0.0
+    """What its first task may take on top, where nobody has timed the stage: its kernels may have to be compiled."""
 
 
 @dataclass(frozen=True)

@@ -158,6 +158,10 @@ class WorkFolder:
         """The same as text, for whoever asks of every task whether it is there."""
         return f"{self._of(task)}/{key}.json"
 
+    def half_written(self, task: Task) -> list[Path]:
+        """Files of a task that somebody has begun and not finished."""
+        return sorted(self.task(task).glob(f".*{_UNFINISHED}"))
+
     def receipt_beside(self, artifact: Path) -> Path:
         """The receipt of the artifact in a file."""
         return artifact.with_suffix(".json")
@@ -180,10 +184,6 @@ class WorkFolder:
         for path in self.cache.glob("*/*/*"):
             if not path.name.startswith("."):
                 yield path
-
-    def unfinished(self, task: Task) -> Iterator[Path]:
-        """Files of a task that have not got their names yet."""
-        return self.task(task).glob(f".*{_UNFINISHED}")
 
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""

@@ -20,6 +20,49 @@ def hostile(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module("hostile_inputs")
 
 
+SAID = {
+    "an alias bomb": "site.yaml:6:5: not valid YAML: aliases that stand for more than",
+    "an alias bomb of mappings": "site.yaml:17:6: not valid YAML: aliases that stand for more than",
+    "100,000 brackets": "site.yaml:3:49: not valid YAML: values within values, 40 deep",
+    "a nesting of 500": "site.yaml:43:41: not valid YAML: values within values, 40 deep",
+    "an integer that is none": "site.yaml:4:13: not valid YAML: x cannot be read",
+    "a date that is none": "site.yaml:4:13: not valid YAML: 2026-99-99 cannot be read",
+    "400 digits": "site.yaml:4:13: not valid YAML: 9999",
+    "bytes that are no text": "site.yaml:1:7: cannot be read: is not UTF-8 text",
+    "cameras: 5": ": cameras: input should be a valid list, not 5",
+    "site: ..": ": site: '..' is not a name",
+    "pairs of one name": ": cameras[1]: the pairs 'a', 'b--c' and 'a--b', 'c' would both be called a--b--c",
+    "work in nobody's home": ": work: '~nosuchuser/work' is no path",
+    "captures in nobody's home": ": captures.root: '~nosuchuser' is no path",
+    "a mask of nobody": ": cameras[0].mask: '~nosuchuser/mask.png' is no path",
+    "use: os:system": ": stages.matches.use: there is no module 'os' to take system from",
+    "use: 5": ": stages.matches.use: 5 is no function",
+    "a plug-in with a syntax error": "plugin.py:1: invalid syntax",
+    "a lens that is no number": ": cameras[0].intrinsics.hfov: input should be a finite number, not nan",
+    "a lens of 400 digits": "is too large a number",
+    "a pose that is no number": ": cameras[0].pose.position[0]: input should be a finite number, not nan",
+    "JSON: no text": "cameras.json:1:1: is not UTF-8 text",
+    "JSON: NaN": "cameras.json:1:16: gate.K must be 3x3 numbers",
+    "COLMAP: a zero quaternion": "model/images.txt:2: not an image line of COLMAP's text model: its quaternion is zero",
+    "COLMAP: images that are no text": "model/images.txt:1:1: is not UTF-8 text",
+}
+"""What is said of files that once hung or crashed wbflow, or were used."""
+
+
+def test_what_once_crashed_is_refused_at_its_place_and_the_good_file_is_not(hostile: Any, tmp_path: Path) -> None:
+    hostile.write_base(tmp_path)
+    file = tmp_path / "site.yaml"
+    assert hostile.load(file) == "", "else all others are refused for nothing of their own"
+    left = dict(SAID)
+    for case in (*hostile.site_cases(), *hostile.calibration_cases()):
+        if said := left.pop(case.name, None):
+            hostile.write_base(tmp_path)
+            for name, data in case.files.items():
+                (tmp_path / name).write_bytes(data)
+            assert said in hostile.load(file), case.name
+    assert not left
+
+
 def test_what_people_have_thought_of(hostile: Any) -> None:
     counts: Counter[str] = Counter()
     site = (case for case in hostile.site_cases() if case.refused)

@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import ToySite
+from tests.wbflow.store.test_run_folder import publish
+from wbflow.results.report.share import share_pictures
+from wbflow.store.layout import WorkFolder
 
 ORIGINAL = "def show(geometry, left, right):\n    return b'first' + bytes(left.image[0, 0, :1])\n"
 
@@ -115,3 +118,23 @@ def test_pictures_that_the_next_report_has_too_are_not_kept_twice(toy: ToySite) 
     assert f"../{runs[1]}/report.html" in first
     toy.wbflow("report", runs[0])
     assert (toy.work / "runs" / runs[0] / "report.html").read_text().count("data:image/jpeg") > 3
+
+
+@pytest.mark.parametrize("same", [False, True])
+def test_a_view_stays_whole_where_any_of_its_points_are_not_those_of_the_next_night(tmp_path: Path, same: bool) -> None:
+    """Night after night nothing has changed: those points, which are none, are the same, and the cloud is not."""
+
+    def page(cloud: str) -> str:
+        streams = "".join(
+            f'<script type="t" class="points" data-of="{of}">{told}</script>' for of, told in (("p", cloud), ("c", "none"))
+        )
+        return f'<html>{streams}<script class="viewer">draw()</script>\n</html>'
+
+    work, pages = WorkFolder(tmp_path), [page("first"), page("first" if same else "second")]
+    runs = [publish(work, f"2026112{k}T031500Z") for k in range(2)]
+    for run, text in zip(runs, pages, strict=True):
+        run.write_report(text)
+    share_pictures(work, runs[1].id)
+    left = runs[0].paths.report.read_text()
+    assert left.count("points-elsewhere") == (2 if same else 0)
+    assert ("draw()" in left) is not same

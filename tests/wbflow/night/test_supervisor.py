@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
+from wbflow.cli import main
 from wbflow.night import limits
 from wbflow.night.limits import Limits
+from wbflow.night.supervisor import Report, Supervisor
 from wbflow.store.past import Past
 from wbflow.task import Task
 
@@ -123,12 +128,35 @@ def test_what_a_lane_had_finished_before_its_worker_was_lost_is_kept(toy: ToySit
 def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     toy.fault("slow", "30")
     process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), start_new_session=True)
-    until(lambda: len(workers_of(process.pid)) == 2)
+    until(lambda: len(list((toy.folder / "faults").glob("slow-*"))) == 2)  # both are at work: one that starts finds itself alone
     workers = workers_of(process.pid)
+    assert len(workers) == 2
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
-    assert not [path for path in Path("/dev/shm").glob("*") if str(process.pid) in path.name.replace("_", "-").split("-")]
+    theirs = {str(pid) for pid in (process.pid, *workers)}
+    assert not [path for path in Path("/dev/shm").glob("*") if theirs & set(re.findall(r"\d+", path.name))]
+
+
+def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_half_written_is_left(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy.fault("slow", "0.2")
+
+    def interrupted(supervisor: Supervisor) -> Iterator[Report]:
+        """Ctrl-C, when a worker has told of a task of its lane, and is at the next."""
+        supervisor._assign()
+        until(lambda: any(toy.work.rglob(".*.json.*.tmp")))
+        time.sleep(0.1)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Supervisor, "reports", interrupted)
+        assert CliRunner().invoke(main, ["run", str(toy.file), "--jobs", "1", "-q"], env=toy.env()).exit_code == 130
+    assert not list(toy.work.rglob("*.tmp"))
+    assert list((toy.work / "cache").glob("frames/*/*.json"))
+    (toy.folder / "faults" / "slow").unlink()
+    assert toy.run()["tasks"]["cached"] >= 1
 
 
 def workers_of(parent: int) -> list[int]:

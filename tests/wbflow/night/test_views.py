@@ -79,3 +79,12 @@ def test_a_camera_is_as_its_views_that_see_anything(tmp_path: Path, states: str,
     assert [camera["health"]["state"] for camera in record["cameras"]] == ["ok", said, "ok"]
     there = {view for pair in record["pairs"] if pair["outcome"] == "ok" for view in (pair["left"], pair["right"])}
     assert there & set(VIEWS) == used
+
+
+def test_a_camera_that_is_forced_is_done_again_view_by_view(tmp_path: Path) -> None:
+    site = toy(tmp_path, backend="threading")
+    site.run("--until", "features")
+    site.run("--until", "features", "--force", "frames wide")
+    assert site.ran() == {f"frames {view}" for view in VIEWS}
+    site.run("--until", "features", "--force", "frames wide@2")
+    assert site.ran() == {"frames wide@2"}

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
+from wbflow.store.events import WarningEvent
 from wbflow.store.layout import WorkFolder
 from wbflow.store.ledger import Ledger
 from wbflow.store.run_folder import RunFolder
@@ -117,6 +118,21 @@ def test_whatever_is_touched_the_night_is_planned_and_the_next_one_is_the_same_a
             assert again["same_as"] == planned["run"], what
         assert toy.run()["same_as"], what
         assert toy.cloud == cloud or "capture" in what
+
+
+def test_a_night_that_warns_every_time_says_it_again_and_is_not_planned(toy: ToySite) -> None:
+    toy.run()
+    toy.keys = {"cameras": toy.cameras[:3], "pairs": {"degree": 40}}  # not those of the reference; more than a view takes
+    toy.write()
+    first, again = toy.run(), toy.run()
+    assert again["same_as"] == first["run"]
+    for record in (first, again):
+        events = RunFolder(WorkFolder(toy.work).run(record["run"])).events()
+        warnings = [event.what for event in events if isinstance(event, WarningEvent)]
+        assert len(warnings) == 2 and "takes 32 pairs at most" in warnings[0] and "the reference is not used" in warnings[1]
+    said = toy.wbflow("run", "-q").stderr
+    assert said.count("takes 32 pairs at most") == said.count("the reference is not used") == 1
+    assert toy.run()["same_as"]
 
 
 @pytest.mark.parametrize("arguments", [["--until", "poses"], ["--force", "fuse"]])

@@ -19,7 +19,7 @@ from wbflow.cli import main
 from wbflow.results.demo import write_demo
 from wbflow.store.ply import read_ply
 
-ALL = ("--laz", "--heights", "--depth", "--mesh", "--colmap")
+ALL = ("--laz", "--heights", "--depth", "--mesh", "--orthophoto", "--colmap")
 ORIGIN = (53.541, 9.966, 52.0)
 
 
@@ -121,7 +121,7 @@ def test_the_same_run_gives_the_same_bytes(site: Path, exported: Path, tmp_path:
 def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path, tmp_path: Path) -> None:
     laspy, rasterio = pytest.importorskip("laspy"), pytest.importorskip("rasterio")
     on_map = placed_on_the_map(site, tmp_path / "site")
-    result = wbflow_export(on_map, tmp_path / "out", "--laz", "--heights")
+    result = wbflow_export(on_map, tmp_path / "out", "--laz", "--heights", "--orthophoto")
     assert result.exit_code == 0, result.output
     las = laspy.read(tmp_path / "out" / "cloud.laz")
     assert las.header.parse_crs().to_epsg() == 32632
@@ -131,6 +131,14 @@ def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path
         column, row = ~file.transform * (np.asarray(las.x), np.asarray(las.y))
     assert 0.88 < share_below(heights, row, column, np.asarray(las.z)) < 0.97
     assert np.nanmedian(heights) > 45, "above the ellipsoid, not above the local origin"
+    with rasterio.open(tmp_path / "out" / "orthophoto.tif") as file:
+        assert file.crs.to_epsg() == 32632
+        photo = file.read()
+        column, row = (np.asarray(k, int) for k in ~file.transform * (np.asarray(las.x), np.asarray(las.y)))
+    inside = (row >= 0) & (row < photo.shape[1]) & (column >= 0) & (column < photo.shape[2])
+    there, written = photo[:, row[inside], column[inside]], np.stack([las.red, las.green, las.blue])[:, inside] / 257
+    assert (there[3] == 255).mean() > 0.9
+    assert np.median(np.abs(there[:3] - written)) < 20, "of walls only the upper edge is seen"
 
 
 def placed_on_the_map(site: Path, copy: Path) -> Path:

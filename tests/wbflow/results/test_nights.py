@@ -25,7 +25,7 @@ def test_two_cameras_down_for_a_night(toy: ToySite) -> None:
         ("fewer-points", []),
         ("fewer-pairs", []),
     ]
-    assert second["verdict"]["findings"][3]["text"] == "1 pairs, 17 % of the usual 6"
+    assert second["verdict"]["findings"][3]["text"] == "1 pair, 17 % of the usual 6"
     for name in ("crane", "roof"):
         toy.capture(name).write_text(f"the next view from {name}")
     third = toy.run()
@@ -52,6 +52,17 @@ def test_the_morning_after_a_night_without_any_camera(toy: ToySite) -> None:
     body = page[page.index("<body>") :]
     assert body.index("no cloud: no camera has a usable capture") < body.index("<h2>")
     assert (runs / "latest-good").resolve().name == good["run"]
+
+
+def test_the_morning_after_a_night_that_brought_no_files(toy: ToySite) -> None:
+    for name in toy.cameras:
+        toy.capture(name).unlink()
+    toy.backend = "threading"
+    record = toy.run(code=1)
+    captures = str(toy.folder / "captures")
+    first, *others = (finding["text"] for finding in record["verdict"]["findings"])
+    assert first == f"no cloud: no camera has a usable capture: there is none of this night in {captures}"
+    assert others == [f"no capture: there is no file {name}.txt; left out tonight" for name in toy.cameras]
 
 
 def test_quiet_says_nothing_of_a_good_night_and_the_findings_of_another(toy: ToySite) -> None:

@@ -122,6 +122,16 @@ def test_what_could_not_be_told_is_told_the_next_night(tmp_path: Path, command: 
     assert site.tell(down("roof")) == "degraded"
 
 
+def test_where_nobody_knows_what_was_told_it_is_told_once_more(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    site.tell(down("roof"))
+    memo = site.work.notified
+    memo.write_text(memo.read_text().replace("camera-lost", "camera-last"))
+    assert [site.tell(record) for record in (down("roof"), down("roof"), night())] == ["degraded", None, "recovered"]
+    memo.write_text("{")
+    assert site.tell(night()) is None
+
+
 def test_a_summary_is_one_line_of_bounded_length() -> None:
     words = summary(night(cameras=[lost("x\n\x1b[31m" + "y" * 999), *map(camera, NAMES[1:])]))
     assert len(words) == MOST_WORDS

@@ -90,6 +90,23 @@ def test_a_mask_that_cannot_be_read_costs_its_camera_only(toy: ToySite) -> None:
     assert [cameras[name]["outcome"] for name in ("gate", "mast-1", "crane")] == ["ok"] * 3
 
 
+def test_a_night_of_devices_folders_sparse_files_and_links_that_lead_back(toy: ToySite) -> None:
+    for name in ("roof", "mast-1", "crane"):
+        toy.capture(name).unlink()
+    toy.capture("roof").symlink_to("/dev/zero")
+    toy.capture("mast-1").touch()
+    os.truncate(toy.capture("mast-1"), 20_000_000_000)
+    toy.capture("crane").mkdir()
+    for name in ("here", "again"):
+        (toy.folder / "captures" / name).symlink_to(".")
+    toy.file.write_text(toy.file.read_text().replace("{camera}.txt", "**/{camera}.txt"))
+    cameras = {camera["id"]: camera for camera in toy.run("--until", "features", code=3)["cameras"]}
+    assert cameras["gate"]["outcome"] == "ok"
+    assert cameras["roof"]["reason"].endswith("roof.txt is a device, not a file")
+    assert "mast-1.txt has 20,000,000,000 bytes" in cameras["mast-1"]["reason"]
+    assert cameras["crane"]["outcome"] == "failed"
+
+
 def test_a_pipe_where_a_capture_should_be_costs_its_camera_only(toy: ToySite) -> None:
     toy.capture("roof").unlink()
     os.mkfifo(toy.capture("roof"))

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from ...config.site import Measure
+from ...errors import counted
 from ...graph.pipeline import STAGES
 from ...store.record import Finding, RunRecord
 from ...task import Task
@@ -66,7 +67,7 @@ def headline(sources: Sources) -> Headline:
         title = "A good night"
         words = "There is nothing to do." if not findings else "What is said below may wait."
     elif level == "degraded":
-        title = f"{_count(len(cameras), 'camera')} to look at" if cameras else f"{_count(len(findings), 'thing')} to look at"
+        title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
         words = f"There is a cloud, but it is not all that it should be. {_todo(findings)}"
     else:
         interrupted = any(finding.kind == "interrupted" for finding in findings)
@@ -82,10 +83,6 @@ def _shared(record: RunRecord, cameras: list[Finding]) -> str:
         return ""
     whose = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
     return f"The same is wrong with {whose}. First: look at what they share: power, network, the folder of the captures."
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}{'s' * (number != 1)}"
 
 
 def _todo(findings: tuple[Finding, ...]) -> str:

@@ -103,7 +103,7 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
     if not (sample or centres):
         return None
     up = _up([entry["R"] for entry, _ in stood.values() if entry.get("R")])
-    origin = _median(sample or centres)
+    origin = _median(sample or _before(sources) or centres)
     crs = record.poses.crs if record.poses else ""
     looks = [tuple(entry["R"][2]) for entry, _ in stood.values() if entry.get("R")]
     rows = _rows(up, centres, origin, looks, on_map=bool(crs))
@@ -117,6 +117,15 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
     unit = "m" if not record.poses or record.poses.metric else ""
     north = "N" if crs else "y"
     return Layout(rows, origin, cameras, marks, low, high, middle, radius, unit, north)
+
+
+def _before(sources: Sources) -> list[Vector]:
+    """The middle of the last cloud, for a night without one: its page is to lie as those of other nights do."""
+    for record in sources.before:
+        if record.cloud and record.poses and record.poses.metric:
+            x, y, z = ((low + high) / 2 for low, high in zip(*record.cloud.bounds, strict=True))
+            return [(x, y, z)]
+    return []
 
 
 def _up(rotations: list[Any]) -> Vector:

@@ -48,9 +48,12 @@ def share_pictures(work: WorkFolder, run: str) -> None:
         link = f'<a class="elsewhere" id="{match.group(1)}" href="{target}">the same picture as in the report of run {run}</a>'
         return link if match.group(2) in here else match.group()
 
+    own = any(match.group(1) == "points" and match.group(3) not in here for match in _STREAM.finditer(page))
+
     def stream(match: re.Match[str]) -> str:
-        lead = f'<script type="application/json" class="{match.group(1)}-elsewhere">"{target}"</script>'
-        return lead if match.group(3) in here else match.group()
+        if match.group(3) not in here or (own and match.group(1) == "points"):  # the view is there with all its points, or not
+            return match.group()
+        return f'<script type="application/json" class="{match.group(1)}-elsewhere">"{target}"</script>'
 
     shared = _STREAM.sub(stream, _PICTURE.sub(picture, page))
     if shared != page and all(match.group(1) != "points" for match in _STREAM.finditer(shared)):

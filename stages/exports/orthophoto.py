@@ -1,0 +1,100 @@
+"""The site from straight above, coloured by the photographs: each cell shows what the mesh's uppermost triangle there shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.cameras import project
+from ..core.ground_grid import preferred_above
+from ..io.rasters import png
+from ..types import Float64s, Int64s, Uint8s
+from .heights import MOST_CELLS, spacing
+from .texture import NONE, Textured, cast, sampled, scene_of
+
+if TYPE_CHECKING:
+    from .world import Georeference
+
+_STRIP = 2_000_000
+"""Cells that are looked at in one go."""
+
+
+@dataclass(frozen=True)
+class Orthophoto:
+    """Colours seen from above, on a grid; the first row has the largest y."""
+
+    image: Uint8s
+    """(rows, columns, 4) uint8 RGBA; clear where there is no surface."""
+    left: float
+    top: float
+    """x and y of the outer corner of the first cell."""
+    cell: float
+    """Edge of a cell."""
+
+
+def orthophoto(found: Textured, georeference: Georeference | None = None) -> Orthophoto:
+    """What is seen from above, in the map's coordinates where there is a georeference.
+
+    Cells are as wide as the pixels that they show, in the median, as 1, 2 or 5 times a power of ten; their corners lie at
+    multiples of that, so that pictures of different nights lie on each other.
+    """
+    mesh = found.mesh
+    X = georeference.points(mesh.vertices) if georeference else mesh.vertices
+    low, high = X.min(axis=0), X.max(axis=0)
+    cell = preferred_above(found.pixel or spacing(X))
+    while np.prod((high - low)[:2] / cell + 1) > MOST_CELLS:
+        cell = preferred_above(1.5 * cell)
+    first_column, last_row = int(np.floor(low[0] / cell)), int(np.floor(high[1] / cell))
+    columns, rows = int(np.floor(high[0] / cell)) - first_column + 1, last_row - int(np.floor(low[1] / cell)) + 1
+    middle = 0.5 * (low + high)
+    scene = scene_of(X - middle, mesh.triangles)
+    image = np.zeros((rows * columns, 4), np.uint8)
+    for start in range(0, rows * columns, _STRIP):
+        row, column = np.divmod(np.arange(start, min(start + _STRIP, rows * columns)), columns)
+        above = np.column_stack([(first_column + column + 0.5) * cell, (last_row - row + 0.5) * cell]) - middle[:2]
+        up = np.full(len(above), float(high[2] - middle[2]) + 1.0)
+        hit = cast(scene, np.column_stack([above, up]), np.broadcast_to(np.array([0.0, 0.0, -1.0]), (len(above), 3)))
+        there = np.flatnonzero(np.isfinite(hit["t_hit"]))
+        triangles, uv = hit["primitive_ids"][there].astype(np.int64), hit["primitive_uvs"][there]
+        image[start + there, :3] = _colours(found, triangles, uv.astype(np.float64))
+        image[start + there, 3] = 255
+    return Orthophoto(image.reshape(rows, columns, 4), first_column * cell, (last_row + 1) * cell, cell)
+
+
+def _colours(found: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
+    """(n, 3) what triangles show at barycentric coordinates (n, 2)."""
+    corners, weights = found.mesh.triangles[triangles], np.column_stack([1 - uv.sum(axis=1), uv])
+    colours = np.einsum("nk,nkc->nc", weights, found.mesh.colors[corners].astype(np.float64))
+    points = np.einsum("nk,nkc->nc", weights, found.mesh.vertices[corners])
+    chosen = found.chosen[triangles]
+    for number in np.unique(chosen[chosen != NONE]).tolist():
+        view, here = found.views[number], chosen == number
+        colours[here] = sampled(view.image, project(view.camera, points[here])[0])
+    return np.asarray((colours + 0.5).clip(0, 255), np.uint8)
+
+
+def plain_files(photo: Orthophoto) -> dict[str, bytes]:
+    """orthophoto.png, and its world file, of the first cell's middle, as GIS programs read it."""
+    lines = (photo.cell, 0.0, 0.0, -photo.cell, photo.left + photo.cell / 2, photo.top - photo.cell / 2)
+    world = "".join(f"{value!r}\n" for value in map(float, lines)).encode()
+    return {"orthophoto.png": png(photo.image), "orthophoto.pgw": world}
+
+
+def geotiff(photo: Orthophoto, epsg: int) -> bytes:
+    """GeoTIFF, red, green, blue and alpha."""
+    from rasterio.crs import CRS  # here: only georeferenced sites need it
+    from rasterio.enums import ColorInterp
+    from rasterio.io import MemoryFile
+    from rasterio.transform import Affine
+
+    rows, columns, bands = photo.image.shape
+    transform = Affine(photo.cell, 0.0, photo.left, 0.0, -photo.cell, photo.top)
+    layout = {"driver": "GTiff", "width": columns, "height": rows, "count": bands, "dtype": "uint8", "photometric": "RGB"}
+    packing = {"compress": "deflate", "predictor": 2, "num_threads": 1, "tiled": True}
+    with MemoryFile() as memory:
+        with memory.open(**layout, **packing, crs=CRS.from_epsg(epsg), transform=transform) as file:
+            file.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
+            file.write(np.moveaxis(photo.image, 2, 0))
+        return bytes(memory.read())
