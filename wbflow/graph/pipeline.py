@@ -173,6 +173,8 @@ STAGES: tuple[Stage, ...] = (
         offers=_FRAMES_TOO,
         role=Role.MATCHES,
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
+        pooled="wbflow_stages.pooled:pool_matches",
+        too_little=("too-few-matches", "too-few-inliers", "clustered"),
         reports=Reports({"matches": "x1_count"}),
         held=Held(nudged="kept", moved="anew"),
     ),
@@ -249,16 +251,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.RECTIFICATION,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
         renamed={"method": Renamed("method", {"seed": "literal"})},
-        reports=Reports(
-            {
-                "angle_deg": "angle_deg",
-                "vertical_px": "vertical_px",
-                "method": "method",
-                "verified": "verified",
-                "row_share": "row_share",
-                "row_error_px": "row_error_px",
-            }
-        ),
+        reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_error_px"),
         held=Held(nudged="anew", moved="anew"),
     ),
     Stage(

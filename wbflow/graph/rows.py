@@ -333,6 +333,8 @@ class Stage:
     judges: Judges | None = None
     pooled: str = ""
     """Dotted function: results of many nights, as a mapping by night -> one."""
+    too_little: tuple[str, ...] = ()
+    """Pairs are pooled that were rejected, here or by what rests on it, with one of these codes: one night had too little."""
 
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""

@@ -65,7 +65,7 @@ def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Bind
     then = receipt.preimage
     if then.function in _reworks(stage.held):
         return ""
-    if then.function != bound.function.dotted:
+    if then.function not in {bound.function.dotted, stage.pooled}:
         return f"{stage.name}: function {then.function} → {bound.function.dotted}"
     now = {**bound.defaults(), **settings}
     for name, value in now.items():
