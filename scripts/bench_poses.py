@@ -31,6 +31,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from time import process_time
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -149,7 +150,7 @@ def ours(images: str, width: int, known: bool) -> Row:
     return row_of(images, width, known, "wbflow", cameras, truth, process_time() - start, process_time() - before)
 
 
-def theirs(images: str, width: int, known: bool) -> Row:
+def theirs(images: str, width: int, known: bool, *, mapper: Literal["incremental", "global"] = "incremental") -> Row:
     """pycolmap's pipeline on the same photographs at the same size."""
     import pycolmap
 
@@ -191,11 +192,17 @@ def theirs(images: str, width: int, known: bool) -> Row:
             device=pycolmap.Device.cpu,
         )
     pycolmap.match_exhaustive(database, device=pycolmap.Device.cpu)
-    options = pycolmap.IncrementalPipelineOptions()
-    options.ba_refine_focal_length = options.ba_refine_extra_params = not known
-    options.ba_refine_principal_point = False
-    options.min_model_size = 2
-    models = pycolmap.incremental_mapping(database, folder / "images", folder, options)
+    if mapper == "global":
+        all_at_once = pycolmap.GlobalPipelineOptions()
+        adjusted = all_at_once.mapper.bundle_adjustment
+        adjusted.refine_focal_length = adjusted.refine_extra_params = not known
+        models = pycolmap.global_mapping(database, folder / "images", folder, all_at_once)
+    else:
+        options = pycolmap.IncrementalPipelineOptions()
+        options.ba_refine_focal_length = options.ba_refine_extra_params = not known
+        options.ba_refine_principal_point = False
+        options.min_model_size = 2
+        models = pycolmap.incremental_mapping(database, folder / "images", folder, options)
     cpu = process_time() - start
     cameras = {}
     if models:
@@ -208,7 +215,7 @@ def theirs(images: str, width: int, known: bool) -> Row:
                     lens.calibration_matrix(), R, -R.T @ pose.translation, lens.width, lens.height
                 )
     shutil.rmtree(folder)
-    return row_of(images, width, known, "pycolmap", cameras, truth, cpu)
+    return row_of(images, width, known, "pycolmap" if mapper == "incremental" else "glomap", cameras, truth, cpu)
 
 
 def photographs(images: str) -> tuple[dict[str, Path], dict[str, Camera]]:

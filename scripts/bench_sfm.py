@@ -1,0 +1,146 @@
+#!/usr/bin/env python3
+"""Sparse reconstruction, photographs to poses, beside openMVG (openmvg-rs) and COLMAP (pycolmap), incremental and global.
+
+    scripts/bench_sfm.py [--sets fountain:all entry:all yard ...] [--width 1536] [--systems wbflow openmvg ...] [--json FILE]
+
+All get the same images at the same size, and intrinsics; poses are withheld.  CPU seconds of all threads; errors as in
+`bench_poses.py`.  openMVG takes one calibration matrix for all images, so the clean frames of the yard, whose lenses differ, are
+scaled and moved to one for all systems, and what masks cover is black.  Seeds are fixed; COLMAP varies from run to run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from time import monotonic, process_time
+
+import bench_poses
+import cv2
+import numpy as np
+from bench_files import write_rows
+from bench_poses import Row, ours, photographs, row_of, theirs, yard_frames
+from pairs_with_truth import read_rgb
+
+from wbflow_stages.types import Camera, Float64s, Frame
+
+SETS = ("fountain:all", "fountain:0-2-4-6-8-10", "fountain:1-4-7-10", "fountain:0-5-10", "fountain:1-5-9", "entry:all", "yard")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One set, one system: what is written."""
+
+    system: str
+    cameras: int
+    what: str
+    tasks: int
+    cpu_s: float
+    wall_s: float
+    solved: int
+    turn_deg: float
+    rotation_deg: float
+    centre_cm: float
+
+    @classmethod
+    def of(cls, system: str, row: Row, wall_s: float) -> Measured:
+        """A row of `bench_poses.py`, and what the clock says."""
+        errors = row.turn_deg, row.rotation_deg, row.centre_cm
+        return cls(system, row.cameras, row.images, 1, row.cpu_s, wall_s, row.solved, *errors)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sets", nargs="+", default=list(SETS), metavar="SCENE:IMAGES")
+    parser.add_argument("--width", type=int, default=1536)
+    parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=list(SYSTEMS))
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    bench_poses.yard_frames = one_lens  # type: ignore[assignment]
+    ours("fountain:0-5-10", 384, True)  # kernels are compiled before anything is timed
+    rows = []
+    print(f"{'set':24} {'system':15} {'solved':>7} {'turn deg':>9} {'rot deg':>8} {'cm':>7} {'max cm':>7} {'CPU s':>7} {'s':>7}")
+    for images in options.sets:
+        for system in options.systems:
+            began = monotonic()
+            try:
+                row = SYSTEMS[system](images, options.width)
+            except ImportError as error:
+                print(f"{images:24} {system:15} not measured: {error}; pip install it beside wbflow")
+                continue
+            rows.append(Measured.of(system, row, monotonic() - began))
+            print(
+                f"{images:24} {system:15} {row.solved:>3}/{row.cameras:<3} {row.turn_deg:9.4f} {row.rotation_deg:8.4f} "
+                f"{row.centre_cm:7.3f} {row.centre_max_cm:7.3f} {row.cpu_s:7.1f} {rows[-1].wall_s:7.1f}",
+                flush=True,
+            )
+    if options.json:
+        write_rows(rows, [field.name for field in fields(Measured)], options.json)
+
+
+def openmvg(images: str, width: int) -> Row:
+    """openMVG's own features, matching and incremental reconstruction."""
+    import openmvg_rs
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        truth, K, width = _written(images, width, folder)
+        (folder / "K.txt").write_text("\n".join(" ".join(repr(float(v)) for v in row) for row in K) + "\n")
+        start = process_time()
+        try:
+            found = openmvg_rs.reconstruct(folder, intrinsics=folder / "K.txt", progress=False)
+        except openmvg_rs.NoReconstructionError:
+            return row_of(images, width, True, "openmvg", {}, truth, process_time() - start)
+        cpu = process_time() - start
+    cameras = {}
+    for view in found.views:
+        R = np.asarray(view.pose.rotation)
+        cameras[view.image.stem] = Camera(K, R, -R.T @ np.asarray(view.pose.translation), view.camera.width, view.camera.height)
+    return row_of(images, width, True, "openmvg", cameras, truth, cpu)
+
+
+def _written(images: str, width: int, folder: Path) -> tuple[dict[str, Camera], Float64s, int]:
+    """The set's pictures at a width, in a folder; true cameras, the calibration matrix of all, the width."""
+    if images == "yard":
+        frames, truth = one_lens()
+        for name, frame in frames.items():
+            cv2.imwrite(str(folder / f"{name}.png"), np.where(frame.mask[..., None], frame.image, 0)[..., ::-1])
+        any_camera = next(iter(truth.values()))
+        return truth, any_camera.K, any_camera.width
+    files, truth = photographs(images)
+    for name, file in files.items():
+        pixels = read_rgb(file)[..., ::-1]
+        size = width, round(pixels.shape[0] * width / pixels.shape[1])
+        cv2.imwrite(str(folder / f"{name}.png"), cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
+    camera = next(iter(truth.values()))
+    s = width / camera.width
+    scaled = np.array([[s, 0, 0.5 * s - 0.5], [0, s, 0.5 * s - 0.5], [0, 0, 1]])
+    return truth, scaled @ camera.K, width
+
+
+def one_lens() -> tuple[dict[str, Frame], dict[str, Camera]]:
+    """The yard's frames and true cameras as if all had the lens of the widest."""
+    frames, truth = yard_frames()
+    K = min((camera.K for camera in truth.values()), key=lambda one: one[0, 0])
+    moved, cameras = {}, {}
+    for name, frame in frames.items():
+        H, view = K @ np.linalg.inv(truth[name].K), frame.view
+        size = view.width, view.height
+        image = np.asarray(cv2.warpPerspective(frame.image, H, size, flags=cv2.INTER_AREA), np.uint8)
+        mask = cv2.warpPerspective(frame.mask.astype(np.uint8), H, size, flags=cv2.INTER_NEAREST) > 0
+        moved[name] = Frame(image, mask, replace(view, K=K))
+        cameras[name] = replace(truth[name], K=K)
+    return moved, cameras
+
+
+SYSTEMS: dict[str, Callable[[str, int], Row]] = {
+    "wbflow": lambda images, width: ours(images, width, True),
+    "openmvg": openmvg,
+    "colmap": lambda images, width: theirs(images, width, True),
+    "colmap-global": lambda images, width: theirs(images, width, True, mapper="global"),
+}
+
+if __name__ == "__main__":
+    main()
