@@ -40,6 +40,7 @@ SITE_TYPES = {
     SiteValue.LENS: "wbflow_stages.types:Lens",
     SiteValue.PLACEMENT: "wbflow_stages.types:Placement",
     SiteValue.SURVEY: "wbflow_stages.types:Survey",
+    SiteValue.FILE: "wbflow_stages.types:Capture",
 }
 """The type that a value of the site is handed over as."""
 
@@ -170,7 +171,7 @@ STAGES: tuple[Stage, ...] = (
         scope="pair",
         function="wbflow_stages.matches:match",
         needs=_SIDES,
-        offers=_FRAMES_TOO,
+        offers={**_FRAMES_TOO, "model": FromSite(SiteValue.FILE, named="model")},
         role=Role.MATCHES,
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
         pooled="wbflow_stages.pooled:pool_matches",

@@ -67,6 +67,8 @@ class SiteValue(Enum):
     """Pose of a camera."""
     SURVEY = auto()
     """Distances, control points and coordinate system of the site."""
+    FILE = auto()
+    """A file that the stage's section names, as it is."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ class FromSite:
     value: SiteValue
     which: Which = Which.SAME
     optional: bool = False
+    named: str = ""
+    """Of a file: what it is called in the stage's section, and among the arguments."""
 
 
 @dataclass(frozen=True)
