@@ -10,7 +10,12 @@ The rival is Lowe's matching (ratio 0.8, randomised kd-trees of FLANN, 200 check
 on the same photographs, all keypoints and descriptors of its SIFT at its defaults; `kdtree-root` is given the keypoints and
 RootSIFT descriptors that the other rows match, a harder rival: what is gained on it is gained by matching alone.
 
+`lightglue` is DISK with LightGlue where a package with its weights is installed (see lightglue_rival.py), else left out with a
+word; `onnx` is the model that --onnx names, run by the matcher of that name.  Neither has keypoints of ours: (+F) is the same
+geometry without a guided round.
+
     scripts/bench_matching.py --scenes fountain --pairs 5-4 5-9
+    scripts/bench_matching.py --matchers kdtree structural lightglue
     scripts/bench_matching.py --json rows.json --plot rates.svg
     scripts/bench_matching.py --check          a small set with thresholds, for CI
 """
@@ -27,13 +32,15 @@ from statistics import mean
 from time import process_time
 from typing import Any
 
+import lightglue_rival
+import numpy as np
 from bench_files import exit_status
 from pairs_with_truth import TrueView, axes_angle_deg, correct, on_one_thread, photographed, pose_error_deg, true_correspondences
 
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
-from wbflow_stages.types import Features, Geometry, Matches, Rejected
+from wbflow_stages.types import Capture, Features, Geometry, Matches, Rejected
 
 PLAIN_SIFT = "kdtree"
 """The row that matches OpenCV's own features."""
@@ -44,6 +51,8 @@ MATCHERS: dict[str, dict[str, Any]] = {
     "dominant": {"matcher": "dominant"},
     "structural": {"tilt": "never"},
     "structural-tilt": {"tilt": "always"},
+    "lightglue": {"matcher": "lightglue"},
+    "onnx": {"matcher": "onnx"},
 }
 SWEEP = {
     "fountain": "5-4 5-3 5-2 5-1 5-0 5-6 5-7 5-8 5-9 5-10 0-4 2-7 3-9 2-9 1-9 0-9 0-10",
@@ -75,9 +84,14 @@ class Row:
 def measure(left: TrueView, right: TrueView, name: str, seed: int) -> tuple[Row, Row]:
     """The row as matched, and the row after the guided round."""
     f, g = (left.plain_sift, right.plain_sift) if name == PLAIN_SIFT else (left.features, right.features)
+    if name == "lightglue":
+        lightglue_rival.prepare(left)
+        lightglue_rival.prepare(right)
     start = process_time()
     options: dict[str, Any] = {"seed": seed} if MATCHERS[name].get("matcher") == "kdtree" else {}
-    matches = match(f, g, **options, **MATCHERS[name])
+    if name == "onnx":
+        options = {"left_frame": left.frame, "right_frame": right.frame}
+    matches = lightglue_rival.match_lightglue(left, right) if name == "lightglue" else match(f, g, **options, **MATCHERS[name])
     seconds = process_time() - start
     return judge(left, right, f, g, name, matches, False, seed, seconds), judge(
         left, right, f, g, name, matches, True, seed, seconds
@@ -138,10 +152,10 @@ def bench(pairs: dict[str, list[tuple[str, str]]], width: int, seeds: int, names
                     yield averaged(list(rows))
 
 
-def warm_up(width: int) -> None:
+def warm_up(width: int, names: list[str]) -> None:
     """Compile the kernels, so that no row pays for it."""
     views = photographed("fountain", min(width, 768), ["4", "5"])
-    for name in MATCHERS:
+    for name in names:
         measure(views["5"], views["4"], name, 0)
 
 
@@ -208,11 +222,23 @@ def check(rows: list[Row]) -> list[str]:
     return faults
 
 
+def there(names: list[str], model: Path | None) -> list[str]:
+    """The rows that can be measured here; of the others it is said why not."""
+    absent = {"lightglue": lightglue_rival.why_absent(), "onnx": "" if model else "no --onnx MODEL"}
+    for name in names:
+        if absent.get(name):
+            print(f"{name}: left out, {absent[name]}")
+    if model:
+        MATCHERS["onnx"]["model"] = Capture(model.name, np.fromfile(model, np.uint8))
+    return [name for name in names if not absent.get(name)]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", default=["fountain", "entry"], choices=["fountain", "entry"])
     parser.add_argument("--pairs", nargs="+", default=[], help="such as 5-4, or all; default: a sweep of growing angles")
     parser.add_argument("--matchers", nargs="+", default=list(MATCHERS), choices=list(MATCHERS))
+    parser.add_argument("--onnx", type=Path, metavar="MODEL", help="the model of the row onnx, see stages/README.md")
     parser.add_argument("--width", type=int, default=1536, help="working width, pixels")
     parser.add_argument("--seeds", type=int, default=3, help="random seeds to average over")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
@@ -224,7 +250,8 @@ def main() -> int:
         pairs, given.seeds, given.matchers = {k: pairs_of(k, v.split()) for k, v in CHECK.items()}, 1, CHECKED
     else:
         pairs = {scene: pairs_of(scene, given.pairs) for scene in given.scenes}
-    warm_up(given.width)
+    given.matchers = there(given.matchers, given.onnx)
+    warm_up(given.width, given.matchers)
     rows: list[Row] = []
     print(HEAD)
     for row in bench(pairs, given.width, given.seeds, given.matchers):

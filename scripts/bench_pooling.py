@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from wbflow_stages.core.cameras import backproject, project, ray_angles
 from wbflow_stages.features import detect
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
+from wbflow_stages.pooled import pool_matches
 from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Float64s, Frame, Geometry, Matches, Rejected
 
@@ -81,20 +82,6 @@ def truth_of(demo: Path, cameras: Mapping[str, Camera], left: str, right: str) -
     return Truth(x1[same], x2[same], angle)
 
 
-def pooled(nights: list[Matches]) -> Matches:
-    """The matches of all nights, as places in the pictures: their keypoints are those of several pictures."""
-    return replace(
-        nights[0],
-        x1=np.vstack([m.x1 for m in nights]),
-        x2=np.vstack([m.x2 for m in nights]),
-        i1=None,
-        i2=None,
-        probability=np.concatenate([m.probability for m in nights]),
-        affine=None,
-        searched=(),
-    )
-
-
 def told(truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
     """Print what each night says, and what all nights up to it do together."""
     matched: list[Matches] = []
@@ -110,7 +97,7 @@ def told(truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
         print(f"  night {number}: {truth.words(estimate_geometry(found, first, second))}", flush=True)
         matched.append(found)
         if len(matched) > 1:
-            together = estimate_geometry(pooled(matched), first, second)
+            together = estimate_geometry(pool_matches({str(k): night for k, night in enumerate(matched)}), first, second)
             print(f"  {len(matched)} nights: {truth.words(together)}", flush=True)
 
 

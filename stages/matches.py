@@ -14,6 +14,7 @@ MATCHERS = {
     "literal": "wbflow_stages.matching.procrustes:match_literal",
     "mutual": "wbflow_stages.matching.mutual:match_mutual",
     "kdtree": "wbflow_stages.matching.kdtree:match_kdtree",
+    "onnx": "wbflow_stages.matching.learned:match_onnx",
 }
 """Sparse matchers (see `SparseMatcher`) by name."""
 
@@ -36,7 +37,8 @@ def match(
     left_frame, right_frame : the frames themselves, for matchers that ask for them.
     matcher : "structural" (descriptors and local affine structure together); for study "literal" (Hao 2011, section 3.3.2, to
         the letter) and "dominant" (the same with a dominance test that can fire); rivals "mutual" (mutual nearest neighbours
-        under a ratio both ways) and "kdtree" (Lowe's, through FLANN); or a function of your own, `package.module:function`.
+        under a ratio both ways) and "kdtree" (Lowe's, through FLANN); "onnx" (a learned one, whose `model: PATH` you bring); or a
+        function of your own, `package.module:function`.
     min_matches : fewer than this reject the pair.
     options : parameters of the matcher, see its function.
 

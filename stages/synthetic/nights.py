@@ -108,16 +108,21 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     return NightsSite(tuple(done), reference, voxel_m, {name: things.extent(name) for name in names})
 
 
+def moving(nights: int, shots: Shots) -> list[Scene]:
+    """The people and vehicles of each frame, night after night."""
+    return movers(shots.random(2), max(_texel_m(shots), 0.02), nights * shots.captures, people=PEOPLE, vehicles=VEHICLES)
+
+
 def _texel_m(shots: Shots) -> float:
     return shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
 
 
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """The yard of each night, empty and at each frame; all share textures and sky."""
-    texel_m, frames = _texel_m(shots), shots.captures
-    yard = static_yard(shots.random(1), texel_m, choose_mounts(len(MOUNTS)))
-    moving = movers(shots.random(2), max(texel_m, 0.02), nights * frames, people=PEOPLE, vehicles=VEHICLES)
-    whole = joined(joined(yard, things.scene(stays(1))), moving[0])
+    frames = shots.captures
+    yard = static_yard(shots.random(1), _texel_m(shots), choose_mounts(len(MOUNTS)))
+    traffic = moving(nights, shots)
+    whole = joined(joined(yard, things.scene(stays(1))), traffic[0])
     atlas = build_atlas(whole.textures)
     sky = PreparedScene(yard, hour_of("noon").light, atlas).sky
     there: dict[str, Stay] = {}
@@ -127,7 +132,7 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
             there, epoch = stays(night), night
         hour = hour_of(weather_of(night))
         empty = joined(yard, things.scene(there))
-        tonight = tuple(moving[(night - 1) * frames : night * frames])
+        tonight = tuple(traffic[(night - 1) * frames : night * frames])
         busy = tuple(PreparedScene(joined(empty, each), hour.light, atlas, sky) for each in tonight)
         yield _NightScene(night, epoch, hour, PreparedScene(empty, hour.light, atlas, sky), busy, tonight)
 

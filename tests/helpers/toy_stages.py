@@ -92,9 +92,11 @@ def match(left: Features, right: Features, *, shift: float = 1.0, reject: str = 
     return Matches(left.xy + shift, right.xy, rows, rows, np.ones(1, np.float32), np.eye(2)[None], left.view, right.view)
 
 
-def estimate_geometry(matches: Matches, left: Features, right: Features) -> Geometry:
-    """F that remembers the match."""
+def estimate_geometry(matches: Matches, left: Features, right: Features, *, needed: int = 1) -> Geometry | Rejected:
+    """F that remembers the match; rejected where there are fewer than `needed`."""
     _trouble("geometry")
+    if len(matches.x1) < needed:
+        return Rejected(Reason.TOO_FEW_INLIERS, {"inliers": 0.0, "matches": float(len(matches.x1)), "needed": float(needed)})
     F = np.diag([matches.x1.sum(), matches.x2.sum(), 1.0])
     shared = {name: getattr(matches, name) for name in ("x1", "x2", "i1", "i2", "probability", "view1", "view2")}
     geometry: Geometry = _filled(Geometry, F=F, cam2_R_cam1=None, cam2_t_cam1=None, matches=1, warnings=(), **shared)
@@ -138,6 +140,13 @@ def rectify(
     assert left is not None
     assert right is not None
     H = geometry.F + left.C + right.C + margin
+    rectification: Rectification = _filled(Rectification, method="hartley", reason="toy", H1=H, H2=H, size1=(8, 8), size2=(8, 8))
+    return rectification
+
+
+def rectify_known(left: Camera, right: Camera, check: PairCheck | None, geometry: Geometry | None = None) -> Rectification:
+    """Rows of known cameras, whatever their matches are worth."""
+    H = np.eye(3) + left.C + right.C
     rectification: Rectification = _filled(Rectification, method="hartley", reason="toy", H1=H, H2=H, size1=(8, 8), size2=(8, 8))
     return rectification
 

@@ -1,11 +1,15 @@
-"""Depth maps of many nights: noise falls, what comes and goes is left unknown."""
+"""Depth of many nights: noise falls, what comes and goes is left unknown.  Matches of many nights: a geometry from scraps."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from wbflow_stages.pooled import pool_depths
-from wbflow_stages.types import DepthMap
+from tests.helpers.two_views import HEIGHT, WIDTH, K, looking, scene, seen_by_both
+from wbflow_stages.geometry import estimate_geometry
+from wbflow_stages.pooled import pool_depths, pool_matches
+from wbflow_stages.reasons import Reason
+from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
+from wbflow_stages.types import DepthMap, Features, Geometry, Matches, Rejected, View
 
 H, W = 40, 60
 TRUE = np.asarray(20 + 5 * np.mgrid[0:H, 0:W][1] / W)
@@ -62,3 +66,50 @@ def test_better_nights_count_for_more_and_all_partners_are_told() -> None:
     assert float(np.median(off)) < 1.1 * error(nights["sharp"])
     assert ((pooled.support[inside] >> roof) & 1).mean() > 0.9
     assert ((pooled.support >> crane) & 1).any()
+
+
+LEFT, RIGHT = (looking(np.array([x, 0.0, 0.0]), np.array([0.0, 0.0, 11.0])) for x in (-6.5, 6.5))
+"""They see what lies in the middle from 55 degrees apart."""
+TRULY = seen_by_both(LEFT, RIGHT, scene(n=4000))
+
+
+def found(seed: int, again: int = 16) -> Matches:
+    """What one night finds of a pair, .4 pixels off: 16 matches, `again` of them its own, the rest as every night; and 8 wrong
+    ones, the same every night."""
+    own, same = np.random.default_rng(seed), np.random.default_rng(0)
+    rows = np.concatenate([same.permutation(len(TRULY[0]))[: 16 - again], own.permutation(len(TRULY[0]))[:again]])
+    wrong = [same.uniform(0, (WIDTH, HEIGHT), (8, 2)) for _ in "12"]
+    x1, x2 = (np.vstack([x[rows] + own.normal(0, 0.4, (16, 2)), w]) for x, w in zip(TRULY, wrong, strict=True))
+    likely = np.repeat([0.9, 0.4], [16, 8]).astype(np.float32)
+    view = View(WIDTH, HEIGHT, K, focal_known=True)
+    return Matches(x1, x2, None, None, likely, None, view, view, "toy")
+
+
+def geometry(matches: Matches) -> Geometry | Rejected:
+    none = np.zeros(0, np.float32)
+    features = Features(np.zeros((0, 2)), np.zeros((0, 2, 2)), none.reshape(0, 4), none, none.astype(np.uint8), matches.view1)
+    return estimate_geometry(matches, features, features)
+
+
+def test_a_wide_pair_that_single_nights_reject_is_known_from_four() -> None:
+    nights = {str(seed): found(seed) for seed in range(1, 5)}
+    for night in nights.values():
+        alone = geometry(night)
+        assert isinstance(alone, Rejected) and alone.code == Reason.TOO_FEW_INLIERS
+    together = geometry(pool_matches(nights))
+    assert isinstance(together, Geometry) and together.score > 0 and 50 < together.angle_deg < 60
+    assert float(np.median(symmetric_epipolar_distance(together.F, *TRULY))) < 0.5
+
+
+def test_what_every_night_finds_is_no_more_evidence_for_being_found_again() -> None:
+    pooled = pool_matches({str(seed): found(seed, again=0) for seed in range(1, 5)})
+    assert len(pooled.x1) <= 16 + 8 + 4  # noise may part a few
+    assert isinstance(geometry(pooled), Rejected)
+
+
+def test_of_too_many_matches_those_stay_that_are_spread_best() -> None:
+    pooled = pool_matches({str(seed): found(seed) for seed in range(1, 40)}, most=90)
+    assert len(pooled.x1) == 90
+    every = np.vstack([found(seed).x1 for seed in range(1, 40)])
+    cells = [set(zip(*(x * [12 / WIDTH, 8 / HEIGHT]).astype(int).T, strict=True)) for x in (pooled.x1, every)]
+    assert len(cells[0]) >= min(len(cells[1]), 85)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @run_argument
 @click.option("--list", "listed", is_flag=True, help="Say what is pinned.")
 @click.option("--drop", is_flag=True, help="Forget the reference.")
-@click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference's surface.")
+@click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference.")
 @work_option
 def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: Path | None) -> None:
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
@@ -75,5 +75,5 @@ def _refine(site: Site, place: WorkFolder) -> str:
     if reference is None:
         raise UsageError(f"{site.name} has no reference to refine", remedy=f"first: wbflow pin {site.file}")
     restore(Cache(place), reference)
-    pooled = pool(place, reference, site.reader)
+    pooled = pool(place, reference, site)
     return "\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet"

@@ -120,7 +120,10 @@ def _plain(site: Site) -> dict[str, Any]:
         plain[name] = str(plain[name])
     for name in ("cameras", "views"):
         plain[name] = [{**dataclasses.asdict(c), "mask": str(c.mask) if c.mask else None} for c in plain[name]]
-    plain["stages"] = {name: dataclasses.asdict(settings) for name, settings in site.stages.items()}
+    plain["stages"] = {
+        name: {**dataclasses.asdict(settings), "files": {key: str(file) for key, file in settings.files.items()}}
+        for name, settings in site.stages.items()
+    }
     for name in ("survey", "expected", "keep"):
         plain[name] = dataclasses.asdict(plain[name])
     plain["notify"] = {**dataclasses.asdict(site.notify), "folder": str(site.notify.folder)} if site.notify else None
@@ -132,13 +135,17 @@ def _site(plain: dict[str, Any], document: Document, reader: FunctionReader) -> 
     told = dict(plain)
     told |= {"root": Path(told["root"]), "work": Path(told["work"]), "cameras": tuple(map(_camera, told["cameras"]))}
     told["views"] = tuple(map(_camera, told["views"]))
-    told["stages"] = {name: StageSettings(**settings) for name, settings in told["stages"].items()}
+    told["stages"] = {name: _settings(settings) for name, settings in told["stages"].items()}
     told["survey"] = StatedSurvey(**{**told["survey"], "cameras": tuple(told["survey"]["cameras"])})
     told |= {"expected": Expected(**told["expected"]), "keep": Keep(**told["keep"])}
     if notify := told["notify"]:
         command = notify["command"] if isinstance(notify["command"], str) else tuple(notify["command"])
         told["notify"] = Notify(**{**notify, "command": command, "folder": Path(notify["folder"])})
     return Site(document=document, reader=reader, **told)
+
+
+def _settings(plain: dict[str, Any]) -> StageSettings:
+    return StageSettings(**{**plain, "files": {name: Path(file) for name, file in plain["files"].items()}})
 
 
 def _camera(plain: dict[str, Any]) -> SiteCamera:

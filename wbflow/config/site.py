@@ -175,6 +175,8 @@ class StageSettings:
     use: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
     enabled: bool = True
+    files: dict[str, Path] = field(default_factory=dict)
+    """By the name that each has in its section."""
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import difflib
+from pathlib import Path
 from typing import Any
 
 from ..errors import printable
-from ..graph.binding import Binding, bind, method_parameters
+from ..graph.binding import Binding, bind, is_file, method_parameters, methods_with_file
 from ..graph.functions import FunctionReader
 from ..graph.modules import FunctionError
 from ..graph.pipeline import STAGES
 from ..graph.rows import Stage
+from ..store.outside import is_file as is_file_on_disk
+from .cameras import beside
+from .explain import similar
 from .places import Document, Place, SiteProblem
 from .site import StageSettings
 
@@ -81,12 +85,36 @@ class _Section:
             return StageSettings()
         for fault in bound.faults():
             self._problem("use" if use else self.stage.method.parameter if self.stage.method else "", fault, _SIGNATURE)
+        files = self._files(bound, values)
         for key, value in values.items():
             self._check(bound, key, value, written.get(key, key))
         for name, parameter in bound.parameters.items():
             if parameter.required and name not in values and name not in self._fed(bound):
                 self._problem("use", f"{bound.function.dotted} has {name!r} without a default", f"set it here: {name}: ...")
-        return StageSettings(use, values)
+        return StageSettings(use, values, files=files)
+
+    def _files(self, bound: Binding, values: dict[str, Any]) -> dict[str, Path]:
+        """The files that the section names, which are taken out of it: what is in them counts, not what they are called."""
+        found: dict[str, Path] = {}
+        chosen = bound.method or bound.function
+        required = {argument.name for argument in chosen.signature.arguments if argument.required}
+        for name in [name for name, need in bound.needs.items() if is_file(need)]:
+            stated, place = values.pop(name, None), ("stages", self.stage.name, name)
+            if stated is None:
+                if name in required:
+                    self._problem(self._chooser(bound), f"{chosen.dotted} needs a file: {name}", _FILE.format(name=name))
+            elif not isinstance(stated, str):
+                self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
+            else:
+                found[name] = beside(stated, place, self.document, self.problems)
+                if not is_file_on_disk(found[name]):
+                    remedy = similar(found[name]) or "check the path; it is relative to the site file"
+                    self._problem(name, f"there is no file {printable(found[name])}", remedy)
+        return found
+
+    def _chooser(self, bound: Binding) -> str:
+        """The key that says which function is meant."""
+        return self.stage.method.parameter if bound.method and self.stage.method else "use"
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; present name by old name."""
@@ -140,6 +168,7 @@ class _Section:
         chooser = self.stage.method
         if bound.method and chooser:
             readers = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
+            readers += methods_with_file(self.stage, key, self.reader)
             if readers:
                 what = f"{key!r} is not read by the chosen {chooser.parameter}, {bound.method.dotted}"
                 self._problem(written, what, f"leave it out, or choose {chooser.parameter}: {' or '.join(readers)}", key=True)
@@ -156,4 +185,5 @@ class _Section:
 
 
 _USE = "write package.module:function; the module is installed, or lies beside the site file"
+_FILE = "give its path, relative to the site file: {name}: models/matcher.onnx"
 _SIGNATURE = "name the inputs as they are offered, and put parameters with defaults behind a bare *"

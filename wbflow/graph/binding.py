@@ -14,7 +14,7 @@ from typing import Any
 
 from .functions import FunctionInfo, FunctionReader
 from .modules import FunctionError
-from .rows import FromStage, Need, Stage
+from .rows import FromSite, FromStage, Need, SiteValue, Stage
 from .signature import Parameter, Signature
 
 
@@ -51,7 +51,7 @@ class Binding:
         offered = {*self.stage.needs, *self.stage.offers}
         found = _faults(self.function, self.stage, offered)
         if self.method and self.stage.method:
-            handed_on = offered & _asked(self.function.signature)
+            handed_on = _handed_on(self.function.signature, self.stage)
             found += _faults(self.method, self.stage, handed_on | set(self.stage.method.given))
         return found
 
@@ -86,7 +86,7 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     method = reader.read(_chosen(stage, values, parameters, reader))
     given = {*inputs, *chooser.given}
     parameters |= {n: p for n, p in method.signature.parameters.items() if n not in given and n not in parameters}
-    asked = (_asked(own) & set(stage.needs)) | (_asked(method.signature) & _asked(own))
+    asked = (_asked(own) & set(stage.needs)) | (_asked(method.signature) & _handed_on(own, stage))
     return Binding(stage, function, method, _wanted(inputs, asked, own), parameters)
 
 
@@ -101,6 +101,14 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
     }
 
 
+def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[str]:
+    """The methods of a stage's table that read a file of this name.  Raises FunctionError."""
+    need = stage.offers.get(name)
+    if stage.method is None or need is None or not is_file(need):
+        return []
+    return [method for method, dotted in reader.table(stage.method.table).items() if name in _asked(reader.signature(dotted))]
+
+
 def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
     """Dotted name of the method that the site file, or the default, chooses."""
     assert stage.method
@@ -112,6 +120,18 @@ def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Pa
     if isinstance(wanted, str) and ":" in wanted:
         return wanted
     raise FunctionError(f"{wanted!r} is not one of {', '.join(table)}, and not a package.module:function")
+
+
+def _handed_on(own: Signature, stage: Stage) -> set[str]:
+    """Inputs that a stage's function hands to the method that it chooses: those that it names, and files, which go with the
+    parameters that it only passes through."""
+    files = {name for name, need in stage.offers.items() if is_file(need)} if own.takes_any else set()
+    return (_asked(own) & {*stage.needs, *stage.offers}) | files
+
+
+def is_file(need: Need) -> bool:
+    """Is it a file that the stage's section names?"""
+    return isinstance(need, FromSite) and need.value is SiteValue.FILE
 
 
 def _asked(signature: Signature) -> set[str]:

@@ -40,6 +40,7 @@ SITE_TYPES = {
     SiteValue.LENS: "wbflow_stages.types:Lens",
     SiteValue.PLACEMENT: "wbflow_stages.types:Placement",
     SiteValue.SURVEY: "wbflow_stages.types:Survey",
+    SiteValue.FILE: "wbflow_stages.types:Capture",
 }
 """The type that a value of the site is handed over as."""
 
@@ -170,9 +171,11 @@ STAGES: tuple[Stage, ...] = (
         scope="pair",
         function="wbflow_stages.matches:match",
         needs=_SIDES,
-        offers=_FRAMES_TOO,
+        offers={**_FRAMES_TOO, "model": FromSite(SiteValue.FILE, named="model")},
         role=Role.MATCHES,
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
+        pooled="wbflow_stages.pooled:pool_matches",
+        too_little=("too-few-matches", "too-few-inliers", "clustered"),
         reports=Reports({"matches": "x1_count"}),
         held=Held(nudged="kept", moved="anew"),
     ),
@@ -249,16 +252,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.RECTIFICATION,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
         renamed={"method": Renamed("method", {"seed": "literal"})},
-        reports=Reports(
-            {
-                "angle_deg": "angle_deg",
-                "vertical_px": "vertical_px",
-                "method": "method",
-                "verified": "verified",
-                "row_share": "row_share",
-                "row_error_px": "row_error_px",
-            }
-        ),
+        reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_error_px"),
         held=Held(nudged="anew", moved="anew"),
     ),
     Stage(

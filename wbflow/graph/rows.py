@@ -67,6 +67,8 @@ class SiteValue(Enum):
     """Pose of a camera."""
     SURVEY = auto()
     """Distances, control points and coordinate system of the site."""
+    FILE = auto()
+    """A file that the stage's section names, as it is."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ class FromSite:
     value: SiteValue
     which: Which = Which.SAME
     optional: bool = False
+    named: str = ""
+    """Of a file: what it is called in the stage's section, and among the arguments."""
 
 
 @dataclass(frozen=True)
@@ -333,6 +337,8 @@ class Stage:
     judges: Judges | None = None
     pooled: str = ""
     """Dotted function: results of many nights, as a mapping by night -> one."""
+    too_little: tuple[str, ...] = ()
+    """Pairs are pooled that were rejected, here or by what rests on it, with one of these codes: one night had too little."""
 
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""

@@ -1,4 +1,4 @@
-"""What has arrived for a night: its captures and masks by digest, and which cameras deliver what is not of tonight."""
+"""What has arrived for a night: its captures, masks and models by digest, and which cameras deliver what is not of tonight."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..store.digests import Digests
 from ..store.layout import WorkFolder
 from ..store.record import Health
 from ..store.seen import Seen
-from .captures import CaptureFile, find_captures, find_masks, night
+from .captures import CaptureFile, find_captures, find_named, night
 from .staleness import look_at
 
 
@@ -22,7 +22,8 @@ class Arrivals:
     """The captures' date."""
     captures: dict[str, list[CaptureFile]]
     """By camera."""
-    masks: dict[str, CaptureFile]
+    named: dict[str, CaptureFile]
+    """What the site file names: masks by camera, and files of stages."""
     digests: Digests
     """To be saved by a run."""
     seen: Seen
@@ -39,4 +40,4 @@ def arrivals(site: Site, date: datetime.date | None = None) -> Arrivals:
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
     date = night(site, date)
     delivered = look_at(site, date, find_captures(site, date, digests), digests, seen)
-    return Arrivals(date, delivered.captures, find_masks(site, digests), digests, seen, delivered.stale, delivered.notes)
+    return Arrivals(date, delivered.captures, find_named(site, digests), digests, seen, delivered.stale, delivered.notes)

@@ -101,9 +101,18 @@ def expected(site: Site, camera: SiteCamera, date: datetime.date) -> str:
     return ", ".join(camera.images) if camera.images else pattern_of(site).expected(camera.id, date)
 
 
-def find_masks(site: Site, digests: Digests) -> dict[str, CaptureFile]:
-    """The masks of cameras that have one."""
-    return {camera.id: _digested(camera.mask.name, camera.mask, digests) for camera in site.cameras if camera.mask}
+def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
+    """The files that the site file names: the masks of cameras by id, and those of stages by `file_of_stage`."""
+    paths = {camera.id: camera.mask for camera in site.cameras if camera.mask}
+    paths |= {
+        file_of_stage(stage, name): path for stage, settings in site.stages.items() for name, path in settings.files.items()
+    }
+    return {named: _digested(path.name, path, digests) for named, path in paths.items()}
+
+
+def file_of_stage(stage: str, name: str) -> str:
+    """Under which key a file is found that a stage's section names; no camera is called so."""
+    return f"{stage} {name}"
 
 
 def _file(site: Site, path: Path, digests: Digests) -> CaptureFile:

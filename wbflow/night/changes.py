@@ -17,8 +17,8 @@ MOST_LOOKS = 3
 
 @dataclass
 class Changes:
-    """Looks again at captures and masks that have been replaced since their digests were taken: what they hold now is planned
-    with, and nothing is kept under what they held before."""
+    """Looks again at captures, masks and models that have been replaced since their digests were taken: what they hold now is
+    planned with, and nothing is kept under what they held before."""
 
     night: Night
     journal: Journal

@@ -7,12 +7,13 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from ..config.site import Site
-from ..graph.binding import Binding
+from ..graph.binding import Binding, is_file
 from ..graph.rows import FromSite, Held, Rework, Role, SiteValue, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.reference import Reference
 from ..task import Task, camera_of
-from .spec import Value, input_digests
+from .captures import CaptureFile, file_of_stage
+from .spec import Files, Value, input_digests
 from .stated import stated, stated_of_site
 
 _COMPARED = {SiteValue.LENS, SiteValue.PLACEMENT, SiteValue.SURVEY}
@@ -28,6 +29,7 @@ def misfit(
     bound: Callable[[Stage], Binding],
     settings: Settings,
     cache: Cache,
+    named: Mapping[str, CaptureFile],
 ) -> str:
     """What has changed since the reference was pinned that takes it out of use, in words; "" where nothing has.
 
@@ -46,6 +48,8 @@ def misfit(
         A stage as the site has it done, and the parameters that it sets for a task.
     cache : Cache
         Holds the receipts.
+    named : mapping
+        The files that the site file names now, see `captures.find_named`.
     """
     ids = {camera.id for camera in site.cameras}
     if other := sorted(ids ^ set(reference.cameras)):
@@ -53,11 +57,15 @@ def misfit(
     for stage in stages:
         if not (stage.held or stage.role is Role.FRAME):
             continue
+        files = {name: named.get(file_of_stage(stage.name, name)) for name, need in bound(stage).needs.items() if is_file(need)}
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
             receipt = cache.by_key(task, reference.artifacts[task].key)
             if receipt and (why := _changed(receipt, stage, task, site, bound(stage), settings(stage, task))):
                 return f"it was pinned with other settings: {why}"
+            for name, file in files.items():
+                if receipt and file and receipt.preimage.inputs.get(name) != Files("", (file,)).digest():
+                    return f"it was pinned with another {name} in {stage.name}"
     return ""
 
 
@@ -65,7 +73,7 @@ def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Bind
     then = receipt.preimage
     if then.function in _reworks(stage.held):
         return ""
-    if then.function != bound.function.dotted:
+    if then.function not in {bound.function.dotted, stage.pooled}:
         return f"{stage.name}: function {then.function} → {bound.function.dotted}"
     now = {**bound.defaults(), **settings}
     for name, value in now.items():

@@ -11,7 +11,7 @@ from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
 from ..store.cache import Receipt
 from ..task import Subject, Task
-from .captures import CaptureFile
+from .captures import CaptureFile, file_of_stage
 from .obstacles import Impossible, Waiting, because
 from .pinned import Pinned
 from .spec import Absent, Files, Input, Joined, Stored, Value
@@ -26,7 +26,7 @@ class Inputs:
 
     site: Site
     captures: dict[str, list[CaptureFile]]
-    masks: dict[str, CaptureFile]
+    named: dict[str, CaptureFile]
     expectations: dict[str, str]
     subjects: Subjects
     stages: Collection[Stage]
@@ -211,17 +211,23 @@ class Inputs:
         what = need.value
         if what is SiteValue.SURVEY or need.which is Which.ALL:
             return stated_of_site(self.site, what)
+        if what is SiteValue.FILE:
+            return self._named(what, need.named, file_of_stage(task.stage, need.named))
         camera = self.subjects.camera(task.subject[0])
         if what is SiteValue.MASK:
-            file = self.masks.get(camera.camera)
-            if file and not file.digest:
-                raise Impossible(f"mask {file.name} {file.fault}", Cause.BAD_INPUT)
-            return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+            return self._named(what, "mask", camera.camera)
         if what is SiteValue.PRIVACY and not camera.privacy.counts:
             return Absent()
         if what is SiteValue.CAPTURES:
             return Files(SITE_TYPES[what], self._captured(camera))
         return stated(camera, what)
+
+    def _named(self, what: SiteValue, words: str, key: str) -> Input:
+        """A file that the site file names.  words: what it is."""
+        file = self.named.get(key)
+        if file and not file.digest:
+            raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
+        return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
 
     def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""

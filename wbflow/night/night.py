@@ -45,9 +45,9 @@ class Night:
         self.plan.look_again()
         for files in self.captures.values():
             files[:] = [_now(file, self.digests) if file.path == path else file for file in files]
-        for camera, file in self.plan.masks.items():
+        for name, file in self.plan.named.items():
             if file.path == path:
-                self.plan.masks[camera] = _now(file, self.digests)
+                self.plan.named[name] = _now(file, self.digests)
 
 
 def _now(file: CaptureFile, digests: Digests) -> CaptureFile:
@@ -89,7 +89,7 @@ def open_night(
         captures,
         str(there.date),
         Cache(work),
-        there.masks,
+        there.named,
         missing,
         until,
         frozenset(force),

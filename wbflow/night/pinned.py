@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..graph.pipeline import ancestors, stage_named, stage_with
+from ..graph.pipeline import STAGES, ancestors, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
 from ..store.cache import Cache, Receipt
 from ..store.record import Health
@@ -99,7 +99,7 @@ class Pinned:
                 raise self.unfit((camera,))
         if not self._in_force() or self.forced & _held_before(stage):
             return None
-        place = self._place(stage.held, task.subject)
+        place = self._place(stage.held, task)
         if place == "kept":
             return self._receipt(task)
         return place if isinstance(place, Rework) else None
@@ -189,16 +189,28 @@ class Pinned:
             left = {t: p for t, p in self.reference.artifacts.items() if t != task}
             self.reference = dataclasses.replace(self.reference, artifacts=left)
 
-    def _place(self, held: Held, subject: Subject) -> Any:
+    def _place(self, held: Held, task: Task) -> Any:
         if self._all_own is None:
             self._all_own = self._own_night(tuple(self.cameras))
         if self._all_own:
             return "kept"
-        cameras = subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
+        cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
         standing = {self._standing(c) for c in cameras}
         if _LOST in standing:
-            return held.moved
+            return "kept" if self._of_many_nights(task) and {self.state_of(c) for c in cameras} == {"ok"} else held.moved
         return held.nudged if _TURNED in standing else "kept"
+
+    def _of_many_nights(self, task: Task) -> bool:
+        """Is the reference's result of a pair pooled from many nights, or made from one that is?
+
+        Its cameras need not be placed for that, only stand there still.
+        """
+        receipt = self._receipt(task)
+        for stage in STAGES if receipt and len(task.subject) == 2 else ():
+            pooled = self._receipt(Task(stage.name, task.subject)) if stage.pooled and stage.scope == "pair" else None
+            if pooled and receipt and pooled.preimage.function == stage.pooled:
+                return pooled.digest in {receipt.digest, *receipt.preimage.inputs.values()}
+        return False
 
     def _standing(self, camera: str) -> str:
         """Is a camera's pose that of the reference, or known from it?  Raises Waiting."""

@@ -41,7 +41,7 @@ class Plan:
     captures: dict[str, list[CaptureFile]]
     night: str
     cache: Cache
-    masks: dict[str, CaptureFile] = field(default_factory=dict)
+    named: dict[str, CaptureFile] = field(default_factory=dict)
     expectations: dict[str, str] = field(default_factory=dict)
     until: str | None = None
     force: frozenset[str] = frozenset()
@@ -77,13 +77,15 @@ class Plan:
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
         self._subjects = Subjects(self.site, self.states)
         if self.reference:
-            self.misfit = misfit(self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache)
+            self.misfit = misfit(
+                self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache, self.named
+            )
         self.reference = None if self.misfit else self.reference
         past = Past(self.cache.work, self.night, self.reference.run) if self.reference else Past()
         cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
-        known = self.site, self.captures, self.masks, self.expectations
+        known = self.site, self.captures, self.named, self.expectations
         self._from = Inputs(*known, self._subjects, self._stages, self.states, self._pinned)
 
     def refresh(self) -> None:

@@ -1,4 +1,8 @@
-"""Pooling: what many nights have measured from the same poses becomes the surface of the reference."""
+"""Pooling: what many nights have measured from the same poses becomes the reference's.
+
+Of cameras that is the surface they see; of pairs that the reference's own night had too little of, the points they share.  Such a
+pair's cameras stand where they stood then, or its own night counts alone (see `night.pinned`).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
+from ..config.site import Site
 from ..graph.functions import FunctionReader
 from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import FromStage, Role, Stage, Which
@@ -17,15 +22,19 @@ from ..store.events import TaskEvent
 from ..store.layout import WorkFolder
 from ..store.reference import PinnedArtifact, Reference, write_reference
 from ..store.run_folder import NoSuchRun, RunFolder
-from ..task import Task, camera_of
+from ..task import Subject, Task, camera_of
+from .obstacles import Impossible, Waiting
 from .pin import CannotPin
+from .plan import Plan
+from .state import cached_state
+from .worker import run_lane
 
 MOST_NIGHTS = 30
 """So many nights are pooled at most, the newest."""
 FEWEST_NIGHTS = 3
 
 
-def pool(work: WorkFolder, reference: Reference, reader: FunctionReader) -> dict[Task, int]:
+def pool(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
     """Put what all its nights have measured in the place of what the reference's own night has; returns how many, by task.
 
     The caller holds the lock.
@@ -36,8 +45,8 @@ def pool(work: WorkFolder, reference: Reference, reader: FunctionReader) -> dict
         Whose reference.
     reference : Reference
         To be improved.
-    reader : FunctionReader
-        Knows the functions that pool.
+    site : Site
+        Whose it is.
 
     Raises
     ------
@@ -49,12 +58,16 @@ def pool(work: WorkFolder, reference: Reference, reader: FunctionReader) -> dict
     cache = Cache(work)
     nights = _nights(work, reference)
     made: dict[Task, tuple[Receipt, int]] = {}
-    for stage in STAGES:
-        for camera in reference.placed if stage.pooled and stage.scope == "camera" else ():
-            task = Task(stage.name, (camera,))
+    then = _reference_s_night(cache, reference, site)
+    for stage in (stage for stage in STAGES if stage.pooled):
+        for subject in _poor(cache, reference, stage) if stage.scope == "pair" else [(camera,) for camera in reference.placed]:
+            task = Task(stage.name, subject)
             receipts = _alike(cache, reference, stage, task, nights)
-            if len(receipts) >= FEWEST_NIGHTS and (receipt := _pooled(cache, stage, task, receipts, reader)):
-                made[task] = receipt, len(receipts)
+            if len(receipts) < FEWEST_NIGHTS or not (receipt := _pooled(cache, stage, task, receipts, site.reader)):
+                continue
+            more = _made_of(receipt, stage, then) if stage.scope == "pair" else []
+            if more is not None:
+                made |= {one.preimage.task: (one, len(receipts)) for one in (receipt, *more)}
     if not made:
         remedy = "a few more nights, and again: wbflow history SITE.yaml lists them"
         raise CannotPin(f"fewer than {FEWEST_NIGHTS} nights have measured the same from where the cameras stand", remedy=remedy)
@@ -62,7 +75,7 @@ def pool(work: WorkFolder, reference: Reference, reader: FunctionReader) -> dict
     better = dataclasses.replace(reference, artifacts={**reference.artifacts, **new})
     kept = [cache.by_key(task, pinned.key) for task, pinned in better.artifacts.items()]
     write_reference(cache, better, [receipt for receipt in kept if receipt])
-    reader.save()
+    site.reader.save()
     return {task: count for task, (_, count) in made.items()}
 
 
@@ -79,27 +92,65 @@ def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]
             events = folder.events()
         except NoSuchRun:  # one night less
             continue
-        of_cameras = [event for event in events if isinstance(event, TaskEvent) and len(event.task.subject) == 1]
-        made = [event for event in of_cameras if event.usable and camera_of(event.task.subject[0]) in still]
+        told = [event for event in events if isinstance(event, TaskEvent) and event.task.subject and event.usable]
+        made = [event for event in told if {camera_of(camera) for camera in event.task.subject} <= still]
         found[record.date] = {event.task: event.key for event in made if event.key}
     return dict(sorted(found.items())[-MOST_NIGHTS:])
+
+
+def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
+    """The pairs of which the reference's own night had too little to tell anything."""
+    of_pairs = {stage.name, *(other.name for other in _resting_on(stage))}
+    rejected = [pinned for task, pinned in reference.artifacts.items() if pinned.outcome == "rejected" and task.stage in of_pairs]
+    codes = {pinned.task.subject: receipt.code for pinned in rejected if (receipt := cache.by_key(pinned.task, pinned.key))}
+    return [subject for subject, code in codes.items() if code in stage.too_little]
+
+
+def _resting_on(stage: Stage) -> list[Stage]:
+    """What is made of a pair from the result of a stage."""
+    return [other for other in STAGES if other.scope == "pair" and stage.name in other.needed()]
+
+
+def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
+    """The night of the reference, all done."""
+    plan = Plan(site, {}, reference.date, cache)
+    for task, pinned in reference.artifacts.items():
+        if receipt := cache.by_key(task, pinned.key):
+            plan.settle(task, cached_state(receipt))
+    return plan
+
+
+def _made_of(pooled: Receipt, stage: Stage, then: Plan) -> list[Receipt] | None:
+    """What is made from the pooled result of a pair as in the reference's night; None where it is too little even so."""
+    pair = pooled.preimage.task.subject
+    then.settle(pooled.preimage.task, cached_state(pooled))
+    try:
+        done = [done for other in _resting_on(stage) for done in run_lane([then.spec_of(Task(other.name, pair))], then.cache)]
+    except (Waiting, Impossible):
+        return None
+    made = [one.receipt for one in done if one.receipt and one.receipt.outcome == "ran"]
+    return made if len(made) == len(done) else None
 
 
 def _alike(
     cache: Cache, reference: Reference, stage: Stage, task: Task, nights: Mapping[str, Mapping[Task, str]]
 ) -> dict[str, Receipt]:
-    """A task's receipts by night, as far as they go back to the pose of the reference."""
+    """A task's receipts by night, as far as they go back to the pose of the reference; what nights share counts once."""
     world = stage_with(Role.WORLD).name
     same = [
         n for n, need in stage.needs.items() if isinstance(need, FromStage) and (need.stage, need.which) == (world, Which.SAME)
     ]
     pinned = reference.artifacts.get(task)
     base = cache.by_key(task, pinned.key) if pinned else None
-    found = {date: cache.by_key(task, keys[task]) for date, keys in nights.items() if task in keys}
+    own = {keys[task]: date for date, keys in nights.items() if task in keys}
+    found = {date: cache.by_key(task, key) for key, date in own.items()}
     return {
         date: receipt
         for date, receipt in found.items()
-        if receipt and base and all(receipt.preimage.inputs.get(n) == base.preimage.inputs.get(n) for n in same)
+        if receipt
+        and base
+        and receipt.preimage.function != stage.pooled
+        and all(receipt.preimage.inputs.get(n) == base.preimage.inputs.get(n) for n in same)
     }
 
 
@@ -109,7 +160,7 @@ def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Recei
     any_one = next(iter(receipts.values()))
     own = {name: digest for name, digest in any_one.preimage.inputs.items() if name in stage.needs}
     inputs = {**own, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
-    preimage = Preimage(task.stage, task.subject, function.dotted, function.code, {}, inputs)
+    preimage = Preimage(task.stage, task.subject, function.dotted, function.code, any_one.preimage.parameters, inputs)
     key = preimage.key()
     if known := cache.by_key(task, key):
         return known

@@ -55,11 +55,11 @@ class Basis:
         told.append(site.file.resolve())
         return Basis(installed_code(), digest(repr(told).encode(errors="surrogateescape")))
 
-    def with_captures(self, date: str, captures: Mapping[str, Any], masks: Mapping[str, Any], *said: object) -> str:
+    def with_captures(self, date: str, captures: Mapping[str, Any], named: Mapping[str, Any], *said: object) -> str:
         """The same with what has arrived, as one digest."""
         files = [(camera, [(f.name, str(f.path), f.digest, f.fault) for f in found]) for camera, found in captures.items()]
-        covers = [(camera, f.name, f.digest, f.fault) for camera, f in masks.items()]
-        told = [self.code, self.site, date, files, covers, [repr(words) for words in said]]
+        others = [(name, f.name, f.digest, f.fault) for name, f in named.items()]
+        told = [self.code, self.site, date, files, others, [repr(words) for words in said]]
         return digest(json.dumps(told).encode())
 
 
@@ -86,7 +86,7 @@ def again(there: Arrivals, basis: Basis, run: str, costs: Costs, work: WorkFolde
     OSError
         The disk is full, or there is no right to write.
     """
-    night = recall(work, basis.with_captures(str(there.date), there.captures, there.masks, there.stale, there.notes))
+    night = recall(work, basis.with_captures(str(there.date), there.captures, there.named, there.stale, there.notes))
     if night is None or night.run != next(iter(work.newest_runs()), None) or not night.holds(work):
         return None
     unfinished, before = UnfinishedRun(work, run), work.run(night.run).folder
@@ -158,7 +158,7 @@ def remember(finished: FinishedRun, night: Night, basis: Basis, journal: Journal
     used = reference.run if reference and night.site.pin != "none" else None
     told = replace(record, run=_RUN, started=_STARTED, finished=_FINISHED, seconds=Seconds(_WALL, _CPU), peak_rss_mb=0)
     told = replace(told, tasks=counts, reference=used, later={**record.later, SAME_AS: record.run})
-    rests_on = basis.with_captures(plan.night, night.captures, plan.masks, plan.stale, night.notes)
+    rests_on = basis.with_captures(plan.night, night.captures, plan.named, plan.stale, night.notes)
     products = products_of(work, record.run, [*record.files, finished.folder.paths.report.name])
     warnings = [replace(event, at=_AT) for event in journal.standing]
     texts = log_of([*warnings, *cached]).decode(), text_of(told)

@@ -219,3 +219,35 @@ def test_frames_are_looked_at_for_poses_only_where_these_are_stated_roughly(toy:
         (toy.folder / "cameras.json").write_text(json.dumps(stated))
         run = toy.run("--until", "poses", code=None)["run"]
         assert f"frames of {frames}" in (toy.work / "runs" / run / "log.jsonl").read_text()
+
+
+def test_what_is_in_a_model_decides_whether_matches_are_found_anew(toy: ToySite) -> None:
+    write(toy, "left, right, model", x1="one * model.data.sum()")
+    model, moved = toy.folder / "one.onnx", toy.folder / "two.onnx"
+    model.write_bytes(bytes([3, 4]))
+    matcher(toy, model="one.onnx")
+    toy.run()
+    assert first_match(toy) == 7.0
+    assert parameters(toy) == {}
+    model.rename(moved)
+    matcher(toy, model="two.onnx")  # the same under another name
+    toy.run()
+    assert not toy.ran()
+    moved.write_bytes(bytes([3, 5]))
+    toy.run()
+    assert "matches gate--roof" in toy.ran()
+    assert not any(task.startswith(("frames", "features")) for task in toy.ran())
+    moved.unlink()
+    assert "stages.matches.model: there is no file" in problem(toy)
+
+
+def test_with_another_model_the_reference_no_longer_answers_for_matches(toy: ToySite) -> None:
+    write(toy, "left, right, model", x1="one * model.data.sum()")
+    (toy.folder / "one.onnx").write_bytes(bytes([3, 4]))
+    matcher(toy, model="one.onnx")
+    toy.run()
+    assert toy.wbflow("pin").returncode == 0
+    toy.run()
+    assert "it was pinned with another" not in toy.wbflow("status").stderr
+    (toy.folder / "one.onnx").write_bytes(bytes([3, 5]))
+    assert "it was pinned with another model in matches" in toy.wbflow("status").stderr

@@ -248,6 +248,32 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
     assert ran(toy) == set()
 
 
+def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Path) -> None:
+    """Camera c is not placed, since one match is too little for its pairs; three nights have three."""
+    lens = {"fx": 9, "fy": 9, "cx": 4, "cy": 4, "width": 8, "height": 8}
+    stand = {"look_at": [0, 9, 0]}
+    placed = [{"id": n, "intrinsics": lens, "pose": {"position": [k, 0, 0], **stand}} for k, n in enumerate("ab")]
+    parameters: dict[str, dict[str, Any]] = {
+        "geometry": {"needed": 3}, "poses": {"leave_out": "c"}, "rectify": {"use": "toy_stages:rectify_known"},
+    }  # fmt: skip
+    known = {"cameras": [*placed, {"id": "c"}]}
+    toy = ToySite(tmp_path, ["a", "b", "c"], parameters, keys=known, watched=True, dated=True, backend="threading")
+    first = toy.run("--date", FIRST, code=3)
+    assert {pair["outcome"] for pair in first["pairs"] if pair["right"] == "c"} == {"rejected"}
+    assert toy.wbflow("pin", first["run"]).returncode == 0
+    for date, state in ((SECOND, "ok"), (THIRD, "moved"), ("2026-11-04", "ok")):
+        toy.night(date, c=state)
+        toy.run("--date", date, code=3)
+    said = toy.wbflow("pin", "--refine").stdout
+    assert "matches a--c: pooled from 3 nights" in said, "what c saw from elsewhere is no evidence"
+    assert "geometry b--c: pooled from 3 nights" in said
+    for date, state, matches in (("2026-11-05", "ok", 3), ("2026-11-06", "moved", 1)):
+        toy.night(date, c=state)
+        record = toy.run("--date", date, code=None)
+        pair = next(p for p in record["pairs"] if (p["left"], p["right"]) == ("a", "c"))
+        assert (pair["matches"], "matches a--c" in ran(toy)) == (matches, state == "moved")
+
+
 def test_a_run_without_a_cloud_cannot_be_pinned(toy: ToySite) -> None:
     run = toy.run("--date", FIRST, "--until", "poses")["run"]
     answer = toy.wbflow("pin", run)

@@ -1,0 +1,67 @@
+#!/usr/bin/env python3
+"""Which share of a cloud lies on what moved from frame to frame?    bench_movers.py DEMO CLOUD.ply [CLOUD.ply ...]
+
+DEMO is a folder that `wbflow demo --nights N --frames K` has made, the clouds are of its first night: of all frames, or of the
+first one alone.  A point lies on a mover where it is nearer to one, in any frame, than `NEAR`, and farther from what stands still
+than from that, and than a cell of the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from wbflow.store.ply import read_ply
+from wbflow_stages.synthetic.night_files import LARGE, SMALL
+from wbflow_stages.synthetic.nights import moving
+from wbflow_stages.synthetic.scene import Scene
+from wbflow_stages.synthetic.shots import Shots
+from wbflow_stages.types import Float64s
+
+NEAR = 0.15
+"""Metres."""
+STEP = 0.03
+"""Metres between the points that stand for a mover's surface."""
+
+
+def points_of(file: Path) -> Float64s:
+    table = read_ply(file)
+    return np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
+
+
+def surface(scene: Scene) -> Float64s:
+    """(n, 3) points on all triangles, at most `STEP` apart."""
+    corners = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
+    found = []
+    for a, b, c in corners:
+        steps = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a)) / STEP)) + 1
+        u, v = np.meshgrid(np.linspace(0, 1, steps), np.linspace(0, 1, steps))
+        inside = u + v <= 1 + 1e-9
+        found.append(a + u[inside][:, None] * (b - a) + v[inside][:, None] * (c - a))
+    return np.vstack(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("demo", type=Path)
+    parser.add_argument("clouds", type=Path, nargs="+")
+    arguments = parser.parse_args()
+    told = json.loads((arguments.demo / "demo.json").read_text())
+    frames = int(told["frames"])
+    shots = Shots(int(told["cameras"]), frames, SMALL if told["small"] else LARGE, int(told["seed"]))
+    moves = cKDTree(np.vstack([surface(scene) for scene in moving(int(told["nights"]), shots)[:frames]]))
+    still = cKDTree(points_of(arguments.demo / "truth" / "reference.ply"))
+    cell = float(json.loads((arguments.demo / "truth" / "reference.json").read_text())["voxel_m"])
+    for file in arguments.clouds:
+        cloud = points_of(file)
+        away, standing = moves.query(cloud, distance_upper_bound=NEAR)[0], still.query(cloud)[0]
+        on = np.isfinite(away) & (standing > np.maximum(away, cell))
+        print(f"{file}: {on.sum():,} of {len(cloud):,} points on movers of {frames} frames, {on.mean():.3%}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Learned matchers, for who brings the weights: an ONNX model that takes two pictures, run by OpenCV's own dnn.
+
+Two forms are known, those in which LightGlue and its features are published as one model (Lindenberger, Sarlin, Pollefeys,
+LightGlue: Local Feature Matching at Light Speed, ICCV 2023):
+
+    image0, image1 (1, c, h, w) each    ->  kpts0, kpts1 (1, n, 2), matches0, mscores0
+    images (2, c, h, w)                 ->  keypoints (2, n, 2), matches, mscores
+
+Pictures are RGB or grey from 0 to 1; keypoints are in pixels of them.  Matches are rows of two keypoint numbers, or of the number
+of the pair and two keypoint numbers, or one number for each left keypoint, below 0 for none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..core.luminance import grey_levels
+from ..types import Capture, Float32s, Float64s, Frame, Matches, Uint8s
+from .onnx_model import ModelInterface, read_interface
+
+_TWO_INPUTS, _TWO_OUTPUTS = ("image0", "image1"), ("kpts0", "kpts1", "matches0", "mscores0")
+_ONE_INPUT, _ONE_OUTPUTS = ("images",), ("keypoints", "matches", "mscores")
+_STRIDE = 32
+"""Sizes are multiples of this where the model leaves them free: as much as the features that are in use halve a picture."""
+_WANTED = (
+    f"a model of {', '.join(_TWO_INPUTS)} -> {', '.join(_TWO_OUTPUTS)}, or of {', '.join(_ONE_INPUT)} -> "
+    f"{', '.join(_ONE_OUTPUTS)}, is wanted: features and matcher exported as one"
+)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a model found in two pictures: points (n, 2) in pixels of the pictures that it was given, rows of matches, scores."""
+
+    points1: Float64s
+    points2: Float64s
+    i1: Any
+    i2: Any
+    scores: Float32s
+
+
+def match_onnx(
+    left_frame: Frame, right_frame: Frame, model: Capture, *, min_score: float = 0.0, long_side_px: int = 1024
+) -> Matches:
+    """Match by a model in ONNX form that takes the two pictures (features and LightGlue exported as one).
+
+    Parameters
+    ----------
+    left_frame, right_frame
+        The pair.
+    model
+        The ONNX file: `model: PATH` in the site file.  What is in it decides whether matches are found anew, not where it lies.
+    min_score
+        Matches that the model thinks less of are dropped, 0 to 1.
+    long_side_px
+        Long side that the pictures are brought to where the model takes any size, pixels.
+
+    Returns
+    -------
+    Matches
+        Points that are no keypoints of the site: geometry takes them as they are, without its guided round.
+
+    Raises
+    ------
+    ValueError
+        The file is no ONNX model, has other inputs or outputs, or OpenCV cannot run it; with the file's name.
+    """
+    try:
+        interface = read_interface(model.data.tobytes())
+    except ValueError as error:
+        raise ValueError(f"{model.name} {error}: give the file that the model was exported to, whole") from None
+    _check(model.name, interface)
+    asked = [interface.inputs.get(name, interface.inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
+    sizes = [_size(shape, frame, long_side_px) for shape, frame in zip(asked, (left_frame, right_frame), strict=True)]
+    if len(interface.inputs) == 1:  # both in one array
+        sizes[1] = sizes[0]
+    frames = zip((left_frame, right_frame), sizes, asked, strict=True)
+    found = _run(model, interface, [_picture(frame.image, size, shape[1]) for frame, size, shape in frames])
+    x1, x2 = (
+        _in_frame(points[rows], size, frame)
+        for points, rows, size, frame in (
+            (found.points1, found.i1, sizes[0], left_frame),
+            (found.points2, found.i2, sizes[1], right_frame),
+        )
+    )
+    keep = (found.scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
+    p = np.clip(found.scores[keep], 0, 1).astype(np.float32)
+    return Matches(x1[keep], x2[keep], None, None, p, None, left_frame.view, right_frame.view)
+
+
+def _check(name: str, interface: ModelInterface) -> None:
+    """Is it a model of one of the two forms?"""
+    forms = ((_TWO_INPUTS, _TWO_OUTPUTS), (_ONE_INPUT, _ONE_OUTPUTS))
+    fits = any(set(interface.inputs) == set(i) and set(interface.outputs) >= set(o) for i, o in forms)
+    if not fits or any(len(sizes) != 4 or sizes[1] not in {0, 1, 3} for sizes in interface.inputs.values()):
+        takes = ", ".join(f"{name} {sizes}" for name, sizes in interface.inputs.items()) or "nothing"
+        raise ValueError(f"{name} takes {takes} and gives {', '.join(interface.outputs) or 'nothing'}: {_WANTED}")
+
+
+def _size(asked: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:
+    """Width and height of the picture that a model is given of a frame.  asked: (n, c, h, w), 0 where any will do."""
+    _, _, height, width = asked
+    scale = min(long_side_px / max(frame.view.width, frame.view.height), 1.0)
+    free = [max(round(n * scale / _STRIDE), 1) * _STRIDE for n in (frame.view.width, frame.view.height)]
+    return width or free[0], height or free[1]
+
+
+def _picture(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
+    """(1, c, h, w) from 0 to 1."""
+    smaller = size[0] < image.shape[1] and size[1] < image.shape[0]
+    image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), dtype=np.uint8)
+    planes = grey_levels(image)[None] if channels == 1 else image.transpose(2, 0, 1)
+    return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
+
+
+def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) -> _Found:
+    """One thread, so that any machine finds the same."""
+    together = len(interface.inputs) == 1
+    names = _ONE_OUTPUTS if together else _TWO_OUTPUTS
+    given = {"images": np.concatenate(pictures)} if together else dict(zip(_TWO_INPUTS, pictures, strict=True))
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        net = cv2.dnn.readNetFromONNX(np.ascontiguousarray(model.data))
+        for name, value in given.items():
+            net.setInput(value, name)
+        outputs = [np.asarray(output) for output in net.forward(list(names))]
+    except cv2.error as error:
+        said = " ".join(str(error).split())[-300:]
+        raise ValueError(f"{model.name}: OpenCV {cv2.__version__} cannot run it: {said}") from None
+    finally:
+        cv2.setNumThreads(threads)
+    return _sorted_out(model.name, outputs)
+
+
+def _sorted_out(name: str, outputs: list[Any]) -> _Found:
+    """Points, matches and scores of what a model gave."""
+    *points, matches, scores = outputs
+    points1, points2 = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (points if len(points) == 2 else points[0]))
+    rows = np.asarray(matches).astype(np.int64)
+    if rows.ndim == 2 and rows.shape[1] in {2, 3} and rows.shape[0] == scores.size:
+        i1, i2 = rows[:, -2], rows[:, -1]
+    elif rows.size == len(points1):
+        i1, i2 = np.arange(rows.size), rows.ravel()
+    else:
+        raise ValueError(f"{name} gives matches of shape {rows.shape} for {len(points1)} and {len(points2)} keypoints: {_WANTED}")
+    if scores.size != len(i1):
+        raise ValueError(f"{name} gives {scores.size} scores for {len(i1)} matches: {_WANTED}")
+    there = (i1 >= 0) & (i1 < len(points1)) & (i2 >= 0) & (i2 < len(points2))
+    return _Found(points1, points2, i1[there], i2[there], np.asarray(scores, dtype=np.float32).ravel()[there])
+
+
+def _in_frame(points: Float64s, size: tuple[int, int], frame: Frame) -> Float64s:
+    """Points of a picture as pixels of the frame that it was made of; a pixel's centre has whole numbers."""
+    scale = np.array([frame.view.width / size[0], frame.view.height / size[1]])
+    return np.asarray((points + 0.5) * scale - 0.5, dtype=np.float64)
+
+
+def _usable(x: Float64s, frame: Frame) -> Any:
+    """(n,) does the frame say anything there?"""
+    column, row = np.rint(x).astype(int).T
+    inside = (column >= 0) & (row >= 0) & (column < frame.view.width) & (row < frame.view.height)
+    inside[inside] = frame.mask[row[inside], column[inside]]
+    return inside
