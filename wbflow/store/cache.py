@@ -210,6 +210,7 @@ class Cache:
             return
         sync_all(self.work.cache)
         write_signed(place, of, told)
+        self.tidy(receipt.preimage.task)
 
     def tidy(self, task: Task) -> None:
         """Clear away what a worker that is gone has left half-written of a task."""
