@@ -84,9 +84,8 @@ def clean_frame(
         raise EmptyCapture("no capture was found for this night")
     clean: list[_Clean] = []
     faults: list[BadCapture] = []
-    chosen = _spread(captures, max_captures)
     camera: Straight | None = None
-    for capture in chosen:
+    for capture in (chosen := _spread(captures, max_captures)):
         try:
             for name, image in _pictures(capture, lens, video_step, max_captures):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
@@ -100,10 +99,8 @@ def clean_frame(
         raise BadCapture(f"none of this night's captures can be used: {_told(faults)}")
     notes = [f"{fault}; left out" for fault in faults]
     clean = _spread(_most_common_size(clean, notes), max_captures)
-    notes.extend(clean[0].camera.lost())
-    if len(captures) > max_captures:
-        notes.append(f"{max_captures} of {len(captures)} captures used")
-    return _one_frame(clean, mask, _Asked(overlays, denoise), chosen, notes)
+    used = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
+    return _one_frame(clean, mask, _Asked(overlays, denoise), chosen, [*notes, *clean[0].camera.lost(), *used])
 
 
 @dataclass(frozen=True)
