@@ -18,6 +18,7 @@ from .capture.background import merge
 from .capture.clock import running_clock
 from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
 from .capture.looks import looks, weigh
+from .capture.noise import NOISY, denoised, remaining_noise
 from .capture.privacy import around, blanked, private_area
 from .capture.signal import Signal, put_right, signal_of
 from .capture.straight import Straight, working_size
@@ -41,6 +42,7 @@ def clean_frame(
     max_captures: int = 15,
     video_step: int = 25,
     overlays: bool = True,
+    denoise: bool = True,
     whole_field: bool = False,
 ) -> Frame:
     """Make the night's frame of one camera.
@@ -67,6 +69,8 @@ def clean_frame(
         Of a video, every so many-th picture is taken, or fewer where these would be more than `max_captures`.
     overlays
         Clocks, logos and captions are looked for, as pixels that stay while the exposure changes, and masked.
+    denoise
+        Noise is taken off where much of it is left in the frame (a night without lamps).
     whole_field
         Of a brown lens all that it sees (up to 110 degrees) becomes the frame; else what has place in a frame with the lens's own
         K and size, which cuts off the corners of wide lenses.  Of other lenses all that they see always does.
@@ -79,11 +83,9 @@ def clean_frame(
     if not captures:
         raise EmptyCapture("no capture was found for this night")
     clean: list[_Clean] = []
-    notes: list[str] = []
     faults: list[BadCapture] = []
-    chosen = _spread(captures, max_captures)
     camera: Straight | None = None
-    for capture in chosen:
+    for capture in (chosen := _spread(captures, max_captures)):
         try:
             for name, image in _pictures(capture, lens, video_step, max_captures):
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
@@ -92,15 +94,21 @@ def clean_frame(
         except BadCapture as error:
             if len(captures) == 1:
                 raise
-            notes.append(f"{error}; left out")
             faults.append(error)
     if not clean:
         raise BadCapture(f"none of this night's captures can be used: {_told(faults)}")
+    notes = [f"{fault}; left out" for fault in faults]
     clean = _spread(_most_common_size(clean, notes), max_captures)
-    notes.extend(clean[0].camera.lost())
-    if len(captures) > max_captures:
-        notes.append(f"{max_captures} of {len(captures)} captures used")
-    return _one_frame(clean, mask, overlays, chosen, notes)
+    used = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
+    return _one_frame(clean, mask, _Asked(overlays, denoise), chosen, [*notes, *clean[0].camera.lost(), *used])
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Parameters of `clean_frame`."""
+
+    overlays: bool
+    denoise: bool
 
 
 def _told(faults: Sequence[BadCapture]) -> str:
@@ -112,7 +120,7 @@ def _told(faults: Sequence[BadCapture]) -> str:
 
 
 def _one_frame(
-    clean: Sequence[_Clean], mask: Capture | None, overlays: bool, captures: Sequence[Capture], notes: list[str]
+    clean: Sequence[_Clean], mask: Capture | None, asked: _Asked, captures: Sequence[Capture], notes: list[str]
 ) -> Frame:
     """The frame of clean pictures of one size.
 
@@ -122,8 +130,8 @@ def _one_frame(
         One or more.
     mask : Capture or None
         As of `clean_frame`.
-    overlays : bool
-        As of `clean_frame`.
+    asked : _Asked
+        What is done about them.
     captures : sequence of Capture
         The files that they are from.
     notes : list of str
@@ -141,17 +149,22 @@ def _one_frame(
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     trusted = allowed & ~background.doubtful
-    if overlays and (background.overlaid & allowed).any():
+    if asked.overlays and (background.overlaid & allowed).any():
         notes.append(f"a clock or logo is masked: {100 * (background.overlaid & allowed).mean():.1f} % of the picture")
         trusted &= ~background.overlaid
-    if overlays and (clock := running_clock(images, trusted)):
+    if asked.overlays and (clock := running_clock(images, trusted)):
         x, y, wide, high = clock
         notes.append(f"a clock runs in its picture ({wide} x {high} px at {x}, {y}): name a mask for it")
     if not trusted.any():
         raise BadCapture("the mask, privacy polygons and what moves leave no pixel to use")
     taken = taken_at(captures)
+    noise = remaining_noise(signal.noise, len(images), width / camera.width)
+    image = background.image
+    if asked.denoise and noise >= NOISY:
+        image = denoised(image, noise)
+        notes.append(f"noisy, {signal.noise:.0f} grey levels a capture: denoised")
     return Frame(
-        blanked(background.image, private if private.any() else None),
+        blanked(image, private if private.any() else None),
         trusted,
         camera.view(width, height),
         (*notes, *words),

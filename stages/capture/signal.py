@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.luminance import grey_levels
 from ..types import Float32s, Uint8s
+from .noise import capture_noise
 
 _TILE_PX = 16
 _STRUCTURED = 3.0
@@ -49,6 +50,8 @@ class Signal:
     """Mean of the strongest of red, green and blue over that of the weakest."""
     colour: float = 1.0
     """Median saturation without the cast, 0 to 1."""
+    noise: float = 0.0
+    """Standard deviation of its noise, grey levels."""
 
     @classmethod
     def median(cls, several: Sequence[Signal]) -> Signal:
@@ -77,7 +80,7 @@ def signal_of(image: Uint8s) -> Signal:
     balanced = image[::4, ::4].astype(np.float32) * (means.mean() / means).astype(np.float32)
     high, low = balanced.max(axis=2), balanced.min(axis=2)
     saturation = float(np.median((high - low) / np.maximum(high, 1.0)))
-    return Signal(_combing(grey), _blocking(grey), float(means.max() / means.min()), saturation)
+    return Signal(_combing(grey), _blocking(grey), float(means.max() / means.min()), saturation, capture_noise(grey))
 
 
 def _middle(image: Uint8s) -> Uint8s:

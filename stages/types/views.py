@@ -88,6 +88,8 @@ class Frame:
     """Mean of the strongest of red, green and blue over that of the weakest, in the captures."""
     colour: float = 1.0
     """Median saturation of the captures once their cast is taken off, 0 (grey, infrared) to 1."""
+    noise: float = 0.0
+    """Standard deviation of the captures' noise, grey levels (median)."""
     frames_used: int = 1
     """Captures that count fully."""
     doubtful: float = 0.0

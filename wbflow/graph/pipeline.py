@@ -45,8 +45,8 @@ SITE_TYPES = {
 """The type that a value of the site is handed over as."""
 
 _OF_A_FRAME = (
-    "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "cast", "colour", "frames_used", "doubtful",
-    "unchanged", "taken_first", "taken_last", "taken_in_order",
+    "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "cast", "colour", "noise", "frames_used",
+    "doubtful", "unchanged", "taken_first", "taken_last", "taken_in_order",
 )  # fmt: skip
 _OF_COVERAGE = {
     "area_m2": "area", "seen_by_one": "seen_by_one", "seen_by_two": "seen_by_two",
