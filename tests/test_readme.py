@@ -76,7 +76,7 @@ def test_from_python(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
 
 def test_a_matcher_of_ones_own_beside_the_site_file(folder: Path) -> None:
     _, typed = blocks("stages/README.md", "python")
-    (named,) = blocks("stages/README.md", "yaml")
+    named, _ = blocks("stages/README.md", "yaml")  # the other one is of a network
     (folder / "orb.py").write_text(typed)
     site = folder / "orb.yaml"
     site.write_text((folder / "site.yaml").read_text() + named)

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests.helpers import made_up_run
+from wbflow.night.state import Cause
 from wbflow.store.record import Finding, RunRecord, Verdict
 
 webdriver = pytest.importorskip("selenium.webdriver")
@@ -222,6 +223,19 @@ def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path:
     assert "No cloud this night" in told
     assert "No two cameras were matched." in told
     assert '<script type="application/octet-stream"' not in told
+
+
+def test_a_night_without_a_cloud_lies_as_the_night_before(tmp_path: Path) -> None:
+    ids = made_up_run.names(5)
+    before = made_up_run.record(ids)
+    lost = [Finding("camera-lost", (name,), "no capture", remedy="see that it delivers") for name in ids]
+    gone = tuple(replace(camera, outcome="failed", code=Cause.NO_CAPTURE, health=None) for camera in before.cameras)
+    after = replace(before, run="20261211T031500Z", date="2026-12-10", cloud=None, pairs=(), cameras=gone)
+    after = replace(after, verdict=Verdict("failed", tuple(lost)))
+    pages = [made_up_run.page(tmp_path, night, nights=count).read_text() for night, count in ((before, 1), (after, 0))]
+    rows, turned = (json.loads(re.findall(r'id="scene">(.*?)</script>', page)[0])["axes"]["rows"] for page in pages)
+    for one, other in zip(rows, turned, strict=True):
+        assert one == pytest.approx(other, abs=0.05)
 
 
 def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_shows_nothing(tmp_path: Path) -> None:

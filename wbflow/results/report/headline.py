@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...config.site import Measure
 from ...errors import counted
 from ...graph.pipeline import STAGES
+from ...night.state import Cause
 from ...store.record import Finding, RunRecord
 from ...task import Task
 from ..past import figures_of
@@ -52,7 +53,9 @@ class ShownFinding:
     text: str
     remedy: str
     pictures: tuple[tuple[Shown | None, str], ...]
-    """With what is said below them; none for one that could not be read."""
+    """With what is said below them; none for one that is not there."""
+    lacking: str = "no picture could be read"
+    """What is said in its place."""
     folded: bool = False
     """So many of its kind stand before it that it is shown on demand."""
 
@@ -141,6 +144,7 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
     """The findings of a night, the most important first."""
     record = sources.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
+    absent = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
     found: list[ShownFinding] = []
     kinds, all_told = Counter[str](), record.verdict.findings if record.verdict else ()
     shown = 1 if _shared(record, [finding for finding in all_told if finding.kind.startswith("camera-")]) else _OF_A_KIND
@@ -158,5 +162,6 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
             of_pair = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
             pictures.extend([(picture, name) for picture in of_pair if picture][:2])
         number = numbers.get(name, 0)
-        found.append(ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures), folded))
+        told = ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures), folded=folded)
+        found.append(replace(told, lacking="no picture has come") if camera in absent else told)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -103,14 +104,15 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
     if not (sample or centres):
         return None
     up = _up([entry["R"] for entry, _ in stood.values() if entry.get("R")])
-    origin = _median(sample or _before(sources) or centres)
+    before = [] if sample else _before(sources)
+    origin = _between(before[0], before[-1]) if before else _median(sample or centres)
     crs = record.poses.crs if record.poses else ""
     looks = [tuple(entry["R"][2]) for entry, _ in stood.values() if entry.get("R")]
     rows = _rows(up, centres, origin, looks, on_map=bool(crs))
     cameras = tuple(_standing(sources, camera, stood[camera.id], rows, origin) for camera in record.cameras if camera.id in stood)
     marks = tuple(_marks(sources, rows, origin))
-    near = [_turned(rows, _less(p, origin)) for p in sample]
-    box = _grown(_box(near, _TRIMMED)) if near else _box([c.at for c in cameras], 0.0)
+    near = [_turned(rows, _less(p, origin)) for p in sample or before]
+    box = _grown(_box(near, _TRIMMED)) if sample else _box(near or [c.at for c in cameras], 0.0)
     middle = _between(*box)
     radius = max(math.dist(*box) / 2, 1e-6)
     low, high = _box([*box, *(c.at for c in cameras), *(m.at for m in marks)], 0.0)
@@ -120,11 +122,10 @@ def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
 
 
 def _before(sources: Sources) -> list[Vector]:
-    """The middle of the last cloud, for a night without one: its page is to lie as those of other nights do."""
+    """The corners of the last cloud, for a night without one: its page is to show the same place from the same side."""
     for record in sources.before:
         if record.cloud and record.poses and record.poses.metric:
-            x, y, z = ((low + high) / 2 for low, high in zip(*record.cloud.bounds, strict=True))
-            return [(x, y, z)]
+            return [(x, y, z) for x, y, z in itertools.product(*zip(*record.cloud.bounds, strict=True))]
     return []
 
 
