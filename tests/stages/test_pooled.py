@@ -107,8 +107,17 @@ def test_what_every_night_finds_is_no_more_evidence_for_being_found_again() -> N
     assert isinstance(geometry(pooled), Rejected)
 
 
+def test_many_nights_of_two_cameras_that_share_nothing_make_no_geometry() -> None:
+    rng = np.random.default_rng(3)
+    nothing = {k: found(int(k)) for k in map(str, range(30))}
+    for night in nothing.values():
+        night.x1[:], night.x2[:] = rng.uniform(0, (WIDTH, HEIGHT), (2, 24, 2))
+    assert isinstance(geometry(pool_matches(nothing)), Rejected)
+    assert isinstance(geometry(pool_matches(nothing, most_per_row=100.0)), Geometry), "by chance: hence the bound"
+
+
 def test_of_too_many_matches_those_stay_that_are_spread_best() -> None:
-    pooled = pool_matches({str(seed): found(seed) for seed in range(1, 40)}, most=90)
+    pooled = pool_matches({str(seed): found(seed) for seed in range(1, 40)}, most_per_row=90 / HEIGHT)
     assert len(pooled.x1) == 90
     every = np.vstack([found(seed).x1 for seed in range(1, 40)])
     cells = [set(zip(*(x * [12 / WIDTH, 8 / HEIGHT]).astype(int).T, strict=True)) for x in (pooled.x1, every)]
