@@ -141,13 +141,13 @@ def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
 def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_half_written_is_left(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    toy.fault("slow", "0.2")
+    toy.fault("slow", "0.1")
 
     def interrupted(supervisor: Supervisor) -> Iterator[Report]:
         """Ctrl-C, when a worker has told of a task of its lane, and is at the next."""
         supervisor._assign()
         until(lambda: any(toy.work.rglob(".*.json.*.tmp")))
-        time.sleep(0.1)
+        time.sleep(0.05)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
