@@ -142,7 +142,7 @@ class Supervisor:
     def close(self) -> None:
         """End all workers, whatever they are at."""
         for hand, handful in self._busy.items():
-            for done in filter(None, hand.heard()[0] if hand.ready else ()):  # what it had told, and nobody has read
+            for done in filter(None, hand.heard()[0]):  # what it had told, and nobody has read
                 handful.count(done)
         for hand in [*self._idle, *self._busy]:
             hand.end()

@@ -95,7 +95,7 @@ def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
 
 def test_a_matcher_that_needs_a_model_says_so_and_where_it_is_given(tmp_path: Path) -> None:
     told = problem(tmp_path, "matches: {matcher: onnx}")
-    assert "site.yaml:6:20: stages.matches.matcher: " in told and "needs a file: model" in told
+    assert "site.yaml:6:29: stages.matches.matcher: " in told and "needs a file: model" in told
     assert "give its path, relative to the site file: model: models/matcher.onnx" in told
     assert "stages.matches.model: 5 is no path" in problem(tmp_path, "matches: {matcher: onnx, model: 5}")
 
@@ -103,7 +103,7 @@ def test_a_matcher_that_needs_a_model_says_so_and_where_it_is_given(tmp_path: Pa
 def test_a_model_that_is_not_there_is_an_error_that_names_what_is_nearly_called_so(tmp_path: Path) -> None:
     (tmp_path / "glue.onnx").write_bytes(b"weights")
     told = problem(tmp_path, "matches: {matcher: onnx, model: glu.onnx}")
-    assert "site.yaml:6:35: stages.matches.model: there is no file" in told and "did you mean 'glue.onnx'?" in told
+    assert "site.yaml:6:42: stages.matches.model: there is no file" in told and "did you mean 'glue.onnx'?" in told
     settings = loaded(tmp_path, "matches: {matcher: onnx, model: glue.onnx, min_score: 0.3}").stages["matches"]
     assert settings.files == {"model": tmp_path / "glue.onnx"}
     assert settings.parameters == {"matcher": "onnx", "min_score": 0.3}
