@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Sparse reconstruction, photographs to poses, beside openMVG (openmvg-rs) and COLMAP (pycolmap), incremental and global.
 
-    scripts/bench_sfm.py [--sets fountain:all entry:all yard ...] [--width 1536] [--systems wbflow openmvg ...] [--json FILE]
+    scripts/bench_sfm.py [--sets entry:all yard:one-lens ...] [--width 1536] [--systems wbflow openmvg ...] [--json FILE]
 
 All get the same images at the same size, and intrinsics; poses are withheld.  CPU seconds of all threads; errors as in
 `bench_poses.py`.  openMVG takes one calibration matrix for all images, so the clean frames of the yard, whose lenses differ, are
@@ -13,20 +13,20 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from time import monotonic, process_time
 
-import bench_poses
 import cv2
 import numpy as np
 from bench_files import write_rows
-from bench_poses import Row, ours, photographs, row_of, theirs, yard_frames
+from bench_poses import RENDERED, Row, ours, photographs, row_of, theirs
+from bench_poses import SETS as POSE_SETS
 from pairs_with_truth import read_rgb
 
-from wbflow_stages.types import Camera, Float64s, Frame
+from wbflow_stages.types import Camera, Float64s
 
-SETS = ("fountain:all", "fountain:0-2-4-6-8-10", "fountain:1-4-7-10", "fountain:0-5-10", "fountain:1-5-9", "entry:all", "yard")
+SETS = tuple("yard:one-lens" if images == "yard" else images for images in POSE_SETS)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,6 @@ def main() -> None:
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=list(SYSTEMS))
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    bench_poses.yard_frames = one_lens  # type: ignore[assignment]
     ours("fountain:0-5-10", 384, True)  # kernels are compiled before anything is timed
     rows = []
     print(f"{'set':24} {'system':15} {'solved':>7} {'turn deg':>9} {'rot deg':>8} {'cm':>7} {'max cm':>7} {'CPU s':>7} {'s':>7}")
@@ -103,8 +102,8 @@ def openmvg(images: str, width: int) -> Row:
 
 def _written(images: str, width: int, folder: Path) -> tuple[dict[str, Camera], Float64s, int]:
     """The set's pictures at a width, in a folder; true cameras, the calibration matrix of all, the width."""
-    if images == "yard":
-        frames, truth = one_lens()
+    if images in RENDERED:
+        frames, truth = RENDERED[images]()
         for name, frame in frames.items():
             cv2.imwrite(str(folder / f"{name}.png"), np.where(frame.mask[..., None], frame.image, 0)[..., ::-1])
         any_camera = next(iter(truth.values()))
@@ -118,21 +117,6 @@ def _written(images: str, width: int, folder: Path) -> tuple[dict[str, Camera], 
     s = width / camera.width
     scaled = np.array([[s, 0, 0.5 * s - 0.5], [0, s, 0.5 * s - 0.5], [0, 0, 1]])
     return truth, scaled @ camera.K, width
-
-
-def one_lens() -> tuple[dict[str, Frame], dict[str, Camera]]:
-    """The yard's frames and true cameras as if all had the lens of the widest."""
-    frames, truth = yard_frames()
-    K = min((camera.K for camera in truth.values()), key=lambda one: one[0, 0])
-    moved, cameras = {}, {}
-    for name, frame in frames.items():
-        H, view = K @ np.linalg.inv(truth[name].K), frame.view
-        size = view.width, view.height
-        image = np.asarray(cv2.warpPerspective(frame.image, H, size, flags=cv2.INTER_AREA), np.uint8)
-        mask = cv2.warpPerspective(frame.mask.astype(np.uint8), H, size, flags=cv2.INTER_NEAREST) > 0
-        moved[name] = Frame(image, mask, replace(view, K=K))
-        cameras[name] = replace(truth[name], K=K)
-    return moved, cameras
 
 
 SYSTEMS: dict[str, Callable[[str, int], Row]] = {

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..core.luminance import grey_levels
+from ..core.luminance import grey_levels, with_gain
 from ..types import Bools, Float64s, Uint8s
 
 _LEAST_TOLERANCE, _SIGMAS = 18.0, 5.0
@@ -57,7 +57,7 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
     small = np.stack([cv2.resize(image, (96, 64), interpolation=cv2.INTER_AREA) for image in images]).astype(np.float32)
     reference = np.median(small[weights == weights.max()], axis=0) if len(images) > 2 else small[-1]
     gains = [_gain(thumbnail, reference) for thumbnail in small]
-    stack = [_with_gain(image, gain) for image, gain in zip(images, gains, strict=True)]
+    stack = [with_gain(image, gain) for image, gain in zip(images, gains, strict=True)]
     merged = _medians(stack, weights) if len(images) > 2 else images[-1]
     agreeing = _agreeing(stack, merged, weights)
     doubtful = _solid(agreeing <= 0.5 + 1e-9)
@@ -145,8 +145,3 @@ def _gain(thumbnail: np.ndarray, reference: np.ndarray) -> Float64s:
         if ratios.size >= 50:
             gains[c] = np.median(ratios)
     return gains
-
-
-def _with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
-    table = np.clip(np.arange(256)[:, None] * gains[None, :] + 0.5, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)

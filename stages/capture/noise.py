@@ -50,8 +50,8 @@ def remaining_noise(noise: float, captures: int, scale: float) -> float:
 def denoised(image: Uint8s, noise: float) -> Uint8s:
     """A frame (h, w, 3) without most of its noise (grey levels): non-local means (Buades, Coll and Morel, CVPR 2005).
 
-    Edges and texture that is seen again nearby stay, which a Gaussian wears down: on the yard without lamps F at 2 cm is 35.5
-    with it, 34.7 with a Gaussian of 1 px, 32.8 with neither.
+    Edges and texture that is seen again nearby stay, which a Gaussian wears down: on the yard without lamps (four cameras)
+    F at 2 cm is 35.5 with it, 34.7 with a Gaussian of 1 px, 32.8 with neither.
     """
     luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_RGB2YCrCb))
     luma = cv2.fastNlMeansDenoising(luma, None, h=noise, templateWindowSize=_PATCH_PX, searchWindowSize=_SEARCH_PX)

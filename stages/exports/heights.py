@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.ground_grid import preferred_above
-from ..io.rasters import pfm, png, stepped
+from ..io.rasters import pfm, png, stepped, world_file
 from ..types import Float32s, Float64s
 
 MOST_CELLS = 50_000_000
@@ -80,8 +80,7 @@ def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float |
     rows, columns = heights.heights.shape
     told = {"left": heights.left, "top": heights.top, "cell": heights.cell, "rows": rows, "columns": columns}
     told |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
-    lines = (heights.cell, 0.0, 0.0, -heights.cell, heights.left + heights.cell / 2, heights.top - heights.cell / 2)
-    world = "".join(f"{value!r}\n" for value in map(float, lines)).encode()  # of the first cell's middle, as GIS programs read it
+    world = world_file(heights.left, heights.top, heights.cell)
     return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, told
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.cameras import project
 from ..core.ground_grid import preferred_above
-from ..io.rasters import png
+from ..io.rasters import png, world_file
 from ..types import Float64s, Int64s, Uint8s
 from .heights import MOST_CELLS, spacing
 from .texture import NONE, Textured, cast, sampled, scene_of
@@ -76,10 +76,8 @@ def _colours(found: Textured, triangles: Int64s, uv: Float64s) -> Uint8s:
 
 
 def plain_files(photo: Orthophoto) -> dict[str, bytes]:
-    """orthophoto.png, and its world file, of the first cell's middle, as GIS programs read it."""
-    lines = (photo.cell, 0.0, 0.0, -photo.cell, photo.left + photo.cell / 2, photo.top - photo.cell / 2)
-    world = "".join(f"{value!r}\n" for value in map(float, lines)).encode()
-    return {"orthophoto.png": png(photo.image), "orthophoto.pgw": world}
+    """orthophoto.png, and its world file."""
+    return {"orthophoto.png": png(photo.image), "orthophoto.pgw": world_file(photo.left, photo.top, photo.cell)}
 
 
 def geotiff(photo: Orthophoto, epsg: int) -> bytes:

@@ -17,6 +17,7 @@ import numpy as np
 import open3d
 
 from ..core.cameras import project, rays
+from ..core.luminance import with_gain
 from ..types import Bools, Camera, Float32s, Float64s, Frame, Int32s, Int64s, Uint8s
 from .mesh import Mesh
 
@@ -82,7 +83,7 @@ def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Fra
     gains = _gains(mesh, seen, [cameras[name] for name in names], [frames[name].image for name in names])
     weights = _weights([frames[name] for name in names])
     chosen = _chosen(mesh, [_Seen(each.triangles, each.area * w) for each, w in zip(seen, weights, strict=True)])
-    views = (View(name, cameras[name], _with_gain(frames[name].image, gain)) for name, gain in zip(names, gains, strict=True))
+    views = (View(name, cameras[name], with_gain(frames[name].image, gain)) for name, gain in zip(names, gains, strict=True))
     return Textured(mesh, tuple(views), chosen, _pixel(mesh, seen, chosen))
 
 
@@ -205,11 +206,6 @@ def sampled(image: Uint8s, x: Float64s) -> Float32s:
     parts = [slice(k, k + 30_000) for k in range(0, len(x), 30_000)]  # OpenCV remaps into fewer than 32,768 rows
     out = [cv2.remap(image, column[part], row[part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for part in parts]
     return np.concatenate(out).reshape(-1, 3).astype(np.float32) if out else np.zeros((0, 3), np.float32)
-
-
-def _with_gain(image: Uint8s, gain: Float64s) -> Uint8s:
-    table = np.clip(np.arange(256)[:, None] * gain[None, :] + 0.5, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), np.uint8)
 
 
 def object_files(found: Textured, name: str) -> Iterator[tuple[str, bytes]]:

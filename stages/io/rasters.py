@@ -30,6 +30,15 @@ def pfm(values: Float32s) -> bytes:
     return header + np.where(np.isnan(values), np.inf, values).astype("<f4")[::-1].tobytes()
 
 
+def world_file(left: float, top: float, cell: float) -> bytes:
+    """The world file of a map: the middle of its first cell, as GIS programs read it.
+
+    left, top: x and y of that cell's outer corner.  cell: the edge of a cell.
+    """
+    lines = (cell, 0.0, 0.0, -cell, left + cell / 2, top - cell / 2)
+    return "".join(f"{value!r}\n" for value in map(float, lines)).encode()
+
+
 def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:
     """A map of numbers in 65535 steps, and how many steps make one unit.
 
