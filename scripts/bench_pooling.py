@@ -2,7 +2,7 @@
 
 DEMO is a folder that `wbflow demo --nights N` has made, the RUNs are folders of runs of its nights, with their work folder's
 cache: their frames are matched, whether the runs did that or not.  The error of F is the median distance of true correspondences
-to their epipolar lines, in both images.
+to their epipolar lines, in both images, in pixels of the frames.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,10 @@ class Truth:
     """(n, 2) pixels."""
     angle_deg: float
     """Median angle between their rays."""
+
+    def at(self, scale: float) -> Truth:
+        """The same in pictures of another size."""
+        return replace(self, x1=(self.x1 + 0.5) * scale - 0.5, x2=(self.x2 + 0.5) * scale - 0.5)
 
     def words(self, found: Geometry | Rejected) -> str:
         """How right a geometry is."""
@@ -113,7 +117,8 @@ def main() -> None:
         left, right = pair.split("--")
         truth = truth_of(arguments.demo, cameras, left, right)
         print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
-        told(truth, [(frames[left], frames[right]) for frames in nights])
+        scale = nights[0][left].view.width / cameras[left].width
+        told(truth.at(scale), [(frames[left], frames[right]) for frames in nights])
 
 
 if __name__ == "__main__":
