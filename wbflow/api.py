@@ -247,7 +247,7 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
     with hold_to_write(place, options.wait), terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        basis, there = Basis.of(site), arrivals(site, options.date)
+        basis, there = Basis.of(site), arrivals(site, options.date, watch)
         journal = Journal(listen, watch, options.jobs)
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy, standing=True)

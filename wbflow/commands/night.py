@@ -118,11 +118,13 @@ def _work_through(
     """The nights of a site that were asked for.  Adds their records, and gives the worst exit code."""
     import json
 
-    from ..api import run as work_through
-    from ..screen.watch import watching
+    from ..screen.watch import reading, watching
     from ..store.events import OnlyWarnings
 
-    site = load(path, work, notes=False, remembered=True)
+    with reading(path, telling.quiet):
+        site = load(path, work, notes=False, remembered=True)
+        from ..api import run as work_through
+
     codes: list[int] = []
     nights = _nights(site, date, since)
     for day in nights:

@@ -49,7 +49,8 @@ class Journal:
             return
         from .outlook import anything_left, outlook  # here: it knows plans, and there are nights without one
 
-        if self._past is None and not anything_left(plan):
+        first = not plan.cache.work.functions_memo.is_file()  # then a plan takes a while, and all there is has to be done
+        if self._past is None and not (first or anything_left(plan)):
             return
         if self._past is None:
             self._past = read_past(plan.cache.work)
