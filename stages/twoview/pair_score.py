@@ -195,9 +195,10 @@ def hardly_converging(angle_deg: float, agreement: float) -> bool:
 
 
 def tells_the_site(evidence: PairEvidence) -> bool:
-    """Does a pair that is not believed say something of its site all the same: that the cameras are at one place, or, as distinct
-    as right ones are, that the scene looks the same from several sides?"""
-    return hardly_converging(evidence.angle_deg, evidence.agreement) or evidence.distinct_cells >= DISTINCT_CELLS
+    """Does a pair that is not believed, since its cameras seem to be at one place, say something of its site all the same: that
+    they are, or, as distinct as right pairs are, that the scene looks the same from several sides?"""
+    e = evidence
+    return hardly_converging(e.angle_deg, e.agreement) or (e.angle_deg < HARDLY_DEG and e.distinct_cells >= DISTINCT_CELLS)
 
 
 def probability(score: float) -> float:
