@@ -111,9 +111,7 @@ def load(path: Path, work: str | None, notes: bool = True, remembered: bool = Fa
             from ..config.load import load_site
         site = load_site(path, work)
         if site.store and not remembered:  # a run looks for itself
-            from ..store.courier import look
-
-            look(site.work_folder)
+            _look(site.work_folder)
         for note in site.notes if notes else ():
             say(f"note: {note}", err=True)
         return site
@@ -121,6 +119,17 @@ def load(path: Path, work: str | None, notes: bool = True, remembered: bool = Fa
         count = len(error.problems)
         what = f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done"
         raise UsageError(what, remedy=f"then: wbflow check {path}") from None
+
+
+def _look(work: WorkFolder) -> None:
+    """Bring what others have done; where the store does not answer, what is known here has to do."""
+    from ..store.courier import look
+    from ..store.objects import StoreError
+
+    try:
+        look(work)
+    except StoreError as error:
+        say(f"note: {error}\n  what follows is what this machine knows", err=True)
 
 
 def each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:

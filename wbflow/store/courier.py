@@ -98,7 +98,7 @@ class Courier:
         if self._lost:
             return
         try:
-            if not self._lease.renew():
+            if not self._lease.held():
                 self._lost = True
                 self._fault = "another run has taken the store over, since this one was not heard of"
                 return

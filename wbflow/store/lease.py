@@ -10,6 +10,7 @@ import contextlib
 import datetime
 import json
 import os
+import threading
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -65,6 +66,9 @@ class Lease:
         process = _process(str(os.getpid()))
         self._mine = Holder(os.urandom(8).hex(), _machine(), process, os.uname().nodename, since, since)
         self._beat = 0.0
+        self._lost = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._go_on, name="lease", daemon=True)
 
     def take(self, wait: bool) -> None:
         """Hold the store.
@@ -83,6 +87,7 @@ class Lease:
                 holder = None
             if holder is None and self._objects.create(NAME, self._told()):
                 self._beat = time.monotonic()
+                self._thread.start()
                 return
             if holder and not wait:
                 gone = f"one that was killed counts as gone after {GONE_SECONDS / 60:.0f} minutes, on its own machine at once"
@@ -91,23 +96,33 @@ class Lease:
                 )
             time.sleep(_LOOK_SECONDS if holder else 0.1)
 
-    def renew(self) -> bool:
-        """Say, from time to time, that one is there; False where somebody else has taken the store over.  Raises StoreError."""
-        if time.monotonic() - self._beat < BEAT_SECONDS:
-            return True
-        holder = self._holder()
-        if holder and holder.token != self._mine.token:
-            return False
-        self._objects.write(NAME, self._told())
-        self._beat = time.monotonic()
-        return True
+    def held(self) -> bool:
+        """Does one still hold it?  False where somebody else has taken the store over.  Raises StoreError."""
+        if not self._lost and time.monotonic() - self._beat > 2 * BEAT_SECONDS:  # the store has not answered
+            self._say()
+        return not self._lost
 
     def leave(self) -> None:
         """Others may write.  Where the store does not answer it counts as gone after a while."""
+        self._stop.set()
+        self._thread.join()
         with contextlib.suppress(StoreError):
-            holder = self._holder() if time.monotonic() - self._beat > BEAT_SECONDS else self._mine
-            if holder and holder.token == self._mine.token:
+            if self.held():
                 self._objects.remove([NAME])
+
+    def _go_on(self) -> None:
+        while not self._lost and not self._stop.wait(BEAT_SECONDS):
+            with contextlib.suppress(StoreError):
+                self._say()
+
+    def _say(self) -> None:
+        """Say that one is there, unless somebody else is."""
+        holder = self._holder()
+        if holder and holder.token != self._mine.token:
+            self._lost = True
+            return
+        self._objects.write(NAME, self._told())
+        self._beat = time.monotonic()
 
     def _told(self) -> bytes:
         return json.dumps({**asdict(self._mine), "heard": _now().isoformat(timespec="seconds")}).encode()

@@ -228,6 +228,7 @@ def test_a_damaged_segment_is_not_believed(site: Mirrored, tmp_path: Path) -> No
 
 def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
     site = made("s3://no-such-bucket/toy")
+    assert "what this machine knows" in site.told("status")[1]
     code, words = site.told("run")
     assert code == ExitCode.FAILED
     assert "s3://no-such-bucket/toy" in words and "AWS_ENDPOINT_URL" in words
@@ -286,7 +287,7 @@ def test_only_one_of_two_makes_the_same_object(s3: str, tmp_path: Path) -> None:
 
 
 def test_who_was_taken_over_sends_nothing_more(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lease, "BEAT_SECONDS", 0.0)
+    monkeypatch.setattr(lease, "BEAT_SECONDS", 0.01)
     store = Objects(site.url)
 
     def listen(event: object) -> None:
