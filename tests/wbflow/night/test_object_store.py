@@ -209,10 +209,10 @@ def test_what_the_store_has_lost_is_made_anew_and_named(site: Mirrored, tmp_path
     site.machine("second")
     record = site.run("--force", "matches", "--force", "geometry", "--force", "poses", "--force", "rectify")
     assert record["exit_code"] == ExitCode.GOOD and site.cloud == cloud
-    assert any(changed.name in text and "damaged" in text for text in record["repaired"])
+    assert any(changed.name in text and "made again" in text for text in record["repaired"])
     site.machine("third")
     again = site.run("--force", "matches", "--force", "fuse")
-    assert not any("damaged" in text for text in again["repaired"]) and site.cloud == cloud
+    assert not any("made again" in text for text in again["repaired"]) and site.cloud == cloud
 
 
 def test_a_damaged_segment_is_not_believed(site: Mirrored, tmp_path: Path) -> None:
