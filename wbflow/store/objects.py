@@ -88,7 +88,8 @@ class Objects:
                 if self._folders:
                     return {}
                 raise
-            return {str(path)[len(self._top) + 1 :]: Found.of(entry) for path, entry in listed.items()}
+            files = {path: entry for path, entry in listed.items() if entry.get("type") != "directory" and not path.endswith("/")}
+            return {str(path)[len(self._top) + 1 :]: Found.of(entry) for path, entry in files.items()}
 
     def read(self, name: str) -> bytes | None:
         """An object's bytes; None where there is none."""

@@ -380,6 +380,18 @@ def test_captures_come_from_a_store_and_each_once(site: Mirrored, tmp_path: Path
     assert [camera["id"] for camera in record["cameras"] if camera["outcome"] != "ok"] == ["mast-1"]
 
 
+def test_a_bucket_is_shown_as_a_folder_whatever_else_it_holds(s3: str, tmp_path: Path) -> None:
+    from wbflow.store.delivery import bring
+    from wbflow.store.outside import read_outside
+
+    store, root = Objects(f"{s3}/delivered"), tmp_path / "here"
+    for name, data in {"yard/": b"", "yard/gate.txt": b"a view", "yard/gate.txt/odd": b"?", "../out": b"?"}.items():
+        store.write(name, data)
+    bring(root, store.url)
+    assert read_outside(root / "yard" / "gate.txt") == b"a view"
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_capture_that_says_it_stands_for_another_is_not_believed(tmp_path: Path) -> None:
     from wbflow.store.delivery import bring
     from wbflow.store.outside import Unreadable, read_outside
