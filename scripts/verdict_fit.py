@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
 from wbflow_stages.twoview.rivals import Rival
-from wbflow_stages.types import Bools, Float64s, Geometry
+from wbflow_stages.types import Bools, Camera, Float64s, Geometry
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)
 """Weights of the terms in an earlier fit, on 263 pairs of other scenes (look-alike walls, a courtyard): where the pairs here tell
@@ -77,10 +77,10 @@ class LabelledPair:
 
 @dataclass(frozen=True)
 class LabelledSet:
-    """The pairs of a set that have a geometry, and the true rotations (world to camera) of all its cameras."""
+    """The pairs of a set that have a geometry, and the true cameras."""
 
     pairs: tuple[LabelledPair, ...]
-    rotations: Mapping[str, Float64s]
+    cameras: Mapping[str, Camera]
 
 
 def is_usable(error: Errors) -> bool:

@@ -43,7 +43,7 @@ def labelled(name: str, cache: Path) -> LabelledSet:
         views = _views(name, cache)
         related = name != "nothing"
         pairs = [pair for a, b in _pairs(name, views) if (pair := _measured(name, a, b, related)) is not None]
-        file.write_bytes(encode(LabelledSet(tuple(pairs), {view.name: view.camera.R for view in views})))
+        file.write_bytes(encode(LabelledSet(tuple(pairs), {view.name: view.camera for view in views})))
     found: LabelledSet = decode(file.read_bytes())
     return found
 
