@@ -86,7 +86,7 @@ def solved(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Poses 
 
 
 def in_use(pairs: list[LabelledPair], poses: Poses | None, truth: Mapping[str, Camera]) -> tuple[Bools, Bools]:
-    """(n,) which pairs the solved site uses, and which of these have a wrong pose: that of its cameras, not what the pair said."""
+    """(n,) which pairs the solved site uses, and which of these have a wrong pose: its cameras', not what the pair said."""
     kept, wrong = np.zeros(len(pairs), bool), np.zeros(len(pairs), bool)
     if poses is None:
         return kept, wrong
