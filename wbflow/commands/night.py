@@ -97,7 +97,7 @@ class _Telling:
 
 
 def _foretell(
-    path: Path, date: datetime.date | None, since: datetime.date | None, work: Path | None, until: str | None, **asked: Any
+    path: Path, date: datetime.date | None, since: datetime.date | None, work: str | None, until: str | None, **asked: Any
 ) -> int:
     """What would run for a site."""
     site = load(path, work)
@@ -112,7 +112,7 @@ def _work_through(
     records: list[Any],
     date: datetime.date | None,
     since: datetime.date | None,
-    work: Path | None,
+    work: str | None,
     **asked: Any,
 ) -> int:
     """The nights of a site that were asked for.  Adds their records, and gives the worst exit code."""
@@ -163,7 +163,7 @@ def _nights(site: Site, date: datetime.date | None, since: datetime.date | None)
 @work_option
 @until_option
 @json_option
-def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None, as_json: bool) -> None:
+def status(site: Path, date: datetime.date | None, work: str | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why.
 
     \b
@@ -177,7 +177,7 @@ def status(site: Path, date: datetime.date | None, work: Path | None, until: str
 @site_argument
 @date_option
 @work_option
-def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
+def check(site: Path, date: datetime.date | None, work: str | None) -> None:
     """Site, captures and machine examined without running; every finding, with its remedy.
 
     \b

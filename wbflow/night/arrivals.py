@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from ..config.site import Site
 from ..store.digests import Digests
 from ..store.events import ArrivalsEvent, Watcher
-from ..store.layout import WorkFolder
 from ..store.record import Health
 from ..store.seen import Seen
 from .captures import CaptureFile, find_captures, find_named, night
@@ -47,7 +46,7 @@ def arrivals(site: Site, date: datetime.date | None = None, watch: Watcher | Non
     watch : callable, optional
         Is told how far it is.
     """
-    work = WorkFolder(site.work)
+    work = site.work_folder
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
     date = night(site, date)
     all_cameras = len(site.cameras)
