@@ -2,9 +2,8 @@
 """Are right pairs believed and wrong ones not?  Every scene judged by a score that was fitted on the others.
 
 Without arguments: pairs of photographed and rendered scenes, labelled by their truth (`verdict_scenes`).  For each scene left
-out: usable pairs kept and wrong ones accepted, by the pair's score alone and after the site's check (that with the weights of the
-product); how often p is right, in ten bins; random small sites and those that end with a turned camera; and the weights of a fit
-on all scenes.
+out: usable pairs kept and wrong ones accepted, by the pair's score alone and where the site's cameras are solved from them; how
+often p is right, in ten bins; random small sites and those that end with a turned camera; and the weights of a fit on all scenes.
 
 With --sets, the weights as they are on pairs matched anew.  Sets without any right pair: the first five views of fountain with
 entry (the others look at entry's facade), the demo's walls with entry, and mirrored images.

@@ -7,13 +7,16 @@ offset.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
 
 from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
-from wbflow_stages.types import Bools, Float64s
+from wbflow_stages.twoview.rivals import Rival
+from wbflow_stages.types import Bools, Float64s, Geometry
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)
 """Weights of the terms in an earlier fit, on 263 pairs of other scenes (look-alike walls, a courtyard): where the pairs here tell
@@ -30,20 +33,28 @@ USABLE, WRONG = (3.0, 10.0), (10.0, 30.0)
 
 @dataclass(frozen=True)
 class LabelledPair:
-    """A pair with what speaks for it and what it is in truth."""
+    """A pair with its geometry, and what it is in truth."""
 
     set: str
     left: str
     right: str
-    evidence: PairEvidence
-    contradicted: bool
-    """The intrinsics contradict F."""
+    geometry: Geometry
     error_deg: Errors
     error_of_copy_deg: Errors
     """Against the nearest copy of the cameras, where the scene is the same after a part of a turn."""
-    R: Float64s | None = None
-    t: Float64s | None = None
-    """The relative pose that was found."""
+
+    @cached_property
+    def evidence(self) -> PairEvidence:
+        g = self.geometry
+        rival = Rival(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg) if np.isfinite(g.rival_turned_deg) else None
+        return PairEvidence(
+            g.inliers, g.distinct_cells, g.distinct_share, g.agreement, g.half_rotation_deg, g.stretch, g.angle_deg, rival
+        )
+
+    @property
+    def contradicted(self) -> bool:
+        """The intrinsics contradict F."""
+        return self.geometry.model == "F"
 
     @property
     def ambiguous(self) -> bool:
@@ -62,6 +73,14 @@ class LabelledPair:
     @property
     def wrong(self) -> bool:
         return is_wrong(self.error_deg)
+
+
+@dataclass(frozen=True)
+class LabelledSet:
+    """The pairs of a set that have a geometry, and the true rotations (world to camera) of all its cameras."""
+
+    pairs: tuple[LabelledPair, ...]
+    rotations: Mapping[str, Float64s]
 
 
 def is_usable(error: Errors) -> bool:

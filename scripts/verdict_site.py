@@ -1,8 +1,8 @@
-"""The check of a site (`sfm.loops`) on labelled pairs: what it believes, what its limits rest on, which cameras are turned."""
+"""A site of labelled pairs: what its check (`sfm.loops`) believes and rests on, its solved cameras, which of them are turned."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +13,16 @@ from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.sfm.loops import USUAL, Habits, check_loops, closes, triangles_of
 from wbflow_stages.sfm.repeats import Rivalry, Shares, rivalry
 from wbflow_stages.sfm.rotation_averaging import average_rotations, components
-from wbflow_stages.twoview.pair_score import probability
-from wbflow_stages.twoview.rivals import Rival
-from wbflow_stages.types import Bools, Float64s, Geometry, Pair, View
+from wbflow_stages.sfm.solve import solve_from_pairs
+from wbflow_stages.twoview.pair_score import probability, tells_the_site
+from wbflow_stages.types import Bools, Float64s, Geometry, Pair, Placement, Poses, Survey
 
 LEAST_SCORE = -4.0
-"""Pairs below do not reach the site (`estimate_geometry`)."""
+"""Of pairs below, only those that tell something of the site reach it (`estimate_geometry`)."""
 WITHIN = ((3.0, 10.0), (6.0, 15.0), (9.0, 25.0))
 """Tried: degrees within which triangles close, of rotation and direction."""
+MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX = 4.0, 2.0
+"""Of `solve_poses`."""
 AT_LEAST = 0.01
 """No share is taken to be rarer than this: there are too few pairs to know."""
 
@@ -71,34 +73,48 @@ def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: Habits, 
     return float(np.clip(np.mean(shares), AT_LEAST, 1 - AT_LEAST))
 
 
-def worst_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Float64s], copies: list[Float64s]) -> float:
-    """How far a camera is turned against the first one of those it hangs together with, at most, where each may stand for the
-    nearest of its copies."""
+def solved(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Poses | None:
+    """The cameras of a site whose intrinsics are known and nothing else, as `poses` has them; None where there are none."""
+    geometries = _geometries(pairs, scores)
+    seen = {name: view for p in pairs for name, view in ((p.left, p.geometry.view1), (p.right, p.geometry.view2))}
+    views = {name: seen[name] for name in sorted(seen)}
+    nothing = {name: Placement() for name in views}
+    found = solve_from_pairs(views, nothing, geometries, Survey(), {}, MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX, usual)
+    return found if isinstance(found, Poses) else None
+
+
+def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Float64s]) -> float:
+    """How far a camera is turned at most, its rotation averaged from these pairs."""
     names = list(dict.fromkeys(name for p in pairs for name in (p.left, p.right)))
     number = {name: k for k, name in enumerate(names)}
-    relative = {(number[p.left], number[p.right]): p.R for p in pairs if p.R is not None}
+    relative = {(number[p.left], number[p.right]): R for p in pairs if (R := p.geometry.cam2_R_cam1) is not None}
     found = average_rotations(relative, dict.fromkeys(relative, 1.0))
+    parts = [[names[k] for k in part] for part in components(list(relative), list(range(len(names))))]
+    return _worst_turn_deg({names[k]: R for k, R in found.items()}, parts, truth, [np.eye(3)])
+
+
+def solved_turn_deg(poses: Poses, truth: Mapping[str, Float64s], copies: list[Float64s]) -> float:
+    """How far a solved camera is turned at most, where each may stand for the nearest of its copies."""
+    return _worst_turn_deg({name: c.R for name, c in poses.cameras.items()}, poses.components, truth, copies)
+
+
+def _worst_turn_deg(
+    found: Mapping[str, Float64s], parts: Iterable[Iterable[str]], truth: Mapping[str, Float64s], copies: list[Float64s]
+) -> float:
+    """Against the first camera of those it hangs together with."""
     worst = 0.0
-    for part in components(list(relative), list(range(len(names)))):
-        first = truth[names[part[0]]]
-        for view in part[1:]:
-            R = found[view] @ found[part[0]].T
-            worst = max(worst, min(angle_between_deg(R, truth[names[view]] @ turn.T @ first.T) for turn in copies))
+    for first, *others in parts:
+        for name in others:
+            R = found[name] @ found[first].T
+            worst = max(worst, min(angle_between_deg(R, truth[name] @ turn.T @ truth[first].T) for turn in copies))
     return worst
 
 
 def _geometries(pairs: list[LabelledPair], scores: Float64s | None = None) -> dict[Pair, Geometry]:
-    """What the check of a site looks at, of the pairs that reach it."""
+    """What a site gets to see, of the pairs with these scores."""
     scores = np.array([p.score for p in pairs]) if scores is None else scores
-    return {(p.left, p.right): _geometry(p, float(s)) for p, s in zip(pairs, scores, strict=True) if s >= LEAST_SCORE}
-
-
-def _geometry(pair: LabelledPair, score: float) -> Geometry:
-    e, nothing, bare = pair.evidence, np.zeros((0, 2)), View(1, 1)
-    rival = e.rival or Rival(0, 0, float("nan"))
-    return Geometry(
-        F=np.eye(3), x1=nothing, x2=nothing, i1=None, i2=None, probability=np.zeros(0, np.float32), view1=bare, view2=bare,
-        cam2_R_cam1=pair.R, cam2_t_cam1=pair.t, matches=e.inliers, inliers=e.inliers, model="E", epipolar_px=0.0,
-        angle_deg=e.angle_deg, homography_share=0.0, score=score, good_probability=probability(score),
-        distinct_cells=e.distinct_cells, rival_elsewhere=rival.elsewhere, rival_turned_deg=rival.turned_deg,
-    )  # fmt: skip
+    return {
+        (p.left, p.right): replace(p.geometry, score=float(score), good_probability=probability(float(score)))
+        for p, score in zip(pairs, scores, strict=True)
+        if score >= LEAST_SCORE or tells_the_site(p.evidence)
+    }

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from verdict_fit import LabelledPair, Weights, fit, is_usable
-from verdict_scenes import SETS, labelled, scene_of, symmetry, true_rotations
-from verdict_site import LEAST_SCORE, believed, count_habits, worst_turn_deg
+from verdict_fit import LabelledPair, LabelledSet, Weights, fit, is_usable
+from verdict_scenes import SETS, labelled, scene_of, symmetry
+from verdict_site import LEAST_SCORE, averaged_turn_deg, believed, count_habits, solved, solved_turn_deg
 
 from wbflow_stages.sfm.loops import Habits
 from wbflow_stages.twoview.pair_score import TERMS, probability
@@ -35,7 +35,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Row:
-    """One set: kept and accepted by the score of the pair; site_*: after the site's check."""
+    """One set: kept and accepted by the score of the pair; site_*: in the solved site."""
 
     name: str
     pairs: int
@@ -54,7 +54,8 @@ class Row:
 
 def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: bool) -> int:
     """Print all tables; 1 if `check` is asked for and a promise is broken."""
-    sets = {name: labelled(name, cache) for name in SETS}
+    all_of = {name: labelled(name, cache) for name in SETS}
+    sets = {name: list(one.pairs) for name, one in all_of.items()}
     others = {scene: fitted({n: p for n, p in sets.items() if scene_of(n) != scene}) for scene in {scene_of(n) for n in sets}}
     rows, said = [], []
     print("set               pairs usable  kept  wrong accepted(wrong)  site: kept accepted(wrong)")
@@ -72,7 +73,7 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
         print(f"{b.begins:.1f} to {b.begins + 0.1:.1f}{b.pairs:6}{b.said:6.2f}{b.right:7.2f}{b.right_or_copy:7.2f}")
     print(f"\n{DRAWS} random sites of some cameras: with a camera turned by over {TURNED_DEG:g} degrees (of them: where each")
     print("camera is an exact copy of the true one, so that the images are those of a right site), and without any camera")
-    turned = {name: small_sites(name, sets[name], others[scene_of(name)], cache) for name in sets if name != "nothing"}
+    turned = {name: small_sites(name, all_of[name], others[scene_of(name)]) for name in sets if name != "nothing"}
     _print_fit(fitted(sets))
     if to_json:
         to_json.write_text(json.dumps([vars(row) for row in rows], indent=1))
@@ -101,28 +102,38 @@ def _print_fit(found: Fitted) -> None:
 def _row(name: str, pairs: list[LabelledPair], by: Fitted) -> Row:
     scores = by.weights.scores(pairs)
     usable, wrong, accepted = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs]), scores > 0
-    kept = np.zeros(len(pairs), bool) if name == "nothing" else believed(pairs, scores, by.usual)
+    poses = None if name == "nothing" else solved(pairs, scores, by.usual)
+    checks = {} if poses is None else poses.pair_checks
+    in_use = {pair for pair, check in checks.items() if check.kept}
+    kept = np.array([f"{p.left}--{p.right}" in in_use for p in pairs], bool)
     counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, wrong & kept)
     return Row(name, len(pairs), *(int(c.sum()) for c in counts))
 
 
-def small_sites(name: str, pairs: list[LabelledPair], by: Fitted, cache: Path) -> int:
-    """Random subsets of the cameras: how many sites end with a turned camera, the rotations of the believed pairs averaged."""
+def small_sites(name: str, of: LabelledSet, by: Fitted) -> int:
+    """Random subsets of the cameras: how many sites end with a turned camera.
+
+    A site is solved where a camera is turned by the rotations of the believed pairs, averaged; the others go without the minutes
+    that it takes.
+    """
     rng = np.random.default_rng(0)
-    truth, turns = true_rotations(name, cache), symmetry(name)
-    cameras = sorted({camera for p in pairs for camera in (p.left, p.right)})
+    turns = symmetry(name)
+    cameras = sorted({camera for p in of.pairs for camera in (p.left, p.right)})
     total, words = 0, []
     for size in (s for s in SITE_SIZES if s <= len(cameras)):
         turned = copies = empty = 0
         for _ in range(DRAWS):
             chosen = set(rng.choice(cameras, size, replace=False).tolist())
-            mine = [p for p in pairs if {p.left, p.right} <= chosen]
-            kept = believed(mine, by.weights.scores(mine), by.usual)
+            mine = [p for p in of.pairs if {p.left, p.right} <= chosen]
+            scores = by.weights.scores(mine)
+            kept = believed(mine, scores, by.usual)
             some = [p for p, yes in zip(mine, kept, strict=True) if yes]
-            if worst_turn_deg(some, truth, turns[:1]) > TURNED_DEG:
-                turned += 1
-                copies += worst_turn_deg(some, truth, turns) <= TURNED_DEG
             empty += not some
+            if averaged_turn_deg(some, of.rotations) <= TURNED_DEG or (poses := solved(mine, scores, by.usual)) is None:
+                continue
+            if solved_turn_deg(poses, of.rotations, turns[:1]) > TURNED_DEG:
+                turned += 1
+                copies += solved_turn_deg(poses, of.rotations, turns) <= TURNED_DEG
         total += turned
         words.append(f"{size} cameras {turned:2} ({copies:2}) and {empty:2}")
     print(f"{name:18}" + "; ".join(words), flush=True)

@@ -149,8 +149,8 @@ def _one_frame(
     if len(images) == 2:
         notes.append(f"two captures have no majority: only {names[1]} is used")
     trusted = allowed & ~background.doubtful
-    if asked.overlays and (background.overlaid & allowed).any():
-        notes.append(f"a clock or logo is masked: {100 * (background.overlaid & allowed).mean():.1f} % of the picture")
+    if asked.overlays and (overlaid := int((background.overlaid & allowed).sum())):
+        notes.append(f"a clock or logo is masked: {overlaid:,} pixels")
         trusted &= ~background.overlaid
     if asked.overlays and (clock := running_clock(images, trusted)):
         x, y, wide, high = clock

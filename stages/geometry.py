@@ -17,12 +17,12 @@ from .twoview.pair_score import (
     GRID_COLUMNS,
     GRID_ROWS,
     PairEvidence,
-    hardly_converging,
     pair_evidence,
     pair_score,
     point_evidence,
     probability,
     ray_angle_deg,
+    tells_the_site,
 )
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (
@@ -118,7 +118,7 @@ def estimate_geometry(
     evidence = _evidence(before, inliers, found, left, right, seed)
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
-    if score < min_score and not hardly_converging(evidence.angle_deg, evidence.agreement):  # the site says that and why
+    if score < min_score and not tells_the_site(evidence):
         return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
     warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
     accepted = _accepted(inliers, found, support, evidence, score)

@@ -35,9 +35,6 @@ _LIKELY = 0.2
 _ON_GROUND = 0.02
 """Inverse depths that differ from the ground's by less than this share belong to it."""
 
-_AGAIN = 1
-"""Sweeps where a reference is known, at most: little is left to be found."""
-
 _SURE_COST = 0.3
 """Of the second best source: what two sources show this well must be believed even where no pair had a depth."""
 
@@ -106,7 +103,7 @@ def refine(
     planes = _first_planes(depth, then_depth)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(radius))
-    cost = propagation.improve(planes, sweeps if then_depth is None else min(sweeps, _AGAIN), far, 0.9 * farthest, 1.1 * nearest)
+    cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then_depth is not None)
     ground = ground_planes(camera, scene.ground) if scene is not None and scene.ground is not None else None
     if ground is not None:
         _lean_on_ground(planes, cost, propagation, ground, max_cost)

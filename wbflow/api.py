@@ -134,7 +134,7 @@ class Run:
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder than the file names.
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: another work folder, or object store, than it names.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def load_site(path: str | Path, work: str | Path | None = None) -> Site:
     """
     from .config.load import load_site as read  # here: a run of a site that is remembered has no use for it
 
-    return read(Path(path), Path(work).resolve() if work else None)
+    return read(Path(path), work)
 
 
 def run(
@@ -238,20 +238,27 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     if not isinstance(where, Site) and run_id is None and RunFolder.is_one(Path(where)):
         folder = RunFolder.at(Path(where))
         return Run(FinishedRun.open(WorkFolder.of_run(folder.paths), folder))
-    place = WorkFolder((where if isinstance(where, Site) else load_site(where)).work)
+    place = (where if isinstance(where, Site) else load_site(where)).work_folder
+    if place.store:
+        from .store.courier import look  # here: few work folders are mirrors
+
+        look(place)
     return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
 
 
 def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) -> Run:
-    place = WorkFolder(site.work)
-    with hold_to_write(place, options.wait), terminate_as_interrupt():
+    place = site.work_folder
+    with hold_to_write(place, options.wait) as courier, terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        basis, there = Basis.of(site), arrivals(site, options.date)
-        journal = Journal(listen, watch, options.jobs)
+        basis, there = Basis.of(site), arrivals(site, options.date, watch)
+        journal = Journal(courier.listening(listen) if courier else listen, watch, options.jobs)
+        if courier:
+            journal.behind = courier.behind
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy, standing=True)
-        for damage in filter(None, (there.digests.damage, there.seen.damage, site.reader.damage)):
+        lost = courier.damages if courier else ()
+        for damage in filter(None, (*lost, there.digests.damage, there.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         mend_ledger(place, journal)
         if (
@@ -264,10 +271,14 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
                     listen(event)
             afterwards(finished, site, journal)
             _tell_people(site, finished, journal)
-            return Run(finished)
-        from .results.through import through  # here: a night on which nothing has changed has no use for it
+        else:
+            from .results.through import through  # here: a night on which nothing has changed has no use for it
 
-        return Run(through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal), basis))
+            finished = through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal), basis)
+        if courier and (fault := courier.finish()):
+            journal.warn(fault)
+            finished.folder.add(journal.events[-1])
+        return Run(finished)
 
 
 @contextmanager

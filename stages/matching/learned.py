@@ -21,6 +21,7 @@ import numpy as np
 from ..core.luminance import grey_levels
 from ..types import Capture, Float32s, Float64s, Frame, Matches, Uint8s
 from .onnx_model import ModelInterface, read_interface
+from .trial import why_unreadable
 
 _TWO_INPUTS, _TWO_OUTPUTS = ("image0", "image1"), ("kpts0", "kpts1", "matches0", "mscores0")
 _ONE_INPUT, _ONE_OUTPUTS = ("images",), ("keypoints", "matches", "mscores")
@@ -69,11 +70,14 @@ def match_onnx(
     ValueError
         The file is no ONNX model, has other inputs or outputs, or OpenCV cannot run it; with the file's name.
     """
+    data = model.data.tobytes()
     try:
-        interface = read_interface(model.data.tobytes())
+        interface = read_interface(data)
     except ValueError as error:
         raise ValueError(f"{model.name} {error}: give the file that the model was exported to, whole") from None
     _check(model.name, interface)
+    if why := why_unreadable(data):
+        raise ValueError(f"{model.name}: {why}: export it with GELU written as (x * erf(x / sqrt(2)) + x) / 2")
     asked = [interface.inputs.get(name, interface.inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
     sizes = [_size(shape, frame, long_side_px) for shape, frame in zip(asked, (left_frame, right_frame), strict=True)]
     if len(interface.inputs) == 1:  # both in one array

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..core.jit import kernel
-from ..types import Float32s, Int32s, Uint32s
+from ..types import Float32s, Int32s, Int64s, Uint32s
 
 Uint64s = npt.NDArray[np.uint64]
 Scalar = np.float32
@@ -34,7 +34,6 @@ _HOPELESS = 0.9
 """A plane that costs more is not worth spreading."""
 _SOFTNESS = 12.0
 """Grey levels at which a patch's pixel counts half."""
-_CHANGES = 3
 NOISE = 65537
 """Random numbers in a row; a prime: steps of a block meet every place."""
 _NEAREST = 1e-6
@@ -274,10 +273,14 @@ def _keep_cheaper(
 @kernel
 def propagate(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
-    reach: int, noise: Float32s, number: int, far: int, low: Scalar, high: Scalar, planes: Float32s, cost: Float32s, best: Int32s,
+    reach: int, noise: Float32s, number: int, rings: Int64s, changes: int, low: Scalar, high: Scalar,
+    planes: Float32s, cost: Float32s, best: Int32s,
 ) -> None:  # fmt: skip
-    """One pass, down if `number` is even, else up.  A plane is tried on the source that is best here, the one best where it comes
-    from, and one more in turn: of six sources half are enough."""
+    """One pass, down if `number` is even, else up.  `rings` (n, 2): where planes come from, columns and rows back along the way;
+    `changes`: of a pixel's own so many are tried, changed at random.
+
+    A plane is tried on the source that is best here, the one best where it comes from, and one more in turn: of six sources half
+    are enough."""
     h, w = cost.shape
     count = len(M)
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
@@ -287,7 +290,6 @@ def propagate(
     source, here = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
     blocks = (w + BLOCK - 1) // BLOCK
     back = -1 if number % 2 == 0 else 1
-    rings = np.array([(0, 1), (1, 0), (0, far), (far, 0), (2, 3), (-2, 3)])
     at = 0
     for i in range(h):
         y = i if back < 0 else h - 1 - i
@@ -319,7 +321,7 @@ def propagate(
             _own_planes(planes, y, x0, n, trial)
             _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
             shift, turn = np.float32(0.5 / (1 << number)), np.float32(0.0)  # half a pixel first
-            for q in range(_CHANGES):
+            for q in range(changes):
                 _own_planes(planes, y, x0, n, trial)
                 _changed(noise, at, shift, turn, low, high, scratch, trial)
                 at = (at + 3 * BLOCK) % NOISE

@@ -28,6 +28,11 @@ class Support:
     """Sum of |dpixel/dq|^2 over these sources: the information on q per squared pixel of noise."""
 
 
+_CHANGES, _CHANGES_AGAIN = 3, 2
+"""Random changes that a pixel tries.  Where planes are nearly right, the cheapest of many is right by chance only: fewer give a
+better surface, in less time."""
+
+
 class Propagation:
     """A view and its sources.
 
@@ -53,7 +58,7 @@ class Propagation:
         beside = np.concatenate([sources[..., 1:], sources[..., -1:]], axis=-1)
         self.pairs = np.stack([sources, beside], axis=-1).view(np.uint64).ravel()  # one access fetches what is interpolated
 
-    def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float) -> Float32s:
+    def improve(self, planes: Float32s, sweeps: int, far: int, low: float, high: float, *, again: bool = False) -> Float32s:
         """Improve planes in place by propagation from neighbours, holes (nan) included, and shrinking random changes.
 
         Parameters
@@ -66,6 +71,8 @@ class Propagation:
             Distance of the second ring of neighbours, pixels.
         low, high
             Limits of q.
+        again
+            The planes are nearly right, and little is left to be found: in one pass, fewer are tried.
 
         Returns
         -------
@@ -74,10 +81,11 @@ class Propagation:
         cost = np.full(planes.shape[1:], UNSEEN, np.float32)
         best = np.zeros(planes.shape[1:], np.int32)
         noise = np.random.default_rng(1).uniform(-1, 1, NOISE + BLOCK).astype(np.float32)
-        for sweep in range(sweeps):
+        rings = np.array([(0, 1), (1, 0), (far, 0)] if again else [(0, 1), (1, 0), (0, far), (far, 0), (2, 3), (-2, 3)])
+        for sweep in range(min(sweeps, 1) if again else sweeps):
             propagate(
                 self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, self.taps, self.reach,
-                noise, sweep, far, Scalar(low), Scalar(high), planes, cost, best,
+                noise, sweep, rings, _CHANGES_AGAIN if again else _CHANGES, Scalar(low), Scalar(high), planes, cost, best,
             )  # fmt: skip
         return cost
 

@@ -15,7 +15,7 @@ from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.pair_score import probability
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
-from .repeats import Shares, why_ambiguous
+from .repeats import Shares, distinct_copies, why_ambiguous
 from .rotation_averaging import rotations_along_tree
 
 STANDS_ALONE = log(19)
@@ -93,7 +93,8 @@ def check_loops(
     believed = {pair: float(belief[index[pair]]) for pair in posed if why[pair] is None}
     for pair, degrees in _against_tree(posed, believed, unsure, usual.rotation_deg).items():
         why[pair] = Rejected(Reason.TURNED, {"turned_deg": degrees})
-    if repeats := why_ambiguous(posed.values(), usual.rivals):
+    copies = Reason.SAME_FROM_OTHER_SIDES if distinct_copies(posed, triangles) else None
+    if repeats := copies or why_ambiguous(posed.values(), usual.rivals):
         for pair in posed:
             k = index[pair]
             why[pair] = why[pair] or Rejected(repeats, _figures(geometries[pair], int(count[k]), int(closing[k])))

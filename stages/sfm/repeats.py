@@ -3,18 +3,22 @@
 A pair's rival (`twoview.rivals`) tells, by the angle between its rotation and the accepted one.  What looks the same from another
 side gives one that is turned by a part of a full turn; what repeats along a row gives the same rotation with another step.  One
 pair may have such a rival by chance, and few pairs of a scene that does repeat see what tells; the site's pairs together decide.
+
+Three pairs that are each as distinct as right ones and yet contradict each other by a part of a full turn tell the same at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from math import isfinite, log
 
+from ..core.rotations import angle_between_deg
 from ..reasons import Reason
+from ..twoview.pair_score import DISTINCT_CELLS
 from ..twoview.rivals import MUCH_TURNED, TURNED_DEG
-from ..types import Geometry
+from ..types import Geometry, Pair
 
 PARTS_DEG = (180.0, 120.0, 90.0, 60.0)
 """Of a full turn: buildings with two, three, four and six equal sides."""
@@ -65,11 +69,33 @@ def rivalry(geometry: Geometry) -> Rivalry | None:
     if not isfinite(turned):
         return None
     share = geometry.rival_elsewhere / max(geometry.inliers, 1)
-    if share >= MUCH_TURNED and min(abs(turned - part) for part in PARTS_DEG) <= PART_WITHIN_DEG:
+    if share >= MUCH_TURNED and _part_of_a_turn(turned):
         return Rivalry.SIDE
     if share >= ROW_SHARE and geometry.rival_elsewhere >= ROW_INLIERS and turned < SAME_ROTATION_DEG:
         return Rivalry.ROW
     return Rivalry.TURNED if share >= MUCH_TURNED and turned > TURNED_DEG else Rivalry.NONE
+
+
+def _part_of_a_turn(degrees: float) -> bool:
+    return min(abs(degrees - part) for part in PARTS_DEG) <= PART_WITHIN_DEG
+
+
+def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[str, str, str]]) -> bool:
+    """Do pairs, each as distinct as right ones, contradict each other by parts of a full turn around triangles of cameras?
+
+    One of the three is wrong, then, and matches one side of a building with another as well as a right pair matches what it sees.
+    By chance a sixth of all rotations are so near to a part of a turn: most that contradict have to be.
+    """
+    turned = []
+    for a, b, c in triangles:
+        sides = [posed[pair] for pair in ((a, b), (b, c), (a, c))]
+        first, second, direct = (g.cam2_R_cam1 for g in sides)
+        if first is None or second is None or direct is None or min(g.distinct_cells for g in sides) < DISTINCT_CELLS:
+            continue
+        degrees = angle_between_deg(direct, second @ first)
+        if degrees > TURNED_DEG:
+            turned.append(_part_of_a_turn(degrees))
+    return 2 * turned.count(True) > len(turned)
 
 
 def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | None:

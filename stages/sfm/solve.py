@@ -14,6 +14,7 @@ from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
+from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
 from .support import straight_error_px, without_unsupported
 from .tracks import Edge
@@ -33,6 +34,7 @@ def solve_from_pairs(
     stated: Mapping[str, Camera],
     max_rotation_error_deg: float,
     max_epipolar_px: float,
+    usual: Habits = USUAL,
 ) -> Poses | Rejected:
     """Solve the poses that are not known.
 
@@ -42,10 +44,12 @@ def solve_from_pairs(
         See `poses.solve_poses`.
     stated
         Cameras whose intrinsics and poses are both known, by id.
+    usual
+        What the check of the site's loops goes by.
     """
     exact = {name: camera for name, camera in stated.items() if _exact(placements[name])}
     graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
-    trusted, dropped = graph.consistent(max_rotation_error_deg)
+    trusted, dropped = graph.consistent(max_rotation_error_deg, usual)
     number = {name: view for view, name in enumerate(graph.names)}
     grown = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
     believed = {edge: graph.geometries[edge] for edge in trusted}

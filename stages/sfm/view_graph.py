@@ -11,7 +11,7 @@ from ..reasons import Reason, Rejected
 from ..types import Camera, Float64s, Geometry, Pair, View
 from .focal import Lenses, guess_lenses, relative_rotations, unsure_deg
 from .incremental import Model, grow
-from .loops import check_loops
+from .loops import USUAL, Habits, check_loops
 from .rigs import between, rigs_of
 from .rotation_averaging import average_rotations, components
 from .tracks import Edge, build_tracks
@@ -52,11 +52,11 @@ class ViewGraph:
     def pair(self, edge: Edge) -> str:
         return f"{self.names[edge[0]]}--{self.names[edge[1]]}"
 
-    def consistent(self, tolerance_deg: float) -> tuple[list[Edge], dict[Edge, Rejected]]:
+    def consistent(self, tolerance_deg: float, usual: Habits = USUAL) -> tuple[list[Edge], dict[Edge, Rejected]]:
         """The pairs that the site as a whole believes and whose rotations agree, and why the others are left out."""
         unsure = {(self.names[i], self.names[j]): degrees for (i, j), degrees in unsure_deg(self.geometries, self.lenses).items()}
         named = {(self.names[i], self.names[j]): geometry for (i, j), geometry in self.geometries.items()}
-        judged = check_loops(named, unsure)
+        judged = check_loops(named, unsure, usual)
         checks = {edge: judged[self.names[edge[0]], self.names[edge[1]]] for edge in self.geometries}
         dropped = {edge: check.rejected for edge, check in checks.items() if check.rejected is not None}
         believed = {edge: R for edge, R in self.rotations.items() if edge not in dropped}

@@ -18,7 +18,7 @@ from .census_sgm import match_census_sgm
 from .consistency import disagreement, fill_along_rows, without_speckles
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 from .plane_filter import doubt, smoothed
-from .propagation import Propagation
+from .propagation import Propagation, Trials
 from .sgbm import match_sgbm
 
 _ROUNDS = 2
@@ -37,6 +37,9 @@ _LIKELY = 0.1
 _BEYOND = 0.5
 """Planes may leave the range of disparities by this share of it: they spread to where the start did not look."""
 
+_AGAIN = Trials(np.array([(0, 1), (1, 0), (8, 0)]), changes=3, shift_px=0.8, turn=0.2)
+"""Where another night shows where to start: that is nearly right, and lies on planes that have been voted on."""
+
 _BLOCK = 128
 _XX, _YY, _XY, _XD, _YD = (i * _BLOCK for i in range(5))
 """Places of sums in the scratch of `_slopes`."""
@@ -46,7 +49,7 @@ def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
     view1, view2 = _matched_views(pair)
     for view in (view1, view2):
-        view.planes = view.smoothed(rounds=2)
+        view.planes = view.smoothed(rounds=2 if pair.then_left is None else 1)
     left, mirrored_right = view1.planes[0], view2.planes[0]
     mirrored_left, right = (np.ascontiguousarray(disparity[:, ::-1]) for disparity in (left, mirrored_right))
     confidence1, confidence2 = view1.confidence(right), view2.confidence(mirrored_left)
@@ -119,7 +122,7 @@ def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
         propagation, searched = view.propagation(), _doubled(coarse, pair.left.shape)
         view.planes = np.where(np.isnan(view.planes), searched, view.planes)
         view.cost = propagation.costs(view.planes)
-        propagation.round(0, view.planes, view.cost, searched)
+        propagation.round(0, view.planes, view.cost, searched, _AGAIN)
         view.lean_on_prior(propagation)
     return views
 
@@ -128,9 +131,7 @@ def _planes_then(pair: RectifiedPair) -> Float32s:
     """(3, h, w) planes of the left view as another night knows them, nan where it doesn't."""
     then = pair.then_left
     assert then is not None
-    filled = fill_along_rows(then, 1)
-    slopes = _slopes(np.where(np.isnan(filled), np.float32(0), filled).astype(np.float32))
-    return np.where(np.isnan(then), np.float32(np.nan), np.stack([then, *slopes])).astype(np.float32)
+    return np.stack([then, *_slopes(then)])
 
 
 def _coarse_planes(pair: RectifiedPair, large: bool) -> list[Float32s]:
@@ -189,6 +190,8 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
             s[_XX:_XY] = 1.0
             s[_XY:] = 0.0
             centre = bordered[y + 5, x0 + 5 :]
+            if np.isnan(centre[:n]).all():
+                continue
             for dy in range(-5, 6, 2):
                 for dx in range(-5, 6, 2):
                     there = bordered[y + dy + 5, x0 + dx + 5 :]

@@ -107,6 +107,9 @@ def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> Non
             n = min(_BLOCK, width - x0)
             row, column = y + border, x0 + border
             d, a, b, grey = known[row, column:], bordered[1, row, column:], bordered[2, row, column:], image[row, column:]
+            if np.isnan(d[:n]).all():
+                out[:, y, x0 : x0 + n] = np.float32(np.nan)
+                continue
             s[:] = none
             s[3 * _BLOCK : 5 * _BLOCK] = np.float32(2.0)  # slopes stay the plane's own where little speaks
             for j in range(-_NEAR, _NEAR + 1):
@@ -165,6 +168,9 @@ def _filtered(bordered: Float32s, spacing: int) -> Float32s:
             n = min(_BLOCK, width - x0)
             row, column = y + border, x0 + border
             own, grey = bordered[0, row, column:], bordered[3, row, column:]
+            if np.isnan(own[:n]).all():
+                out[y, x0 : x0 + n] = np.float32(np.nan)
+                continue
             half[:] = np.float32(0.0)
             k = 0
             for j in range(-_REACH, _REACH + 1, _STRIDE):
@@ -215,6 +221,9 @@ def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
             n = min(_BLOCK, width - x0)
             row, column = y + _BORDER, x0 + _BORDER
             d, a, b = confirmed[row, column:], planes[1, y, x0:], planes[2, y, x0:]
+            if np.isnan(d[:n]).all():
+                doubt[y, x0 : x0 + n] = np.float32(np.inf)
+                continue
             s[:_BLOCK] = np.float32(0.0)  # how far away
             s[_BLOCK : 2 * _BLOCK] = np.float32(np.inf)  # the lowest disparity
             s[2 * _BLOCK :] = np.float32(-np.inf)  # the highest

@@ -6,6 +6,8 @@ rows, and its own row as it stands before each step.  Steps of 1, 2 and 8 column
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -23,10 +25,6 @@ _RADIUS, _STRIDE = 3, 2
 _ACROSS = 2 * _RADIUS // _STRIDE + 1
 _TAPS = _ACROSS**2
 
-_NEIGHBOURS = np.array([(0, 1), (3, 2), (-3, 3), (1, 0), (2, 0), (8, 0)])
-"""Whose planes a pixel tries, in this order: columns and rows back along the way."""
-
-_CHANGES = 4
 _LEAST_VARIANCE = 0.05
 _FLAT_COST = 0.9
 _STEEPEST, _SHEAREST = -6.0, 6.0
@@ -44,6 +42,24 @@ _SPREAD, _SCALE, _CENTRE = ((2 * _TAPS + i) * _BLOCK for i in range(3))
 _WINDOW = (2 * _TAPS + 3) * _BLOCK
 
 
+@dataclass(frozen=True)
+class Trials:
+    """Which planes a pixel tries."""
+
+    neighbours: Int64s
+    """(n, 2) of which pixels, in this order: columns and rows back along the way."""
+    changes: int
+    """So many of its own, changed at random, each less than the one before."""
+    shift_px: float
+    """By how much its disparity changes in the first round at most..."""
+    turn: float
+    """...and its slopes."""
+
+
+TRIALS = Trials(np.array([(0, 1), (3, 2), (-3, 3), (1, 0), (2, 0), (8, 0)]), 4, 1.5, 0.3)
+"""Where little is known."""
+
+
 class Propagation:
     """What propagation over one view needs of both its images: the left one with a border, and each pixel of the right one beside
     its neighbour, so that one access fetches what is interpolated."""
@@ -55,7 +71,7 @@ class Propagation:
         self.pairs = np.stack([right, beside], axis=2).view(np.uint64)[:, :, 0]
         self.range = Scalar(low), Scalar(high)
 
-    def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s) -> None:
+    def round(self, number: int, planes: Float32s, cost: Float32s, proposals: Float32s, trials: Trials = TRIALS) -> None:
         """Improve `planes` (3, h, w) and `cost` (h, w), which tell how dear they are (1 before the first round), in place.
 
             Parameters
@@ -71,7 +87,7 @@ class Propagation:
         """
         _propagate(
             self.left, self.pairs, self.valid, planes, cost, proposals, number, *self.range,
-            Scalar(1.5 * 0.6**number), Scalar(0.3 * 0.7**number),
+            Scalar(trials.shift_px * 0.6**number), Scalar(trials.turn * 0.7**number), trials.neighbours, trials.changes,
         )  # fmt: skip
 
     def costs(self, planes: Float32s) -> Float32s:
@@ -239,7 +255,7 @@ def _keep_cheaper(
 @kernel
 def _propagate(
     left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, cost: Float32s, proposals: Float32s,
-    number: int, low: Scalar, high: Scalar, amplitude: Scalar, tilt: Scalar,
+    number: int, low: Scalar, high: Scalar, amplitude: Scalar, tilt: Scalar, neighbours: Int64s, changes: int,
 ) -> None:  # fmt: skip
     height, width = cost.shape
     window = np.zeros(_WINDOW, dtype=np.float32)
@@ -259,16 +275,16 @@ def _propagate(
             _neighbours(proposals, valid, y, x0, n, 0, 0, low, high, trial)
             _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
             _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
-            for q in range(len(_NEIGHBOURS)):
-                dx, dy = back * _NEIGHBOURS[q, 0], back * _NEIGHBOURS[q, 1]
+            for q in range(len(neighbours)):
+                dx, dy = back * neighbours[q, 0], back * neighbours[q, 1]
                 if not 0 <= y + dy < height:
                     continue
                 _neighbours(planes, valid, y, x0, n, dx, dy, low, high, trial)
                 _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
                 _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
             shift, turn = amplitude, tilt
-            for q in range(_CHANGES):
-                _changed(planes, y, x0, n, (number * _CHANGES + q) * height + y, shift, turn, low, high, trial)
+            for q in range(changes):
+                _changed(planes, y, x0, n, (number * changes + q) * height + y, shift, turn, low, high, trial)
                 _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
                 _keep_cheaper(planes, cost, valid, y, x0, n, trial, trial_cost)
                 shift *= np.float32(0.35)

@@ -29,6 +29,9 @@ DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95
 """A match is distinctive where its descriptor distance is below this share of the nearest rival's and look-alike's."""
 CLEAR_RATIO, CLEAR_PX = 0.9, 2.0
 """Clear matches: mutual nearest under this ratio, without geometry; they agree with F within so many pixels."""
+DISTINCT_CELLS = 20
+"""A pair with distinctive matches in so many cells of the grid shows the same thing in both images, if not the same place: where
+scenes don't repeat, no three such pairs contradict each other (`scripts/bench_verdict.py`: at most 7 cells, in 484 triangles)."""
 LIKELY = 0.5
 """A match without keypoints counts as distinctive from this probability on."""
 
@@ -189,6 +192,13 @@ def hardly_converging(angle_deg: float, agreement: float) -> bool:
     """The clear matches of a pair agree, but its rays are so near to parallel (degrees; nan: unknown) that no pose can be told:
     what speaks against it is not its matches."""
     return angle_deg < HARDLY_DEG and agreement >= MOSTLY
+
+
+def tells_the_site(evidence: PairEvidence) -> bool:
+    """Does a pair that is not believed, since its cameras seem to be at one place, say something of its site all the same: that
+    they are, or, as distinct as right pairs are, that the scene looks the same from several sides?"""
+    e = evidence
+    return hardly_converging(e.angle_deg, e.agreement) or (e.angle_deg < HARDLY_DEG and e.distinct_cells >= DISTINCT_CELLS)
 
 
 def probability(score: float) -> float:

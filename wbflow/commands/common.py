@@ -29,7 +29,9 @@ PATH = click.Path(path_type=Path)
 site_argument = click.argument("site", metavar="SITE.yaml", type=PATH)
 run_argument = click.argument("run_id", metavar="[RUN]", required=False)
 work_option = click.option(
-    "--work", type=PATH, metavar="DIR", help="Work folder (default: `work:` of the site, else .wbflow/<site>/ beside it)."
+    "--work",
+    metavar="DIR",
+    help="Work folder, or s3://bucket/prefix (default: `work:` of the site, else .wbflow/<site>/ beside it).",
 )
 
 
@@ -86,13 +88,15 @@ force_option = click.option(
 )
 
 
-def load(path: Path, work: Path | None, notes: bool = True, remembered: bool = False) -> Site:
+def load(path: Path, work: str | None, notes: bool = True, remembered: bool = False) -> Site:
     """The site.
 
     Parameters
     ----------
-    path, work : Path
-        Its file, and another work folder than that names.
+    path : Path
+        Its file.
+    work : str, optional
+        Another work folder, or object store, than that names.
     notes : bool
         Say what of its file is out of date (a run tells it itself, and logs it).
     remembered : bool
@@ -105,7 +109,9 @@ def load(path: Path, work: Path | None, notes: bool = True, remembered: bool = F
             from ..config.remembered import load as load_site
         else:
             from ..config.load import load_site
-        site = load_site(path, work.resolve() if work else None)
+        site = load_site(path, work)
+        if site.store and not remembered:  # a run looks for itself
+            _look(site.work_folder)
         for note in site.notes if notes else ():
             say(f"note: {note}", err=True)
         return site
@@ -113,6 +119,17 @@ def load(path: Path, work: Path | None, notes: bool = True, remembered: bool = F
         count = len(error.problems)
         what = f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done"
         raise UsageError(what, remedy=f"then: wbflow check {path}") from None
+
+
+def _look(work: WorkFolder) -> None:
+    """Bring what others have done; where the store does not answer, what is known here has to do."""
+    from ..store.courier import look
+    from ..store.objects import StoreError
+
+    try:
+        look(work)
+    except StoreError as error:
+        say(f"note: {error}\n  what follows is what this machine knows", err=True)
 
 
 def each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
@@ -136,9 +153,8 @@ def each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
 
 
 def place_of(site: Site) -> WorkFolder:
-    from ..store.layout import WorkFolder
 
-    return WorkFolder(site.work)
+    return site.work_folder
 
 
 def say_json(told: Any) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the files.")
 @date_option
 @work_option
-def debug(words: tuple[str, ...], out: Path, date: datetime.date | None, work: Path | None) -> None:
+def debug(words: tuple[str, ...], out: Path, date: datetime.date | None, work: str | None) -> None:
     """One task's inputs as ordinary files, its parameters, and a short script that runs it alone.
 
     A task is a stage and what it works on. Images are PNG, tables CSV, clouds PLY, other arrays npy; task.json says where each

@@ -97,7 +97,7 @@ class _Telling:
 
 
 def _foretell(
-    path: Path, date: datetime.date | None, since: datetime.date | None, work: Path | None, until: str | None, **asked: Any
+    path: Path, date: datetime.date | None, since: datetime.date | None, work: str | None, until: str | None, **asked: Any
 ) -> int:
     """What would run for a site."""
     site = load(path, work)
@@ -112,17 +112,19 @@ def _work_through(
     records: list[Any],
     date: datetime.date | None,
     since: datetime.date | None,
-    work: Path | None,
+    work: str | None,
     **asked: Any,
 ) -> int:
     """The nights of a site that were asked for.  Adds their records, and gives the worst exit code."""
     import json
 
-    from ..api import run as work_through
-    from ..screen.watch import watching
+    from ..screen.watch import reading, watching
     from ..store.events import OnlyWarnings
 
-    site = load(path, work, notes=False, remembered=True)
+    with reading(path, telling.quiet):
+        site = load(path, work, notes=False, remembered=True)
+        from ..api import run as work_through
+
     codes: list[int] = []
     nights = _nights(site, date, since)
     for day in nights:
@@ -161,7 +163,7 @@ def _nights(site: Site, date: datetime.date | None, since: datetime.date | None)
 @work_option
 @until_option
 @json_option
-def status(site: Path, date: datetime.date | None, work: Path | None, until: str | None, as_json: bool) -> None:
+def status(site: Path, date: datetime.date | None, work: str | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why.
 
     \b
@@ -175,7 +177,7 @@ def status(site: Path, date: datetime.date | None, work: Path | None, until: str
 @site_argument
 @date_option
 @work_option
-def check(site: Path, date: datetime.date | None, work: Path | None) -> None:
+def check(site: Path, date: datetime.date | None, work: str | None) -> None:
     """Site, captures and machine examined without running; every finding, with its remedy.
 
     \b

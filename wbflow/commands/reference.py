@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--drop", is_flag=True, help="Forget the reference.")
 @click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference.")
 @work_option
-def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: Path | None) -> None:
+def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, work: str | None) -> None:
     """Make a run the reference that later nights are compared with; the newest good one, if no RUN is named.
 
     The first good run becomes it by itself, unless the site file says `pin: none`.

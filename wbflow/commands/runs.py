@@ -15,7 +15,7 @@ from .common import PATH, json_option, load, place_of, run_argument, say_json, s
 @site_argument
 @run_argument
 @work_option
-def report(site: Path, run_id: str | None, work: Path | None) -> None:
+def report(site: Path, run_id: str | None, work: str | None) -> None:
     """(Re)build a run's report.
 
     \b
@@ -35,7 +35,7 @@ def report(site: Path, run_id: str | None, work: Path | None) -> None:
 @site_argument
 @json_option
 @work_option
-def history(site: Path, as_json: bool, work: Path | None) -> None:
+def history(site: Path, as_json: bool, work: str | None) -> None:
     """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding.
 
     \b
@@ -65,7 +65,7 @@ def history(site: Path, as_json: bool, work: Path | None) -> None:
 @click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
 @json_option
 @work_option
-def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
+def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
     """Two nights side by side: what differs by more than noise.
 
     \b
@@ -108,7 +108,7 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: Path | None) -> None:
 @click.option("--orthophoto", is_flag=True, help="The site from straight above: GeoTIFF, or PNG with its world file.")
 @click.option("--colmap", is_flag=True, help="Cameras, images and points as a COLMAP model.")
 @work_option
-def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked: bool) -> None:
+def export(site: Path, run_id: str | None, out: Path, work: str | None, **asked: bool) -> None:
     """A run's results for other programs; the newest run that made a cloud, if no RUN is named.
 
     \b
@@ -136,7 +136,7 @@ def export(site: Path, run_id: str | None, out: Path, work: Path | None, **asked
 @click.option("--reports", type=click.IntRange(min=1), metavar="N", help="Remove reports and logs, too, but those of N nights.")
 @click.option("--dry-run", is_flag=True, help="Only say how much would go.")
 @work_option
-def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: Path | None) -> None:
+def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: str | None) -> None:
     """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named.
 
     \b

@@ -14,6 +14,7 @@ from ..errors import printable
 from ..graph.choice import MOST_AT_A_CAMERA
 from ..graph.functions import FunctionReader
 from ..store.layout import WorkFolder
+from ..store.objects import is_url
 from ..store.outside import is_folder
 from .cameras import beside, is_name, read_cameras
 from .explain import explained, similar, without_faults
@@ -29,8 +30,8 @@ from .views import views_of
 __all__ = ["Site", "SiteCamera", "StageSettings", "load_site"]
 
 
-def load_site(path: Path, work: Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: overrides the work folder that the file names.
+def load_site(path: Path, work: str | Path | None = None) -> Site:
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: overrides what the file says of it.
 
     Raises
     ------
@@ -61,8 +62,8 @@ def load_site(path: Path, work: Path | None = None) -> Site:
     cameras = read_cameras(model, frame, document, problems)
     ids = [camera.id for camera in model.cameras]
     survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
-    work = work or _work_folder(model, document, problems)
-    reader = FunctionReader(WorkFolder(work).functions_memo, path.resolve().parent)
+    place = _work_folder(str(work or ""), model, document, problems)
+    reader = FunctionReader(place.functions_memo, path.resolve().parent)
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
     notes += _crowded(model, document)
@@ -87,7 +88,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         model.bounds,
         pairs,
         stages,
-        work,
+        place.root,
         reader,
         survey,
         Expected(model.expect.stated, str(model.expect.since or "")),
@@ -97,6 +98,7 @@ def load_site(path: Path, work: Path | None = None) -> Site:
         model.pin,
         model.health.model_dump(),
         [zone.model_dump() for zone in model.zones] or None,
+        place.store,
     )
 
 
@@ -111,10 +113,14 @@ def _file_of(path: Path) -> Path:
     return file
 
 
-def _work_folder(model: SiteSection, document: Document, problems: list[SiteProblem]) -> Path:
-    if model.work:
-        return beside(model.work, ("work",), document, problems)
-    return WorkFolder.beside(document.path, model.site if is_name(model.site) else "site").root
+def _work_folder(asked: str, model: SiteSection, document: Document, problems: list[SiteProblem]) -> WorkFolder:
+    """asked: what the file's own word gives way to."""
+    stated, name = asked or model.work or "", model.site if is_name(model.site) else "site"
+    if is_url(stated):
+        return WorkFolder.mirroring(stated, name)
+    if asked:
+        return WorkFolder(Path(asked).resolve())
+    return WorkFolder(beside(stated, ("work",), document, problems)) if stated else WorkFolder.beside(document.path, name)
 
 
 def _notify(model: SiteSection, path: Path) -> Notify | None:

@@ -18,6 +18,7 @@ from ..store.artifact import digest
 from ..store.digests import is_settled, stamp_at
 from ..store.keep import Keep
 from ..store.layout import WorkFolder
+from ..store.objects import is_url
 from ..store.outside import MOST_TEXT_BYTES, is_folder, read_outside
 from ..store.signed import Damaged, read_signed, write_signed
 from .places import Document
@@ -39,7 +40,7 @@ _TOP = re.compile(r"""^[ {]{0,2}["']?(site|work)["']?\s*:\s*["']?([^"'#,\n}]+)""
 _VARIABLE = re.compile(r"\$\{(\w+)")
 
 
-def load(path: Path, work: Path | None = None) -> Site:
+def load(path: Path, work: str | Path | None = None) -> Site:
     """The same as `load_site`: from memory where that is as good."""
     known = _recall(path, work)
     if known is not None:
@@ -51,7 +52,7 @@ def load(path: Path, work: Path | None = None) -> Site:
 
 def remember(site: Site) -> None:
     """Remember a site that was read from its file, and not from memory.  Raises OSError."""
-    document, work = site.document, WorkFolder(site.work)
+    document, work = site.document, site.work_folder
     if not document.digest or site.notes:
         return
     folders = {str(site.root), str(site.work)}
@@ -77,29 +78,32 @@ def remember(site: Site) -> None:
         write_signed(work.site_memo, _OF, told)
 
 
-def _recall(path: Path, work: Path | None) -> Site | None:
+def _recall(path: Path, work: str | Path | None) -> Site | None:
     file = path / "site.yaml" if is_folder(path) else path
     try:
         text = read_outside(file, MOST_TEXT_BYTES).decode("utf-8-sig")
-        place = WorkFolder(work or _work_of(text, file))
+        place = _work_of(text, file, str(work or ""))
         told = read_signed(place.site_memo, _OF)
         if not told or told["digest"] != digest(text.encode()) or told["code"] != installed_code():
             return None
         same = told["file"] == str(file.resolve()) and told["variables"] == _variables(text)
         same = same and all(_stamp(path) == stamp for path, stamp in told["stated"].items())
         reader = FunctionReader(place.functions_memo, file.resolve().parent)
-        site = _site({**told["site"], "work": str(place.root)}, Document(file, None), reader)
+        site = _site({**told["site"], "work": str(place.root), "store": place.store}, Document(file, None), reader)
         return site if same and reader.are_now(told["functions"]) and is_folder(site.root) else None
     except (OSError, Damaged, ValueError, KeyError, TypeError):
         return None
 
 
-def _work_of(text: str, file: Path) -> Path:
+def _work_of(text: str, file: Path, asked: str) -> WorkFolder:
     """Where the work folder is likely to be: what is found there says whether it is the site's."""
     stated = {match[1]: match[2].strip() for match in reversed(list(_TOP.finditer(text)))}
-    if "work" in stated:
-        return Path(os.path.normpath(file.resolve().parent / stated["work"]))
-    return WorkFolder.beside(file, stated["site"]).root
+    place = asked or stated.get("work", "")
+    if is_url(place):
+        return WorkFolder.mirroring(place, stated["site"])
+    if place:
+        return WorkFolder(Path(asked).resolve() if asked else Path(os.path.normpath(file.resolve().parent / place)))
+    return WorkFolder.beside(file, stated["site"])
 
 
 def _variables(text: str) -> dict[str, str | None]:

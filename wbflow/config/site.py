@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..store.keep import Keep
+from ..store.layout import WorkFolder
 from ..task import camera_of
 from .places import Document, Place, SiteProblem
 
@@ -210,6 +211,13 @@ class Site:
     """Limits of what a camera may differ by, by name."""
     zones: list[dict[str, Any]] | None = None
     """Where changes count: name, polygon (corners x, y on the ground), least_m; None: everywhere."""
+    store: str = ""
+    """URL of the object store that the work folder mirrors; "" where it is an ordinary one."""
+
+    @property
+    def work_folder(self) -> WorkFolder:
+        """Where its work lies."""
+        return WorkFolder(self.work, self.store)
 
     @property
     def file(self) -> Path:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..config.site import Site
 from ..store.digests import Digests
-from ..store.layout import WorkFolder
+from ..store.events import ArrivalsEvent, Watcher
 from ..store.record import Health
 from ..store.seen import Seen
 from .captures import CaptureFile, find_captures, find_named, night
@@ -34,10 +34,22 @@ class Arrivals:
     """What is to be said of a camera's captures."""
 
 
-def arrivals(site: Site, date: datetime.date | None = None) -> Arrivals:
-    """Look at what there is for a night; nothing is written.  date: the newest that has captures, if not given."""
-    work = WorkFolder(site.work)
+def arrivals(site: Site, date: datetime.date | None = None, watch: Watcher | None = None) -> Arrivals:
+    """Look at what there is for a night; nothing is written.
+
+    Parameters
+    ----------
+    site : Site
+        Whose.
+    date : date, optional
+        The newest that has captures, if not given.
+    watch : callable, optional
+        Is told how far it is.
+    """
+    work = site.work_folder
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
     date = night(site, date)
-    delivered = look_at(site, date, find_captures(site, date, digests), digests, seen)
+    all_cameras = len(site.cameras)
+    tell = (lambda cameras: watch(ArrivalsEvent(cameras, all_cameras))) if watch else None
+    delivered = look_at(site, date, find_captures(site, date, digests, tell), digests, seen)
     return Arrivals(date, delivered.captures, find_named(site, digests), digests, seen, delivered.stale, delivered.notes)

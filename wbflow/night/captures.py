@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,9 +75,28 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
     return found
 
 
-def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str, list[CaptureFile]]:
-    """Tonight's files of each camera, in the order of their times or names; an empty list where there are none."""
-    return {camera.id: captures_of(site, camera, date, digests) for camera in site.cameras}
+def find_captures(
+    site: Site, date: datetime.date, digests: Digests, tell: Callable[[int], None] | None = None
+) -> dict[str, list[CaptureFile]]:
+    """Tonight's files of each camera, in the order of their times or names; an empty list where there are none.
+
+    Parameters
+    ----------
+    site : Site
+        Whose.
+    date : date
+        The night.
+    digests : Digests
+        Of their bytes.
+    tell : callable, optional
+        Is told how many cameras have been looked at, after each.
+    """
+    found = {}
+    for camera in site.cameras:
+        found[camera.id] = captures_of(site, camera, date, digests)
+        if tell:
+            tell(len(found))
+    return found
 
 
 def captures_of(site: Site, camera: SiteCamera, date: datetime.date, digests: Digests) -> list[CaptureFile]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import datetime
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..store.cache import Damage
 from ..store.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
+from ..store.findings import Finding
 from ..store.past import Past, read_past
 from ..store.record import Seconds, StageSeconds
 from ..task import Task
@@ -33,6 +34,8 @@ class Journal:
     """Damage on disk that was found and put right, in words."""
     standing: list[WarningEvent] = field(default_factory=list)
     """Warnings that follow from the site and its reference alone: every night says them until somebody changes these."""
+    behind: Callable[[], Finding | None] = lambda: None
+    """Sees to it that what was done is where it is to go besides; what a person has to know of that."""
     _told: set[Task] = field(default_factory=set)
     _past: Past | None = None
     """Read when there is something to do."""
@@ -49,7 +52,8 @@ class Journal:
             return
         from .outlook import anything_left, outlook  # here: it knows plans, and there are nights without one
 
-        if self._past is None and not anything_left(plan):
+        first = not plan.cache.work.functions_memo.is_file()  # then a plan takes a while, and all there is has to be done
+        if self._past is None and not (first or anything_left(plan)):
             return
         if self._past is None:
             self._past = read_past(plan.cache.work)

@@ -79,7 +79,7 @@ def open_night(
     arrived : Arrivals, optional
         What there is for that night, where somebody has looked already.
     """
-    work, there = WorkFolder(site.work), arrived or arrivals(site, date)
+    work, there = site.work_folder, arrived or arrivals(site, date)
     captures = there.captures
     lost = [camera for camera in site.cameras if not captures[camera.id]]
     missing = {camera.id: expected(site, camera, there.date).replace(f"{site.root}/", "") for camera in lost}

@@ -147,6 +147,7 @@ def _until_settled(
     """
     plan, floor = night.plan, DiskFloor(night.plan.cache.work)
     repairs, changes = _Repairs(plan, journal), Changes(night, journal)
+    journal.planned(plan)
     while True:
         plan.refresh()
         if deadline.over:

@@ -18,6 +18,7 @@ from ..graph.installed import installed_code
 from ..store.artifact import digest
 from ..store.cache import Cache
 from ..store.events import TaskEvent, WarningEvent, event_from_json, now
+from ..store.findings import STORE_BEHIND
 from ..store.layout import WorkFolder
 from ..store.record import SAME_AS, Seconds, TaskCounts, stamp
 from ..store.reference import BadReference, Reference, read_reference
@@ -141,7 +142,8 @@ def remember(finished: FinishedRun, night: Night, basis: Basis, journal: Journal
     tasks = [event for event in journal.events if isinstance(event, TaskEvent)]
     warned = len(tasks) + len(journal.standing) < len(journal.events)
     open_ends = plan.ready or plan.waiting or plan.busy or plan.undrawn or warned
-    if open_ends or record.cloud is None or record.repaired or any(event.outcome not in _SETTLED for event in tasks):
+    behind = record.verdict and any(finding.kind == STORE_BEHIND for finding in record.verdict.findings)
+    if open_ends or record.cloud is None or record.repaired or behind or any(event.outcome not in _SETTLED for event in tasks):
         return
     if not night.site.reader.as_read():
         return

@@ -57,7 +57,7 @@ def check(site: Site, date: datetime.date | None) -> list[Finding]:
     machine = check_machine()
     if any(finding.severity == "error" for finding in machine):
         return machine + _disk(site)
-    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site), *check_published(WorkFolder(site.work))]
+    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site), *check_published(site.work_folder)]
 
 
 def exit_code(findings: Iterable[Finding]) -> ExitCode:

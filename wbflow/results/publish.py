@@ -73,7 +73,7 @@ def publish(
     seconds = costs.seconds(own_process)
     record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
     record = replace(record, later=told_beside(night.plan, beside))
-    record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted)
+    record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted, journal.behind())
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(night.plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))

@@ -45,16 +45,18 @@ class Facts:
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
     """Of tasks that were not begun since the time was over."""
+    behind: Finding | None = None
+    """What is not yet where it is to go besides."""
 
     @staticmethod
-    def of(plan: Plan, interrupted: bool) -> Facts:
+    def of(plan: Plan, interrupted: bool, behind: Finding | None = None) -> Facts:
         """Those of a plan that is settled."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
-        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted, stopped)
+        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted, stopped, behind)
 
 
-def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunRecord:
+def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool, behind: Finding | None = None) -> RunRecord:
     """A record with what it was compared with, how its cameras are, its verdict and its exit code.
 
     Parameters
@@ -67,6 +69,8 @@ def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunR
         The runs before it.
     interrupted : bool
         Was it stopped from outside?
+    behind : Finding, optional
+        What is not yet where it is to go besides.
     """
     site = plan.site
     settings = settings_of(site)
@@ -74,7 +78,7 @@ def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool) -> RunR
     if plan.reference and not plan.reference.automatic:
         usual = pinned_usual(plan.cache.work, plan.reference.run, settings, usual)
     record = replace(record, settings=settings, usual=usual)
-    return judge(record, Facts.of(plan, interrupted), past, site.expected)
+    return judge(record, Facts.of(plan, interrupted, behind), past, site.expected)
 
 
 def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> RunRecord:
@@ -125,6 +129,8 @@ def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
     elif facts.product and not record.cloud:
         yield Finding("no-cloud", (), f"no cloud: {shortened(record.reason or 'nothing says why')}")
+    if facts.behind:
+        yield facts.behind
 
 
 def _of_cameras(record: RunRecord) -> Iterator[Finding]:

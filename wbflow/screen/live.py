@@ -9,20 +9,19 @@ import time
 from typing import TYPE_CHECKING
 
 from ..errors import printable
-from ..store.events import Event, PlannedEvent, Signal
+from ..store.events import ArrivalsEvent, Event, PlannedEvent, Signal
+from .inplace import InPlace
 from .progress import Progress, StageProgress, in_words
 from .spoken import Words
-from .words import echo, say
+from .words import LONGEST_WORDS, say
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
-    from rich.live import Live
     from rich.table import Table
 
 TIMES_A_SECOND = 4
 MOST_RUNNING = 6
 """So many of the tasks at work are named."""
-_WIPE = "\r\x1b[K"
 
 
 class Display:
@@ -35,53 +34,65 @@ class Display:
         self._words = words
         self._progress = Progress()
         self._lock = threading.RLock()
-        self._live: Live | None = None
+        self._begun = self._spoke = time.monotonic()
+        self._place = InPlace()
+        self._console: Console | None = None
+        self._over = threading.Event()
+        self._clock = threading.Thread(target=self._redraw, daemon=True)
 
     def __enter__(self) -> Display:
-        echo(f"{printable(self._words.site)}: looking for what is to be done ...", nl=False, err=True)
+        self._place.say(f"{self._words.site}: looking for what is to be done ...")
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._live:
-            self._live.stop()
-        else:
-            echo(_WIPE, nl=False, err=True)
+        self._over.set()
+        if self._console:
+            self._clock.join()
+        self._place.end()
 
     def hear(self, event: Event | Signal) -> None:
         """Say what there is to say of an event, and draw how things stand."""
         with self._lock:
             self._progress.add(event)
-            said = self._words.of(event)
-        for line, fault in said:
-            self._above(line, fault)
-        if self._live is None and isinstance(event, PlannedEvent):
-            self._begin()
+            for line, fault in self._words.of(event):
+                self._above(line, fault)
+            if isinstance(event, ArrivalsEvent):
+                self._arrived(event)
+            elif self._console is None and isinstance(event, PlannedEvent):
+                self._begin()
+
+    def _arrived(self, event: ArrivalsEvent) -> None:
+        """Say how far looking at captures is, now and then: it takes a while where there are many that are new."""
+        now = time.monotonic()
+        if now - self._spoke >= 1 / TIMES_A_SECOND:
+            left = in_words((now - self._begun) * (event.of - event.cameras) / event.cameras)
+            self._place.say(f"{self._words.site}: captures of {event.cameras}/{event.of} cameras read; the plan in about {left}")
+            self._spoke = now
 
     def _begin(self) -> None:
         from rich.console import Console
-        from rich.live import Live
 
-        echo(_WIPE, nl=False, err=True)
-        console = Console(stderr=True, highlight=False)
-        self._live = Live(
-            console=console,
-            get_renderable=lambda: self._drawn(console),
-            refresh_per_second=TIMES_A_SECOND,
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
-        )
-        self._live.start(refresh=True)
+        self._console = Console(stderr=True, highlight=False)
+        self._draw(self._console)
+        self._clock.start()
+
+    def _redraw(self) -> None:
+        while self._console and not self._over.wait(1 / TIMES_A_SECOND):
+            self._draw(self._console)
+
+    def _draw(self, console: Console, above: str | None = None) -> None:
+        with self._lock:
+            with console.capture() as drawn:
+                console.print(self._drawn(console))
+            self._place.draw(drawn.get().splitlines()[-console.size.height :], above)
 
     def _above(self, line: str, fault: bool) -> None:
-        """Say a line above the table."""
-        if self._live is None:
-            echo(_WIPE, nl=False, err=True)
+        """Say a line above what is drawn."""
+        if self._console is None:
+            self._place.end()
             say(line, err=fault)
         elif fault or sys.stdout.isatty():
-            from rich.text import Text
-
-            self._live.console.print(Text(printable(line)), soft_wrap=True)
+            self._draw(self._console, printable(line, LONGEST_WORDS))
         else:
             say(line)
 
@@ -89,14 +100,13 @@ class Display:
         from rich.console import Group
         from rich.text import Text
 
-        with self._lock:
-            now = time.time()
-            lines: list[RenderableType] = [self._table(console.size.height - MOST_RUNNING - 3)]
-            lines += [
-                Text(f"  {task}  {in_words(max(0.0, now - since))}", style="dim", no_wrap=True, overflow="ellipsis")
-                for task, since in list(self._progress.running.items())[:MOST_RUNNING]
-            ]
-            return Group(*lines, Text(outlook_line(self._progress, now), style="bold", no_wrap=True, overflow="ellipsis"))
+        now = time.time()
+        lines: list[RenderableType] = [self._table(console.size.height - MOST_RUNNING - 3)]
+        lines += [
+            Text(f"  {task}  {in_words(max(0.0, now - since))}", style="dim", no_wrap=True, overflow="ellipsis")
+            for task, since in list(self._progress.running.items())[:MOST_RUNNING]
+        ]
+        return Group(*lines, Text(outlook_line(self._progress, now), style="bold", no_wrap=True, overflow="ellipsis"))
 
     def _table(self, room: int) -> Table:
         from rich.progress_bar import ProgressBar

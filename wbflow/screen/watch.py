@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Protocol
 
 from ..store.events import Event, Signal
@@ -17,6 +18,27 @@ class Watch(Protocol):
 
     def hear(self, event: Event | Signal) -> None:
         """Take in an event, and say what is to be said of it."""
+
+
+def on_a_terminal() -> bool:
+    """Does somebody watch, where lines can be drawn again?"""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
+@contextmanager
+def reading(site: Path, quiet: bool = False) -> Iterator[None]:
+    """Say, where somebody watches, that a site file is being read; of these words nothing is left afterwards."""
+    if quiet or not on_a_terminal():
+        yield
+        return
+    from .inplace import InPlace
+
+    place = InPlace()
+    place.say(f"{site}: reading ...")
+    try:
+        yield
+    finally:
+        place.end()
 
 
 @contextmanager
@@ -36,7 +58,7 @@ def watching(site: str, verbose: bool = False, quiet: bool = False) -> Iterator[
     if quiet:
         yield words
         return
-    if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+    if on_a_terminal():
         from .live import Display
 
         with Display(words) as display:

@@ -126,10 +126,20 @@ class StartedEvent:
     """When, ISO 8601, UTC."""
 
 
+@dataclass(frozen=True)
+class ArrivalsEvent:
+    """Captures were looked at; for whoever watches, and in no log."""
+
+    cameras: int
+    """So many have been done."""
+    of: int
+    """All."""
+
+
 Event = TaskEvent | WarningEvent
 """What a log keeps."""
 
-Signal = PlannedEvent | StartedEvent
+Signal = ArrivalsEvent | PlannedEvent | StartedEvent
 """What is only told while a run works."""
 
 Listener = Callable[[Event], None]

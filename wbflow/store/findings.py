@@ -13,6 +13,10 @@ Level = Literal["good", "degraded", "failed"]
 HealthState = Literal["ok", "nudged", "moved", "blind", "stale", "foreign"]
 
 
+STORE_BEHIND = "store-behind"
+"""The kind of a finding: the object store does not have all that was done."""
+
+
 def rounded(value: Any) -> Any:
     """Four digits are more than anybody reads."""
     if isinstance(value, Mapping):

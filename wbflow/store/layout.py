@@ -9,11 +9,14 @@ quarantine/                          artifacts whose bytes were not what their r
 ledger.sqlite                        an index of all this; can be deleted
 notified.json                        what somebody was told last
 lock                                 held by the one run that may write
+mirror.json, agreed.json             of which object store this is a mirror, and what was agreed with it
 """
 
 from __future__ import annotations
 
 import datetime
+import hashlib
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,6 +29,8 @@ from .atomic import sync_folder
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
 _LOOK_BACK = 7
+STAND_IN = b"wbflow: these bytes are in the object store\n"
+"""What a file begins with that stands for another (see `store.standin`)."""
 
 
 def run_id(moment: datetime.datetime) -> str:
@@ -95,6 +100,21 @@ class WorkFolder:
     """Every path of a work folder."""
 
     root: Path
+    store: str = ""
+    """URL of the object store that it is a mirror of; "" for an ordinary one."""
+
+    @staticmethod
+    def mirroring(url: str, site: str) -> WorkFolder:
+        """The folder of this machine that mirrors a store's: in WBFLOW_CACHE, else in the user's folder of caches."""
+        caches = os.environ.get("WBFLOW_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wbflow"
+        told = hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:12]
+        return WorkFolder(Path(caches).absolute() / f"{site}-{told}", url.rstrip("/"))
+
+    @staticmethod
+    def around(path: Path) -> WorkFolder | None:
+        """The mirror of an object store that a file lies in; None for any other file."""
+        places = (WorkFolder(folder) for folder in path.absolute().parents)
+        return next((place for place in places if place.mirror_memo.is_file()), None)
 
     @staticmethod
     def beside(site_file: Path, site: str) -> WorkFolder:
@@ -328,6 +348,16 @@ class WorkFolder:
     def notified(self) -> Path:
         """The state of the site that somebody was told of last."""
         return self.root / "notified.json"
+
+    @property
+    def mirror_memo(self) -> Path:
+        """Of which object store this is a mirror; an ordinary work folder has none."""
+        return self.root / "mirror.json"
+
+    @property
+    def agreed_memo(self) -> Path:
+        """What was agreed with that store (see `store.mirror`)."""
+        return self.root / "agreed.json"
 
     @property
     def lock(self) -> Path:

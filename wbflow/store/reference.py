@@ -21,6 +21,7 @@ from .artifact import file_digest
 from .atomic import clear, copy_atomic, copy_new, sync_all, write_atomic
 from .cache import Cache, Receipt
 from .layout import WorkFolder
+from .outside import Unfetched, read_outside
 from .signed import Damaged, read_signed, signed
 
 _OF = "reference"
@@ -153,8 +154,8 @@ def mend_record(work: WorkFolder) -> str | None:
         for path in (record, twin):
             clear(path)
         return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
-    other, data = (twin if whole is record else record), whole.read_bytes()
-    if not _differ(whole, other) and other.read_bytes() == data:
+    other, data = (twin if whole is record else record), read_outside(whole)
+    if not _differ(whole, other) and read_outside(other) == data:
         return None
     fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
     clear(other)
@@ -256,7 +257,7 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
         whole = read_signed(work.pinned(receipt), work.place(receipt)) is not None
     except Damaged:
         whole = False
-    if not whole or (pinned.digest and [file_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
+    if not whole or (pinned.digest and [_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
         return False
     for copy in copies:  # the receipt last
         copy_atomic(copy, receipt.with_suffix(copy.suffix))
@@ -265,7 +266,15 @@ def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 
 def _is_whole(cache: Cache, receipt: Receipt) -> bool:
     """Are the bytes of a cached artifact those that its receipt promises?"""
-    return receipt.file is None or file_digest(cache.path(receipt)) == receipt.digest
+    return receipt.file is None or _digest(cache.path(receipt)) == receipt.digest
+
+
+def _digest(path: Path) -> str | None:
+    """Of a file's bytes; None where they cannot be had."""
+    try:
+        return file_digest(path)
+    except Unfetched:
+        return None
 
 
 def _differ(path: Path, copy: Path) -> bool:

@@ -4,25 +4,37 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from .layout import WorkFolder
 from .lock import hold
 from .run_folder import turn_links
 
+if TYPE_CHECKING:
+    from .courier import Courier
+
 
 @contextlib.contextmanager
-def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[None]:
-    """Hold the work folder while the block runs, and begin with one that is whole.
+def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Courier | None]:
+    """Hold the work folder while the block runs, and begin with one that is whole; and so the store that it is a mirror of.
 
     Raises
     ------
     Locked
         Another process holds it and `wait` is False.
+    StoreError
+        The store does not answer.
     OSError
         It cannot be written.
     """
     with hold(work.lock, wait):
         if work.start_writing():
             turn_links(work)
-        yield
+        if work.store or work.mirror_memo.is_file():
+            from .courier import carried  # here: few work folders are mirrors
+
+            with carried(work, wait) as courier:
+                yield courier
+        else:
+            yield None
         work.done_writing()  # not where the block was left by an exception: then there may be something to clear away

@@ -11,6 +11,7 @@ import pytest
 from tests.helpers.made_up_model import POINTS, two_pictures
 from wbflow_stages.matches import match
 from wbflow_stages.matching.onnx_model import read_interface
+from wbflow_stages.matching.trial import why_unreadable
 from wbflow_stages.types import Capture, Features, Float64s, Frame, Matches, Rejected, View
 
 WIDTH, HEIGHT = 96, 64
@@ -106,6 +107,20 @@ def test_a_file_that_is_no_such_model_is_named_with_what_it_is_and_what_is_wante
     with pytest.raises(ValueError) as caught:
         found(dots(np.zeros(2)), dots(SHIFT), model)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"), [("os.abort()", "ends with SIGABRT while it reads it"), ("time.sleep(60)", "has not read it within")]
+)
+def test_a_model_that_takes_its_reader_along_costs_its_matches_only(
+    monkeypatch: pytest.MonkeyPatch, ends: str, words: str
+) -> None:
+    monkeypatch.setattr("wbflow_stages.matching.trial._READ", f"import os, time; {ends}")
+    monkeypatch.setattr("wbflow_stages.matching.trial._LONGEST_S", 0.5)
+    why_unreadable.cache_clear()
+    with pytest.raises(ValueError, match=f"mine.onnx: OpenCV {words}.*erf"):
+        found(dots(np.zeros(2)), dots(SHIFT), two_pictures(WIDTH, HEIGHT))
+    why_unreadable.cache_clear()
 
 
 def test_without_a_model_the_matcher_says_that_it_needs_one() -> None:

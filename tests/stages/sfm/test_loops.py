@@ -143,6 +143,18 @@ def test_a_building_that_looks_the_same_from_other_sides_gives_no_cameras(share:
     assert believed or {v.rejected.code for v in checks.values() if v.rejected} == {"same-from-other-sides"}
 
 
+@pytest.mark.parametrize(("degrees", "cells", "code"), [(90.0, 30, "same-from-other-sides"), (90.0, 6, ""), (40.0, 30, "")])
+def test_distinct_pairs_that_contradict_each_other_by_a_quarter_turn_show_a_building_from_other_sides(
+    degrees: float, cells: int, code: str
+) -> None:
+    """Cameras that look at two sides alike seem to stand at one place: such a pair has no score, but hundreds of matches."""
+    pairs = site(4, score=5.0)
+    R, t = pose(pairs["c0", "c2"])
+    pairs["c0", "c2"] = replace(geometry(turn(degrees) @ R, t, score=-14.0), distinct_cells=cells)
+    codes = {v.rejected.code if v.rejected else "" for pair, v in check_loops(pairs).items() if pair != ("c0", "c2")}
+    assert codes == {code}
+
+
 def test_a_triangle_that_a_guessed_lens_holds_open_contradicts_nothing() -> None:
     """A focal length off by a fifth turns the rotations by degrees, and so does a wrong pair by tens."""
     pairs = site(4, score=4.0)

@@ -1,5 +1,6 @@
 """A pair rises in score with distinctive evidence."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
-from wbflow_stages.twoview.pair_score import PairEvidence, pair_score, probability
+from wbflow_stages.twoview.pair_score import PairEvidence, pair_score, probability, tells_the_site
 from wbflow_stages.types import Features, Geometry, Matches, Rejected, View
 
 K = np.array([[800.0, 0, 500], [0, 800, 333], [0, 0, 1]])
@@ -71,3 +72,14 @@ def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None
     assert isinstance(matches, Matches)
     found = estimate_geometry(matches, left, right, min_score=30.0)
     assert isinstance(found, Rejected) and found.reason.startswith("wrong") and found.figures["score"] < 30
+
+
+@pytest.mark.parametrize(
+    ("cells", "agreement", "angle_deg", "told"),
+    [(30, 0.45, 0.1, True), (6, 0.45, 0.1, False), (6, 0.9, 0.1, True), (30, 0.7, 9, False)],
+)
+def test_two_cameras_that_seem_to_stand_at_one_place_are_told_to_the_site(
+    cells: int, agreement: float, angle_deg: float, told: bool
+) -> None:
+    """They do, or the scene looks the same from two sides: other pairs tell."""
+    assert tells_the_site(replace(GOOD, distinct_cells=cells, agreement=agreement, angle_deg=angle_deg)) is told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import pty
@@ -13,12 +14,14 @@ from pathlib import Path
 
 import pytest
 
+import wbflow
 from tests.helpers.toy_site import ToySite
+from wbflow.night.plan import Plan
 from wbflow.screen.lines import Lines
-from wbflow.screen.live import shown_stages
+from wbflow.screen.live import Display, shown_stages
 from wbflow.screen.progress import StageProgress
 from wbflow.screen.spoken import Words
-from wbflow.store.events import PlannedEvent, StageOutlook, StartedEvent, now
+from wbflow.store.events import ArrivalsEvent, PlannedEvent, StageOutlook, StartedEvent, now
 from wbflow.task import Task
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d (\w+): (\d+) of (\d+) done: ")
@@ -52,14 +55,41 @@ def test_a_terminal_shows_stages_totals_and_the_time_left_before_the_first_task_
     toy.capture("roof").write_text("broken")
     written, pieces = on_a_terminal(toy)
     early = ESCAPES.sub("", "".join(piece for piece, some_done in pieces if not some_done))
-    assert early.startswith("toy: looking for what is to be done")
+    assert "toy: looking for what is to be done" in early
     assert re.search(r"frames .*0/4", early)
     assert re.search(r"0 of \d+ tasks; ETA \d\d:\d\d, about \d+ s left", early)
     assert re.search(r"  frames gate  \d+ s", early), "tasks at work are named"
     text = ESCAPES.sub("", written)
     assert "roof                 frames     failed    roof.txt is not an image" in text
     assert text.rstrip().splitlines()[-1].startswith("next    wbflow check ")
-    assert written.count("\x1b[?25h") == written.count("\x1b[?25l") == 1, "the cursor is there again"
+    assert written.count("\x1b[?25h") == written.count("\x1b[?25l"), "the cursor is there again"
+    assert written.rfind("\x1b[?25h") > written.rfind("\x1b[?25l")
+
+
+def test_a_terminal_shows_how_many_cameras_have_been_looked_at(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.monotonic", itertools.count(100.0, 3.0).__next__)
+    with Display(Words("harbour", verbose=False)) as display:
+        display.hear(ArrivalsEvent(3, 12))
+    assert "harbour: captures of 3/12 cameras read; the plan in about 9 s" in capsys.readouterr().err
+
+
+def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[object] = []
+    refresh = Plan.refresh
+
+    def looking(plan: Plan) -> None:
+        heard.append("looked at")
+        refresh(plan)
+
+    monkeypatch.setattr(Plan, "refresh", looking)
+    monkeypatch.setenv("TOY_FAULTS", str(toy.folder / "faults"))
+    wbflow.run(toy.file, backend="threading", jobs=1, until="frames", watch=heard.append)
+    assert heard[3] == ArrivalsEvent(4, 4)
+    assert isinstance(heard[4], PlannedEvent)
+    assert [(row.stage, row.tasks, row.settled) for row in heard[4].stages] == [("frames", 4, 0)]
+    assert heard[5] == "looked at"
 
 
 def test_a_night_with_nothing_to_do_does_without_rich_on_a_terminal_too(toy: ToySite) -> None:

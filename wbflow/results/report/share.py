@@ -1,4 +1,7 @@
-"""Pictures and points that the next report has, too, are not kept twice: the earlier report leads to that one."""
+"""Points, and pictures of pairs, that the next report has, too, are not kept twice: the earlier report leads to that one.
+
+What a page shows unasked (findings, cameras, maps) stays in it.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,14 @@ from ...store.layout import WorkFolder
 from ...store.outside import read_outside
 from ...store.run_folder import RunFolder
 
-_PICTURE = re.compile(r'<img (?:id="([^"]*)" )?src="(data:[^"]+)"[^>]*>')
+_PICTURE = re.compile(r'<img data-folded id="([^"]*)" src="(data:[^"]+)"[^>]*>')
 _STREAM = re.compile(r'<script type="[^"]+" class="(points|seen)" data-of="(\w+)"[^>]*>([^<]+)</script>')
 _VIEWER = re.compile(r'<script class="viewer">.*?</script>\n', re.DOTALL)
 """What shows points: of no use where they are elsewhere."""
 
 
 def share_pictures(work: WorkFolder, run: str) -> None:
-    """Replace, in the report of the run before, each picture that the newest report holds as well by a link to that one.
+    """Replace, in the report of the run before, each folded picture that the newest report holds as well by a link to that one.
 
     The newest report is always whole; `wbflow report SITE.yaml RUN` makes an earlier one whole again.
 

@@ -111,7 +111,7 @@ def _row(file: Path, folder: Path) -> Row:
 
 
 def _of_site(site: Site, folder: Path) -> Row:
-    work = WorkFolder(site.work)
+    work = site.work_folder
     entries = history(work) if work.run_ids() else []
     by_night = {entry.run.date: entry for entry in entries}
     nights = [by_night[date] for date in sorted(by_night)][-NIGHTS:]
@@ -138,4 +138,7 @@ def _picture(work: WorkFolder) -> str:
     path = work.picture(task, event.key) if event and event.key else None
     if path is None or not path.is_file():
         return ""
-    return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    try:
+        return f"data:image/jpeg;base64,{base64.b64encode(read_outside(path)).decode()}"
+    except OSError:
+        return ""

@@ -32,6 +32,9 @@
 
   addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
 
+  const words = $("#first .words"), more = () => words.classList.toggle("more", words.scrollHeight - words.clientHeight - words.scrollTop > 8);
+  words.addEventListener("scroll", more); addEventListener("resize", more); more();
+
   const told = $("#scene"), root = $("#view");
   if (!told || !root) return;
   const message = $(".message", root), elsewhere = $("script.points-elsewhere");

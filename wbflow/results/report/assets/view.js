@@ -123,7 +123,9 @@ class CloudView {
     this.compass(ink, camera);
   }
   word(text, x, y) {
-    const ink = this.ink, half = ink.measureText(text).width / 2;
+    const ink = this.ink, half = ink.measureText(text).width / 2, [wide, high] = this.size;
+    if (x < 0 || x > wide || y < -14 || y > high + 14) return;
+    x = Math.max(half + 4, Math.min(wide - half - 4, x)); y = Math.max(14, Math.min(high - 4, y)); // none is cut off at the edge
     if (this.words.some(w => Math.abs(w.x - x) < w.half + half && Math.abs(w.y - y) < 13)) return;
     this.words.push({x, y, half}); ink.save(); ink.strokeStyle = "#000c"; ink.lineWidth = 3.5; ink.strokeText(text, x, y);
     ink.fillStyle = "#fff"; ink.fillText(text, x, y); ink.restore();
