@@ -167,6 +167,8 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
         which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
         text = f"{which} be used: {_most_common(tried)}"
         remedy = "look at where it points, and whether anything stands before it"
+        if any(pair.figures.get("known") == "stated" for pair in tried):
+            remedy += "; or its pose is not what the site file says: measure it anew, or leave it out to have it solved"
         return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
     return None
 

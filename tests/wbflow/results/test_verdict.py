@@ -268,6 +268,16 @@ def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_
     assert "up to 4.1 px beside the row" in only(record).text
 
 
+@pytest.mark.parametrize("known", ["stated", "solved"])
+def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_elsewhere(known: str) -> None:
+    tried = [
+        replace(p, outcome="rejected", figures={**p.figures, "known": known}) if "roof" in p.cameras else p for p in EVERY_PAIR
+    ]
+    finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-fruitless")
+    assert finding.subject == ("roof",)
+    assert ("its pose is not what the site file says" in finding.remedy) is (known == "stated")
+
+
 def test_a_camera_in_no_pair_gives_nothing() -> None:
     assert only(night(pairs=without("roof"))).kind == "camera-alone"
 
