@@ -8,15 +8,17 @@ propagated error, so a desk and a quarry are treated alike.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from .core.bending import straight_frames
 from .core.cameras import backproject
+from .core.side_by_side import side_by_side
 from .fusion.certainty import depth_variance
 from .fusion.company import company
 from .fusion.exposure import exposure_gains
@@ -80,12 +82,15 @@ def fuse(
     cameras = {name: camera for name, camera in cameras.items() if camera.component == component and name in known}
 
     largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
+    kept = max(_IN_MEMORY, _IN_MEMORY_PX // largest)
+    loaded = lru_cache(kept)(lambda name: better[name] if name in better else depths[name])
+    loading = Lock()  # or two threads that want the same one would both load it
 
-    @lru_cache(maxsize=max(_IN_MEMORY, _IN_MEMORY_PX // largest))
     def depth_of(name: str) -> DepthMap:
-        return better[name] if name in better else depths[name]
+        with loading:
+            return loaded(name)
 
-    small = {name: subsample(frames[name], depth_of(name)) for name in cameras}
+    small = dict(zip(cameras, side_by_side(lambda name: subsample(frames[name], depth_of(name)), cameras), strict=True))
     if not any(np.isfinite(view.depth).any() for view in small.values()):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
     near = {name: nearest_views(name, cameras, small, check_views) for name in cameras}
@@ -93,22 +98,31 @@ def fuse(
     edge = voxel_m or natural_voxel(cameras, small)
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
-    given: dict[str, int] = {}
-    for name, camera in cameras.items():
+
+    def standing(name: str, grid: VoxelGrid) -> Samples:
         check = cross_check(name, near[name], cameras, depth_of)
-        samples = _samples(frames[name], camera, depth_of(name), check, gains[name], min_consistent_pairs, grid)
-        given[name] = len(samples.points)
-        grid.add(samples)
-        del samples
-    depth_of.cache_clear()
+        return _samples(frames[name], cameras[name], depth_of(name), check, gains[name], min_consistent_pairs, grid)
+
+    given = _collected(grid, list(cameras), standing)
+    loaded.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
     if not parts:
         figures = {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs, "neighbours": neighbours}
         return Rejected(Reason.NO_SUPPORTED_POINT, figures)
-    names = [field.name for field in fields(Cloud) if field.name != "given"]
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Cloud(**arrays, given=given)
+    return _joined(parts, given)
+
+
+def _collected(grid: VoxelGrid, names: Sequence[str], standing: Callable[[str, VoxelGrid], Samples]) -> dict[str, int]:
+    """Merge in what stands of each view, in order, which sums depend on; returns how many points each has given."""
+    given = {}
+    views = side_by_side(lambda name: standing(name, grid), names)
+    for name in names:
+        samples = next(views)
+        given[name] = len(samples.points)
+        grid.add(samples)
+        del samples
+    return given
 
 
 def _samples(
@@ -155,6 +169,12 @@ def _confidence(check: CrossCheck, depth: DepthMap, y: np.ndarray, x: np.ndarray
     """0 to 1: each further pair halves the doubt; views that look through the point add to it."""
     confidence = (1.0 - 0.5 ** check.pairs[y, x]) * 0.6 ** check.violating[y, x]
     return np.asarray(confidence, dtype=np.float32)
+
+
+def _joined(parts: Sequence[Cloud], given: dict[str, int]) -> Cloud:
+    names = [field.name for field in fields(Cloud) if field.name != "given"]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Cloud(**arrays, given=given)
 
 
 def _cloud(merged: Samples) -> Cloud:

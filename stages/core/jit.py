@@ -6,12 +6,16 @@ stamp, so a kernel may call other kernels of *its own file* only.
 Processes that start side by side compile each kernel once between them: who comes second waits, and reads what the first has
 left.
 
+Compiling is what a first run on a machine spends most on, so kernels are written to be compiled quickly: whole arrays are filled
+in loops (what numba says of shapes that differ takes seconds to compile), medians and the like are taken outside.
+
 No fast mathematics: with leave to reorder sums, code that had just been compiled and the same code read back from the disk gave
 disparities that differed in the last bits, and so clouds of other bytes.
 """
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -30,7 +34,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def kernel(function: Function) -> Function:
     """Compile `function` at its first call; the compiled form releases the GIL and follows numpy's rules for division by zero."""
-    options: Any = {"nogil": True, "error_model": "numpy"}
+    options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # nobody calls one from C
     try:
         return cast(Function, _once_between_processes(numba.njit(cache=True, **options)(function)))
     except RuntimeError:  # nowhere to keep the compiled form: a read-only installation and no home, as under cron
@@ -46,11 +50,23 @@ def _once_between_processes(dispatcher: Any) -> Any:
     compiled = dispatcher.compile
 
     def compiled_alone(signature: Any) -> Any:
-        with global_compiler_lock, _alone(dispatcher):
+        with global_compiler_lock, _alone(dispatcher), _without_collecting():
             return compiled(signature)
 
     dispatcher.compile = compiled_alone
     return dispatcher
+
+
+@contextmanager
+def _without_collecting() -> Iterator[None]:
+    """A compiler makes very many objects that stay until it ends: looking for garbage among them takes a tenth of its time."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 @contextmanager

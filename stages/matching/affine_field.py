@@ -36,7 +36,7 @@ class AffineField:
 
 
 def fit_affine_field(
-    x1: Float64s, x2: Float64s, affine: Float64s, weight: Float64s, queries: Float64s, neighbours: int = 32, ridge: float = 2.0
+    x1: Float64s, x2: Float64s, affine: Float64s, weight: Float64s, queries: Float64s, neighbours: int = 20, ridge: float = 2.0
 ) -> AffineField:
     """Fit the field to matches, at queries.
 
@@ -96,7 +96,9 @@ def _fit(
                 queries[first + c], distance[first + c], index[first + c], x1, x2, affine, weight, ridge, c,
                 w0, u, v, s, t, scale, pull, middle, drawn,
             )  # fmt: skip
-        w[:] = w0
+        for a in range(k):  # not  w[:] = w0: how to raise for shapes that differ takes longer to compile than all of this
+            for c in range(_BATCH):
+                w[a, c] = w0[a, c]
         for _ in range(4):
             sums[:] = 0.0
             for a in range(k):
@@ -106,7 +108,8 @@ def _fit(
             _solve(sums, pull, drawn, found)
             for a in range(k):
                 _residuals(u[a], v[a], s[a], t[a], found, e[a])
-            values[:], weights[:] = e, w0
+                for c in range(_BATCH):
+                    values[a, c], weights[a, c] = e[a, c], w0[a, c]
             _sort(values, weights, network)
             _median(values, weights, spread)
             for a in range(k):
@@ -240,7 +243,8 @@ def _median(values: Float64s, weights: Float64s, spread: Float64s) -> None:
     for a in range(k):
         for c in range(n):
             half[c] += 0.5 * weights[a, c]
-    spread[:] = values[k - 1]
+    for c in range(n):
+        spread[c] = values[k - 1, c]
     for a in range(k):
         for c in range(n):
             before = below[c] < half[c]

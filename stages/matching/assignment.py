@@ -47,13 +47,21 @@ def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s, radius_px
     keep = np.zeros(len(x1), dtype=bool)
     if len(x1):
         order = np.argsort(-probability, kind="stable").astype(np.int32)
-        _suppress(order, _cells(x1, radius_px), _cells(x2, radius_px), x1, x2, radius_px**2, keep)
+        cells1, cells2 = _cells(x1, radius_px), _cells(x2, radius_px)
+        following = np.full((2, len(x1)), -1, np.int32)
+        _suppress(order, cells1, cells2, x1, x2, radius_px**2, _heads(cells1), _heads(cells2), following, keep)
     return keep
 
 
 def _cells(x: Float64s, size: float) -> Int32s:
     """(n, 2) grid cell of each point, counted from 1, so that each has neighbours on all sides."""
     return np.asarray(np.floor((x - x.min(axis=0)) / size) + 1, dtype=np.int32)
+
+
+def _heads(cells: Int32s) -> Int32s:
+    """For each cell the first of the list of those taken: none, as yet."""
+    columns, rows = cells.max(axis=0) + 2
+    return np.full((rows, columns), -1, np.int32)
 
 
 @kernel
@@ -63,21 +71,24 @@ def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, it
         row[:] = 1.0
         for c in range(len(i)):
             row[i[c]] += mass[c] * v[j[c]]
-        u[:] = 1.0 / row
+        for c in range(len(u)):
+            u[c] = 1.0 / row[c]
         column[:] = 1.0
         for c in range(len(i)):
             column[j[c]] += mass[c] * u[i[c]]
-        v[:] = 1.0 / column
+        for c in range(len(v)):
+            v[c] = 1.0 / column[c]
     for c in range(len(i)):
         probability[c] = mass[c] * u[i[c]] * v[j[c]]
 
 
 @kernel
-def _suppress(order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, limit: float, keep: Bools) -> None:
+def _suppress(
+    order: Int32s, cells1: Int32s, cells2: Int32s, x1: Float64s, x2: Float64s, limit: float, head1: Int32s, head2: Int32s,
+    following: Int32s, keep: Bools,
+) -> None:  # fmt: skip
     """Take matches in order, unless one already taken is near in either image; each grid cell heads a list of those taken."""
-    head1 = np.full((cells1[:, 1].max() + 2, cells1[:, 0].max() + 2), -1, np.int32)
-    head2 = np.full((cells2[:, 1].max() + 2, cells2[:, 0].max() + 2), -1, np.int32)
-    next1, next2 = np.full(len(order), -1, np.int32), np.full(len(order), -1, np.int32)
+    next1, next2 = following[0], following[1]
     for n in order:
         if _taken(head1, next1, cells1, x1, n, limit) or _taken(head2, next2, cells2, x2, n, limit):
             continue

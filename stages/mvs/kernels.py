@@ -154,7 +154,8 @@ def _costs(
             bottom += s[_FX + x] * (both[2 * BLOCK + 2 * x + 1] - bottom)
             s[_FX + x] = top + s[_FY + x] * (bottom - top)
         if t == 0:  # differences to the centre: weak contrast must not drown in rounding
-            s[_CENTRE:_MEAN] = s[_FX:_FY]
+            for x in range(BLOCK):
+                s[_CENTRE + x] = s[_FX + x]
         for x in range(BLOCK):
             r = s[_FX + x] - s[_CENTRE + x]
             weighted = weights[x] * r
@@ -311,7 +312,8 @@ def propagate(
                     continue
                 _planes_at(planes, cost, best, y, x0, n, dx, dy, low, high, trial, source)
                 _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, taken, trial_cost)
-                here[:n] = best[y, x0 : x0 + n]
+                for x in range(n):
+                    here[x] = best[y, x0 + x]
                 _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
                 _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, here, window, scratch, taken, trial_cost)
                 _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, here, trial_cost)
@@ -325,7 +327,8 @@ def propagate(
                 _own_planes(planes, y, x0, n, trial)
                 _changed(noise, at, shift, turn, low, high, scratch, trial)
                 at = (at + 3 * BLOCK) % NOISE
-                here[:n] = best[y, x0 : x0 + n]
+                for x in range(n):
+                    here[x] = best[y, x0 + x]
                 _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, here, window, scratch, taken, trial_cost)
                 _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, here, trial_cost)
                 source[:] = (y + number + q) % count

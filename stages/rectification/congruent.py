@@ -82,30 +82,22 @@ def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -
     return _reweighted(design, target, edges, _ITERATIONS if robust else 1)
 
 
-@kernel
 def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: int) -> Float64s:
     """Coefficients (2,) by least squares, `iterations` times, with weights from the residuals before."""
-    D, d = np.empty((len(edges), 2)), np.empty(len(edges))
-    for k in range(len(edges)):
-        i, j = edges[k]
-        D[k, 0], D[k, 1], d[k] = design[i, 0] - design[j, 0], design[i, 1] - design[j, 1], target[i] - target[j]
-    weights, residuals = np.ones(len(d)), np.empty(len(d))
-    x, y = 0.0, 0.0
-    for _ in range(iterations):
-        aa, ab, bb, ad, bd = 0.0, 0.0, 0.0, 0.0, 0.0  # two well-scaled columns: normal equations lose nothing
-        for k in range(len(d)):
-            a, b = weights[k] * D[k, 0], weights[k] * D[k, 1]
-            aa, ab, bb = aa + a * D[k, 0], ab + a * D[k, 1], bb + b * D[k, 1]
-            ad, bd = ad + a * d[k], bd + b * d[k]
-        before = x, y
-        x, y = (bb * ad - ab * bd) / (aa * bb - ab * ab), (aa * bd - ab * ad) / (aa * bb - ab * ab)
-        if max(abs(x - before[0]), abs(y - before[1])) <= _SETTLED * max(abs(x), abs(y)):
-            break
-        for k in range(len(d)):
-            residuals[k] = abs(D[k, 0] * x + D[k, 1] * y - d[k])
-        s = 1.4826 * np.median(residuals) + 1e-6
-        for k in range(len(d)):
-            weights[k] = 1 / (1 + (residuals[k] / (2 * s)) ** 2)
+    p, q = edges[:, 0], edges[:, 1]
+    D1, D2, d = design[p, 0] - design[q, 0], design[p, 1] - design[q, 1], target[p] - target[q]
+    weights, x, y = np.ones(len(d)), np.float64(0.0), np.float64(0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # edges that say nothing give nan
+        for _ in range(iterations):  # two well-scaled columns: normal equations lose nothing
+            a, b = weights * D1, weights * D2
+            aa, ab, bb, ad, bd = (np.cumsum(terms)[-1] for terms in (a * D1, a * D2, b * D2, a * d, b * d))
+            before = x, y
+            x, y = (bb * ad - ab * bd) / (aa * bb - ab * ab), (aa * bd - ab * ad) / (aa * bb - ab * ab)
+            if max(abs(x - before[0]), abs(y - before[1])) <= _SETTLED * max(abs(x), abs(y)):
+                break
+            residuals = abs(D1 * x + D2 * y - d)
+            s = 1.4826 * median(residuals) + 1e-6
+            weights = 1 / (1 + (residuals / (2 * s)) ** 2)
     return np.array([x, y])
 
 

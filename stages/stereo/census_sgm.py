@@ -85,8 +85,8 @@ def _costs(census1: Uint64s, census2: Uint64s, valid2: Bools, low: int, count: i
     volume = np.full((height, width, count), unknown, dtype=np.uint8)
     partners, usable = np.empty(width, dtype=np.uint64), np.empty(width, dtype=np.bool_)
     for y in range(height):
-        partners[:] = census2[y, ::-1]  # backwards: they come in the order of growing disparity
-        usable[:] = valid2[y, ::-1]
+        for x in range(width):  # backwards: they come in the order of growing disparity
+            partners[x], usable[x] = census2[y, width - 1 - x], valid2[y, width - 1 - x]
         for x in range(width):
             first, last = max(0, x - low - width + 1), min(count, x - low + 1)
             if first >= last:

@@ -182,7 +182,9 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
     along_x = np.zeros((height, width), dtype=np.float32)
     along_y = np.zeros((height, width), dtype=np.float32)
     bordered = np.full((height + 10, width + 10 + _BLOCK), np.nan, dtype=np.float32)
-    bordered[5 : height + 5, 5 : width + 5] = disparity
+    for y in range(height):
+        for x in range(width):
+            bordered[y + 5, x + 5] = disparity[y, x]
     s = np.empty(5 * _BLOCK, dtype=np.float64)
     for y in range(height):
         for x0 in range(0, width, _BLOCK):

@@ -306,4 +306,5 @@ def _judge(left: Float32s, pairs: Uint64s, valid: Float32s, planes: Float32s, co
             _windows(left, valid, y, x0, n, window)
             _neighbours(planes, valid, y, x0, n, 0, 0, low, high, trial)
             _costs(pairs, y, x0, trial, window, scratch, taken, trial_cost)
-            cost[y, x0 : x0 + n] = trial_cost[:n]
+            for x in range(n):
+                cost[y, x0 + x] = trial_cost[x]

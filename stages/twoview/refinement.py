@@ -147,11 +147,9 @@ def normal_equations(
         algebraic = u1 * ax + v1 * ay + u2 * F[0, 2] + v2 * F[1, 2] + F[2, 2]
         r = algebraic * inverse * scale[n]
         q = algebraic * inverse * inverse  # the length of the gradient changes, too
-        row[:] = (
-            u2 * u1 - q * (bx * u1 + u2 * ax), u2 * v1 - q * (bx * v1 + u2 * ay), u2 - q * bx,
-            v2 * u1 - q * (by * u1 + v2 * ax), v2 * v1 - q * (by * v1 + v2 * ay), v2 - q * by,
-            u1 - q * ax, v1 - q * ay, 1.0,
-        )  # fmt: skip
+        row[0], row[1], row[2] = u2 * u1 - q * (bx * u1 + u2 * ax), u2 * v1 - q * (bx * v1 + u2 * ay), u2 - q * bx
+        row[3], row[4], row[5] = v2 * u1 - q * (by * u1 + v2 * ax), v2 * v1 - q * (by * v1 + v2 * ay), v2 - q * by
+        row[6], row[7], row[8] = u1 - q * ax, v1 - q * ay, 1.0
         for i in range(k):
             total = 0.0
             for j in range(9):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 import weakref
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.helpers.exact_scene import Yard, make_yard, true_depth
+from wbflow_stages.core.side_by_side import THREADS
 from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
@@ -119,6 +120,16 @@ def test_a_desk_and_a_quarry_give_the_same_cloud(scale: float, shift: tuple[floa
     assert np.median(there.sigma_mm) == pytest.approx(scale * np.median(here.sigma_mm), rel=0.03)
     yard = make_yard(scale=scale, shift=shift)
     assert np.percentile(yard.distance(there.points), 95) < 0.011
+
+
+def test_threads_do_not_change_a_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+    yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.1)
+    alone = fused(yard)
+    monkeypatch.setenv(THREADS, "3")
+    together = fused(yard)
+    for field in fields(Cloud):
+        one, other = getattr(alone, field.name), getattr(together, field.name)
+        assert one == other if field.name == "given" else one.tobytes() == other.tobytes()
 
 
 def test_the_voxel_can_be_set() -> None:

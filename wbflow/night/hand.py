@@ -23,6 +23,8 @@ THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", 
 """One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""
 LOOK_SECONDS = 0.25
 """How often clocks and memory are looked at, and whether a worker is still there."""
+ALONE = "STAGE_THREADS"
+"""Stages that all others wait for may take as many threads as there are workers: it is the stages' own variable."""
 PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Of an image whose header nobody has read before OpenCV does."""
 
@@ -30,7 +32,8 @@ PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 class Hand:
     """One worker process."""
 
-    def __init__(self) -> None:
+    def __init__(self, threads: int = 1) -> None:
+        """threads: see `ALONE`."""
         ours, theirs = socket.socketpair()
         paths = [entry for entry in sys.path if type(entry) is str]  # without what `plugins.offer` added
         number, me = theirs.fileno(), os.getpid()
@@ -38,7 +41,7 @@ class Hand:
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", code],
-                env=PIXELS | os.environ | dict.fromkeys(THREADS, "1"),
+                env=PIXELS | os.environ | dict.fromkeys(THREADS, "1") | {ALONE: str(threads)},
                 stdin=subprocess.DEVNULL,
                 stdout=_where_words_go(),  # what a stage prints is none of ours
                 pass_fds=(number,),

@@ -161,7 +161,7 @@ class Supervisor:
         room = 1 if not first else self._jobs if not alone else 0
         while (self._queue if first else self._alone) and len(self._busy) < room:
             lanes = self._next_lanes() if first else [self._alone.pop(0)]
-            hand = self._idle.pop() if self._idle else Hand()
+            hand = self._idle.pop() if self._idle else Hand(self._jobs)
             hand.give([(lane.specs[lane.finished :], lane.receipts) for lane in lanes], self._cache)
             self._busy[hand] = _Handful(lanes)
             self._begun(lanes[0].at_work.task)

@@ -143,6 +143,54 @@ def test_a_kernel_that_calls_one_of_another_file_is_found() -> None:
     assert _foreign_in_kernels(source) == ["outer uses LIMIT", "outer uses inner", "outer uses sorting"]
 
 
+def test_no_kernel_copies_an_array_into_a_slice() -> None:
+    """What numba compiles for that, should the shapes differ, takes seconds of a first run; a loop takes none."""
+    root = Path(wbflow_stages.__file__).parent
+    trees = {path.relative_to(root).as_posix(): ast.parse(path.read_text()) for path in sorted(root.rglob("*.py"))}
+    found = {f"{name}: {line}" for name, tree in trees.items() for kernel in _kernels(tree) for line in _copies(kernel)}
+    assert found == set()
+
+
+def test_a_kernel_that_copies_an_array_is_found() -> None:
+    source = (
+        "@kernel\ndef f(a: Float64s, n: int) -> None:\n    b = np.zeros(n)\n    a[:] = b\n"
+        "    a[1:], n = b[0], 2\n    a[:n] = b[:n]\n"
+        "    b[:] = 1 / a\n    a[:] = 0.0\n    a[:] = min(n, 3)\n    b[n] = a[n]\n"
+    )
+    (kernel,) = _kernels(ast.parse(source))
+    assert _copies(kernel) == ["a[:] = b", "a[:n] = b[:n]", "b[:] = 1 / a"]
+
+
+def _copies(function: ast.FunctionDef) -> list[str]:
+    """Assignments to slices of what is, or is reckoned from, an array or a part of one."""
+    arrays = {a.arg for a in function.args.args if a.annotation and ast.unparse(a.annotation).endswith("s")}
+    lines = []
+    for node in (n for n in ast.walk(function) if isinstance(n, ast.Assign) and len(n.targets) == 1):
+        target, value = node.targets[0], node.value
+        pairs = (
+            zip(target.elts, value.elts, strict=True) if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) else ()
+        )
+        for to, what in [*pairs, (target, value)]:
+            if isinstance(to, ast.Name) and isinstance(what, ast.Call) and ast.unparse(what.func) in _MAKERS:
+                arrays.add(to.id)
+            sliced = isinstance(to, ast.Subscript) and any(isinstance(n, ast.Slice) for n in ast.walk(to.slice))
+            if sliced and _holds_array(what, arrays):
+                lines.append(ast.unparse(node))
+    return lines
+
+
+_MAKERS = {"np.zeros", "np.ones", "np.empty", "np.full"}
+
+
+def _holds_array(value: ast.expr, arrays: set[str]) -> bool:
+    """Is an array, or a slice of one, part of a value?  A single element is none."""
+    if isinstance(value, ast.Name):
+        return value.id in arrays
+    if isinstance(value, ast.Subscript):
+        return any(isinstance(n, ast.Slice) for n in ast.walk(value.slice))
+    return any(_holds_array(child, arrays) for child in ast.iter_child_nodes(value) if isinstance(child, ast.expr))
+
+
 def _kernels(tree: ast.Module) -> list[ast.FunctionDef]:
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     return [f for f in functions if any(isinstance(d, ast.Name) and d.id == "kernel" for d in f.decorator_list)]

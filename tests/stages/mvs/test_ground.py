@@ -7,6 +7,7 @@ import pytest
 
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from wbflow_stages.core.cameras import backproject, project
+from wbflow_stages.core.side_by_side import THREADS
 from wbflow_stages.mvs.ground import find_ground, ground_homography, ground_planes
 from wbflow_stages.types import Float32s
 
@@ -26,6 +27,15 @@ def test_flat_ground_is_found_to_a_centimetre(height: float) -> None:
     assert plane is not None
     assert plane[2] > 0.9999
     assert abs(-plane[3] - height) < 0.01
+
+
+def test_threads_find_the_same_ground_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = pictures(0.0)
+    alone = find_ground(seen, cameras())
+    monkeypatch.setenv(THREADS, "2")
+    together = find_ground(seen, cameras())
+    assert alone is not None and together is not None
+    assert alone.tobytes() == together.tobytes()
 
 
 @pytest.mark.parametrize("tile", [20, 25, 40])
