@@ -390,15 +390,3 @@ def test_a_bucket_is_shown_as_a_folder_whatever_else_it_holds(s3: str, tmp_path:
     bring(root, store.url)
     assert read_outside(root / "yard" / "gate.txt") == b"a view"
     assert not (tmp_path / "out").exists()
-
-
-def test_a_capture_that_says_it_stands_for_another_is_not_believed(tmp_path: Path) -> None:
-    from wbflow.store.delivery import bring
-    from wbflow.store.outside import Unreadable, read_outside
-    from wbflow.store.standin import StandIn, write_stand_in
-
-    store, root = tmp_path / "delivered", tmp_path / "here"
-    write_stand_in(store / "gate.txt", StandIn(9000, "", "gate.txt"))
-    bring(root, f"file://{store}")
-    with pytest.raises(Unreadable, match="not what it was"):
-        read_outside(root / "gate.txt")
