@@ -1,16 +1,19 @@
-"""Is F of a wide pair better known from the matches of many nights?    bench_pooling.py DEMO RUN RUN... --pairs gate--mast-2 ...
+"""Is F of a wide pair better known from the matches of many nights?
+
+    bench_pooling.py DEMO RUN RUN... --pairs gate--mast-2 ...
+    bench_pooling.py --dark 320x180 --nights 4 --pairs gate--mast-2 ...
 
 DEMO is a folder that `wbflow demo --nights N` has made, the RUNs are folders of runs of its nights, with their work folder's
-cache: their frames are matched, whether the runs did that or not.  The error of F is the median distance of true correspondences
-to their epipolar lines, in both images.
+cache: their frames are matched, whether the runs did that or not.  With --dark the yard is photographed here, without lamps, in
+so many pixels; each night is one capture: so little light that wide pairs have too little of a single one.  The error of F is the
+median distance of true correspondences to their epipolar lines, in both images, in pixels of the frames.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +22,15 @@ import wbflow
 from wbflow.graph.rows import Role
 from wbflow_stages.core.cameras import backproject, project, ray_angles
 from wbflow_stages.features import detect
+from wbflow_stages.frames import clean_frame
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.pooled import pool_matches
+from wbflow_stages.synthetic.encode import jpeg, png
+from wbflow_stages.synthetic.scenes import render
+from wbflow_stages.synthetic.shooting import DemoCamera
 from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
-from wbflow_stages.types import Camera, Float64s, Frame, Geometry, Matches, Rejected
+from wbflow_stages.types import Camera, Capture, Float32s, Float64s, Frame, Geometry, Matches, Rejected
 
 _STEP_PX = 4
 """Every so manieth pixel of the true depth is a correspondence."""
@@ -41,6 +48,10 @@ class Truth:
     """(n, 2) pixels."""
     angle_deg: float
     """Median angle between their rays."""
+
+    def at(self, scale: float) -> Truth:
+        """The same in pictures of another size."""
+        return replace(self, x1=(self.x1 + 0.5) * scale - 0.5, x2=(self.x2 + 0.5) * scale - 0.5)
 
     def words(self, found: Geometry | Rejected) -> str:
         """How right a geometry is."""
@@ -61,14 +72,12 @@ def cameras_of(demo: Path) -> dict[str, Camera]:
     return found
 
 
-def _depth(demo: Path, name: str) -> np.ndarray:
+def _depth(demo: Path, name: str) -> Float32s:
     return np.asarray(np.load(demo / "truth" / "depth" / f"{name}.npz")["depth"])
 
 
-def truth_of(demo: Path, cameras: Mapping[str, Camera], left: str, right: str) -> Truth:
-    """Where both cameras see the same, by the true depths."""
-    one, two = cameras[left], cameras[right]
-    depth, other = _depth(demo, left), _depth(demo, right)
+def truth_of(one: Camera, depth: Float32s, two: Camera, other: Float32s) -> Truth:
+    """Where both cameras see the same, by their true depths."""
     y, x = np.mgrid[0 : one.height : _STEP_PX, 0 : one.width : _STEP_PX].reshape(2, -1)
     seen = depth[y, x] > 0
     x1 = np.column_stack([x, y])[seen].astype(np.float64)
@@ -82,8 +91,38 @@ def truth_of(demo: Path, cameras: Mapping[str, Camera], left: str, right: str) -
     return Truth(x1[same], x2[same], angle)
 
 
-def told(truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
+def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
+    """Nights of a demo."""
+    cameras = cameras_of(demo)
+    nights = [wbflow.open_run(folder).finished.of_cameras(Role.FRAME) for folder in runs]
+    for pair in pairs:
+        left, right = pair.split("--")
+        truth = truth_of(cameras[left], _depth(demo, left), cameras[right], _depth(demo, right))
+        scale = nights[0][left].view.width / cameras[left].width
+        told(pair, truth.at(scale), [(frames[left], frames[right]) for frames in nights])
+
+
+def of_the_dark(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
+    """The yard without lamps, a capture a night."""
+    site = render("yard", cameras=8, size=size, captures=nights, light="dark")
+    for pair in pairs:
+        left, right = (site[name] for name in pair.split("--"))
+        told(
+            pair,
+            truth_of(left.camera, left.depth, right.camera, right.depth),
+            [(frame(left, k), frame(right, k)) for k in range(nights)],
+        )
+
+
+def frame(camera: DemoCamera, night: int) -> Frame:
+    """What a camera's capture of a night becomes."""
+    picture, mask = (np.frombuffer(data, np.uint8) for data in (jpeg(camera.captures[night]), png(camera.mask)))
+    return clean_frame([Capture("picture.jpg", picture)], camera.lens, Capture("mask.png", mask), resolution=None)
+
+
+def told(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
     """Print what each night says, and what all nights up to it do together."""
+    print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
     matched: list[Matches] = []
     for number, (left, right) in enumerate(frames, 1):
         first, second = detect(left), detect(right)
@@ -98,22 +137,24 @@ def told(truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
         matched.append(found)
         if len(matched) > 1:
             together = estimate_geometry(pool_matches({str(k): night for k, night in enumerate(matched)}), first, second)
-            print(f"  {len(matched)} nights: {truth.words(together)}", flush=True)
+            print(f"  {number} nights: {truth.words(together)}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("demo", type=Path)
-    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("demo", type=Path, nargs="?")
+    parser.add_argument("runs", type=Path, nargs="*")
     parser.add_argument("--pairs", nargs="+", required=True)
+    parser.add_argument("--dark", metavar="WIDTHxHEIGHT")
+    parser.add_argument("--nights", type=int, default=4)
     arguments = parser.parse_args()
-    cameras = cameras_of(arguments.demo)
-    nights = [wbflow.open_run(folder).finished.of_cameras(Role.FRAME) for folder in arguments.runs]
-    for pair in arguments.pairs:
-        left, right = pair.split("--")
-        truth = truth_of(arguments.demo, cameras, left, right)
-        print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
-        told(truth, [(frames[left], frames[right]) for frames in nights])
+    if arguments.dark:
+        width, _, height = arguments.dark.partition("x")
+        of_the_dark((int(width), int(height)), arguments.nights, arguments.pairs)
+    elif arguments.demo:
+        of_runs(arguments.demo, arguments.runs, arguments.pairs)
+    else:
+        parser.error("DEMO with its runs, or --dark")
 
 
 if __name__ == "__main__":

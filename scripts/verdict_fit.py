@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
 from wbflow_stages.twoview.rivals import Rival
-from wbflow_stages.types import Bools, Float64s, Geometry
+from wbflow_stages.types import Bools, Camera, Float64s, Geometry
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)
 """Weights of the terms in an earlier fit, on 263 pairs of other scenes (look-alike walls, a courtyard): where the pairs here tell
@@ -29,6 +29,8 @@ Errors = tuple[float, float]
 """Degrees: of the relative rotation, and of the direction of the baseline."""
 USABLE, WRONG = (3.0, 10.0), (10.0, 30.0)
 """A pair is usable below both errors, and wrong above one of them."""
+LEAST_RIGHT = 0.2
+"""Nor is it usable if fewer of its matches are right: in a row of houses the next house may tell the true pose by accident."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class LabelledPair:
     error_deg: Errors
     error_of_copy_deg: Errors
     """Against the nearest copy of the cameras, where the scene is the same after a part of a turn."""
+    right_share: float
+    """Of its matches, by the true depth, or the true lines where no depth is known."""
 
     @cached_property
     def evidence(self) -> PairEvidence:
@@ -68,7 +72,7 @@ class LabelledPair:
 
     @property
     def usable(self) -> bool:
-        return is_usable(self.error_deg)
+        return is_usable(self.error_deg) and self.right_share >= LEAST_RIGHT
 
     @property
     def wrong(self) -> bool:
@@ -77,10 +81,10 @@ class LabelledPair:
 
 @dataclass(frozen=True)
 class LabelledSet:
-    """The pairs of a set that have a geometry, and the true rotations (world to camera) of all its cameras."""
+    """The pairs of a set that have a geometry, and the true cameras."""
 
     pairs: tuple[LabelledPair, ...]
-    rotations: Mapping[str, Float64s]
+    cameras: Mapping[str, Camera]
 
 
 def is_usable(error: Errors) -> bool:

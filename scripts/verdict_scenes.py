@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from pairs_with_truth import TrueView, photographed, pose_error_deg, rendered_scene
+from pairs_with_truth import TrueView, correct, photographed, pose_error_deg, rendered_scene
 from verdict_fit import LabelledPair, LabelledSet
 
 from wbflow.store.artifact import decode, encode
@@ -43,7 +43,7 @@ def labelled(name: str, cache: Path) -> LabelledSet:
         views = _views(name, cache)
         related = name != "nothing"
         pairs = [pair for a, b in _pairs(name, views) if (pair := _measured(name, a, b, related)) is not None]
-        file.write_bytes(encode(LabelledSet(tuple(pairs), {view.name: view.camera.R for view in views})))
+        file.write_bytes(encode(LabelledSet(tuple(pairs), {view.name: view.camera for view in views})))
     found: LabelledSet = decode(file.read_bytes())
     return found
 
@@ -86,7 +86,8 @@ def _measured(name: str, left: TrueView, right: TrueView, related: bool) -> Labe
     errors = (180.0, 180.0), (180.0, 180.0)
     if related:
         errors = _errors(left, right, g, [np.eye(3)]), _errors(left, right, g, symmetry(name))
-    return LabelledPair(name, left.name, right.name, g, *errors)
+    good, judged = correct(left, right, g.x1, g.x2) if related else (0, 1)
+    return LabelledPair(name, left.name, right.name, g, *errors, right_share=good / max(judged, 1))
 
 
 def _errors(left: TrueView, right: TrueView, g: Geometry, turns: list[Float64s]) -> tuple[float, float]:

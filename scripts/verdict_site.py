@@ -6,16 +6,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from verdict_fit import LabelledPair
+from pairs_with_truth import pose_error_deg
+from verdict_fit import LabelledPair, is_wrong
 from verdict_scenes import REPEATING, scene_of
 
+from wbflow_stages.core.cameras import relative_pose
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.sfm.loops import USUAL, Habits, check_loops, closes, triangles_of
 from wbflow_stages.sfm.repeats import Rivalry, Shares, rivalry
 from wbflow_stages.sfm.rotation_averaging import average_rotations, components
 from wbflow_stages.sfm.solve import solve_from_pairs
 from wbflow_stages.twoview.pair_score import probability, tells_the_site
-from wbflow_stages.types import Bools, Float64s, Geometry, Pair, Placement, Poses, Survey
+from wbflow_stages.types import Bools, Camera, Float64s, Geometry, Pair, Placement, Poses, Survey
 
 LEAST_SCORE = -4.0
 """Of pairs below, only those that tell something of the site reach it (`estimate_geometry`)."""
@@ -83,7 +85,21 @@ def solved(pairs: list[LabelledPair], scores: Float64s, usual: Habits) -> Poses 
     return found if isinstance(found, Poses) else None
 
 
-def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Float64s]) -> float:
+def in_use(pairs: list[LabelledPair], poses: Poses | None, truth: Mapping[str, Camera]) -> tuple[Bools, Bools]:
+    """(n,) which pairs the solved site uses, and which of these have a wrong pose: its cameras', not what the pair said."""
+    kept, wrong = np.zeros(len(pairs), bool), np.zeros(len(pairs), bool)
+    if poses is None:
+        return kept, wrong
+    for k, p in enumerate(pairs):
+        check = poses.pair_checks.get(f"{p.left}--{p.right}")
+        if check is not None and check.kept and {p.left, p.right} <= set(poses.cameras):
+            kept[k] = True
+            R, t = relative_pose(poses.cameras[p.left], poses.cameras[p.right])
+            wrong[k] = is_wrong(pose_error_deg(truth[p.left], truth[p.right], R, t))
+    return kept, wrong
+
+
+def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Camera]) -> float:
     """How far a camera is turned at most, its rotation averaged from these pairs."""
     names = list(dict.fromkeys(name for p in pairs for name in (p.left, p.right)))
     number = {name: k for k, name in enumerate(names)}
@@ -93,20 +109,20 @@ def averaged_turn_deg(pairs: list[LabelledPair], truth: Mapping[str, Float64s]) 
     return _worst_turn_deg({names[k]: R for k, R in found.items()}, parts, truth, [np.eye(3)])
 
 
-def solved_turn_deg(poses: Poses, truth: Mapping[str, Float64s], copies: list[Float64s]) -> float:
+def solved_turn_deg(poses: Poses, truth: Mapping[str, Camera], copies: list[Float64s]) -> float:
     """How far a solved camera is turned at most, where each may stand for the nearest of its copies."""
     return _worst_turn_deg({name: c.R for name, c in poses.cameras.items()}, poses.components, truth, copies)
 
 
 def _worst_turn_deg(
-    found: Mapping[str, Float64s], parts: Iterable[Iterable[str]], truth: Mapping[str, Float64s], copies: list[Float64s]
+    found: Mapping[str, Float64s], parts: Iterable[Iterable[str]], truth: Mapping[str, Camera], copies: list[Float64s]
 ) -> float:
     """Against the first camera of those it hangs together with."""
     worst = 0.0
     for first, *others in parts:
         for name in others:
             R = found[name] @ found[first].T
-            worst = max(worst, min(angle_between_deg(R, truth[name] @ turn.T @ truth[first].T) for turn in copies))
+            worst = max(worst, min(angle_between_deg(R, truth[name].R @ turn.T @ truth[first].R.T) for turn in copies))
     return worst
 
 

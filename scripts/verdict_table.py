@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from verdict_fit import LabelledPair, LabelledSet, Weights, fit, is_usable
 from verdict_scenes import SETS, labelled, scene_of, symmetry
-from verdict_site import LEAST_SCORE, averaged_turn_deg, believed, count_habits, solved, solved_turn_deg
+from verdict_site import LEAST_SCORE, averaged_turn_deg, believed, count_habits, in_use, solved, solved_turn_deg
 
 from wbflow_stages.sfm.loops import Habits
 from wbflow_stages.twoview.pair_score import TERMS, probability
@@ -60,7 +60,7 @@ def leave_one_out(cache: Path, to_json: Path | None, plot: Path | None, check: b
     rows, said = [], []
     print("set               pairs usable  kept  wrong accepted(wrong)  site: kept accepted(wrong)")
     for name, pairs in sets.items():
-        row = _row(name, pairs, others[scene_of(name)])
+        row = _row(name, all_of[name], others[scene_of(name)])
         rows.append(row)
         said += [probability(s) for s in others[scene_of(name)].weights.scores(pairs)]
         print(
@@ -99,14 +99,13 @@ def _print_fit(found: Fitted) -> None:
     print(f"  offset: {found.weights.offset:.2f}\n  {found.usual}")
 
 
-def _row(name: str, pairs: list[LabelledPair], by: Fitted) -> Row:
+def _row(name: str, of: LabelledSet, by: Fitted) -> Row:
+    pairs = list(of.pairs)
     scores = by.weights.scores(pairs)
     usable, wrong, accepted = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs]), scores > 0
     poses = None if name == "nothing" else solved(pairs, scores, by.usual)
-    checks = {} if poses is None else poses.pair_checks
-    in_use = {pair for pair, check in checks.items() if check.kept}
-    kept = np.array([f"{p.left}--{p.right}" in in_use for p in pairs], bool)
-    counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, wrong & kept)
+    kept, kept_wrong = in_use(pairs, poses, of.cameras)
+    counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, kept_wrong)
     return Row(name, len(pairs), *(int(c.sum()) for c in counts))
 
 
@@ -129,11 +128,11 @@ def small_sites(name: str, of: LabelledSet, by: Fitted) -> int:
             kept = believed(mine, scores, by.usual)
             some = [p for p, yes in zip(mine, kept, strict=True) if yes]
             empty += not some
-            if averaged_turn_deg(some, of.rotations) <= TURNED_DEG or (poses := solved(mine, scores, by.usual)) is None:
+            if averaged_turn_deg(some, of.cameras) <= TURNED_DEG or (poses := solved(mine, scores, by.usual)) is None:
                 continue
-            if solved_turn_deg(poses, of.rotations, turns[:1]) > TURNED_DEG:
+            if solved_turn_deg(poses, of.cameras, turns[:1]) > TURNED_DEG:
                 turned += 1
-                copies += solved_turn_deg(poses, of.rotations, turns) <= TURNED_DEG
+                copies += solved_turn_deg(poses, of.cameras, turns) <= TURNED_DEG
         total += turned
         words.append(f"{size} cameras {turned:2} ({copies:2}) and {empty:2}")
     print(f"{name:18}" + "; ".join(words), flush=True)

@@ -1,20 +1,24 @@
 """Keypoints of a frame: SIFT, spread over the image, with RootSIFT descriptors.
 
-SIFT is Lowe's detector (IJCV 2004); RootSIFT takes the square root of the L1-normalised descriptor, so that Euclidean distance
-compares histograms as Hellinger does (Arandjelovic & Zisserman, CVPR 2012).  A second set of keypoints comes from the frame
-compressed by 2 in x, the one simulated view of ASIFT (Morel & Yu, 2009) that pays between upright cameras far apart: it is
-detected here once, and used only by pairs whose plain views are not enough.
+SIFT is Lowe's detector (IJCV 2004), in kernels of our own (`matching.scale_space`, `matching.description`): only what is kept
+gets a direction and a descriptor, from the pyramid that it was found in.  RootSIFT takes the square root of the L1-normalised
+descriptor, so that Euclidean distance compares histograms as Hellinger does (Arandjelovic & Zisserman, CVPR 2012).  A second set
+of keypoints comes from the frame compressed by 2 in x, the one simulated view of ASIFT (Morel & Yu, 2009) that pays between
+upright cameras far apart: it is detected here once, and used only by pairs whose plain views are not enough.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from itertools import pairwise
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from .core.luminance import grey_levels
+from .matching.description import LENGTH, describe, main_directions
 from .matching.neighbours import nearest_elsewhere
+from .matching.scale_space import Blobs, Pyramid, find_blobs, pyramid
 from .reasons import Reason, Rejected
 from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s, View
 
@@ -26,9 +30,6 @@ ANGLE_SEAM_DEG = 45.0
 """SIFT repeats a keypoint for each strong gradient direction; the first from this angle on stays.  Upright cameras then choose
 alike (edges are mostly level or plumb, so the seam lies between), and no place is spent on repeats."""
 
-SMALL_PX = 100
-"""An image with fewer pixels for each keypoint wanted is described in one go: it holds hardly more keypoints than are wanted, and
-describing some afterwards builds the pyramid of scales anew."""
 
 LARGEST_PX, OVERLAP_PX = 6_500_000, 256
 """An image with more pixels is searched in bands: all scales of one pixel take 230 bytes.  Bands reach farther by the overlap,
@@ -68,14 +69,13 @@ def detect(
     equalise = preprocessing == "clahe" or (preprocessing == "auto" and _low_contrast(grey, frame.mask))
     if equalise:
         grey = _equalised(grey)
-    sift = cv2.SIFT.create(contrastThreshold=contrast_threshold, enable_precise_upscale=True)
-    plain = _detect_view(sift, grey, frame.mask, max_keypoints, grid_columns, crowding)
+    plain = _detect_view(grey, contrast_threshold, frame.mask, max_keypoints, grid_columns, crowding)
     if len(plain[0]) < min_keypoints:
         figures = {"keypoints": len(plain[0]), "needed": min_keypoints, "usable_share": float(frame.mask.mean())}
         return Rejected(Reason.TOO_FEW_KEYPOINTS, figures)
     views = [plain]
     if tilted_keypoints > 0:
-        views.append(_detect_tilted(sift, grey, frame.mask, tilted_keypoints, grid_columns, crowding))
+        views.append(_detect_tilted(grey, contrast_threshold, frame.mask, tilted_keypoints, grid_columns, crowding))
     return _features(views, frame.view, "clahe" if equalise else "none")
 
 
@@ -108,70 +108,72 @@ def _equalised(grey: Uint8s) -> Uint8s:
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(smooth), dtype=np.uint8)
 
 
-def _detect_view(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
-    small = grey.size < SMALL_PX * wanted
-    found, every = sift.detectAndCompute(grey, None) if small else (_found(sift, grey), None)
-    rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], dtype=np.float64).reshape(-1, 5)
-    chosen = _spread(rows, _usable(rows, mask), grey.shape, wanted, grid_columns, crowding)
-    if len(chosen) == 0:
-        return np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 128), np.float32), np.zeros(0, np.float32)
-    raw = sift.compute(grey, [found[i] for i in chosen])[1] if every is None else every[chosen]
-    rows = rows[chosen]
-    return rows[:, :2], _keypoint_frames(rows[:, 2], np.radians(rows[:, 3])), _root(raw), rows[:, 4].astype(np.float32)
+def _detect_view(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
+    bands = _bands(*grey.shape)
+    octaves: Pyramid = ()
+    found, band_of = [], []
+    for number, (start, top, bottom, stop) in enumerate(bands):
+        octaves = pyramid(grey[start:stop])
+        blobs = find_blobs(octaves, contrast).lower_by(start)
+        found.append(blobs.at((blobs.y >= top) & (blobs.y < bottom)) if len(bands) > 1 else blobs)
+        band_of.append(np.full(len(found[-1].x), number))
+    blobs, band = Blobs.joined(found), np.concatenate(band_of)
+    chosen = _spread(blobs, _usable(blobs, mask), grey.shape, wanted, grid_columns, crowding)
+    blobs, band = blobs.at(chosen), band[chosen]
+    angles, descriptors = np.empty(len(chosen)), np.empty((len(chosen), LENGTH), np.float32)
+    for number, (start, _, _, stop) in enumerate(bands):
+        octaves = pyramid(grey[start:stop]) if len(bands) > 1 else octaves
+        mine = blobs.at(band == number).lower_by(-start)
+        angles[band == number] = angle = main_directions(octaves, mine, np.radians(ANGLE_SEAM_DEG))
+        descriptors[band == number] = describe(octaves, mine, angle)
+    frames = _keypoint_frames(2 * blobs.sigma, angles)
+    return np.column_stack([blobs.x, blobs.y]), frames, _root(descriptors), blobs.response.astype(np.float32)
 
 
-def _found(sift: Any, grey: Uint8s) -> list[cv2.KeyPoint]:
-    """All keypoints, found band by band in a large image."""
-    height = grey.shape[0]
-    count = -(-grey.size // LARGEST_PX)
-    found = []
-    for band in range(count):
-        top, bottom = height * band // count, height * (band + 1) // count
-        start = max(top // OVERLAP_PX - 1, 0) * OVERLAP_PX
-        for keypoint in sift.detect(grey[start : bottom + OVERLAP_PX], None):
-            x, y = keypoint.pt
-            if top <= y + start < bottom or count == 1:
-                keypoint.pt = x, y + start
-                found.append(keypoint)
-    return found
+def _bands(height: int, width: int) -> list[tuple[int, int, int, int]]:
+    """Bands of a large image: where each starts, is looked at from and to, and stops."""
+    count = -(-height * width // LARGEST_PX)
+    edges = [height * band // count for band in range(count + 1)]
+    return [
+        (max(top // OVERLAP_PX - 1, 0) * OVERLAP_PX, top, bottom, min(bottom + OVERLAP_PX, height))
+        for top, bottom in pairwise(edges)
+    ]
 
 
-def _detect_tilted(sift: Any, grey: Uint8s, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
+def _detect_tilted(grey: Uint8s, contrast: float, mask: Bools, wanted: int, grid_columns: int, crowding: float) -> _View:
     """Keypoints of the frame compressed by 2 in x (smoothed first, so that nothing aliases), mapped back into the frame."""
     h, w = grey.shape
     size = (max(w // 2, 1), h)
     smooth = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.2, sigmaY=1e-3)
     narrow = np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     narrow_mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    xy, frames, descriptors, responses = _detect_view(sift, narrow, narrow_mask, wanted, max(grid_columns // 2, 1), crowding)
+    xy, frames, descriptors, responses = _detect_view(narrow, contrast, narrow_mask, wanted, max(grid_columns // 2, 1), crowding)
     stretch = np.array([w / size[0], 1.0])
     return (xy + 0.5) * stretch - 0.5, stretch[:, None] * frames, descriptors, responses
 
 
-def _usable(rows: Float64s, mask: Bools) -> Bools:
-    """Keypoints whose disc (diameter `size`) touches no masked pixel: the rim of a mask is no structure of the scene."""
+def _usable(blobs: Blobs, mask: Bools) -> Bools:
+    """Keypoints whose disc (of radius sigma) touches no masked pixel: the rim of a mask is no structure of the scene."""
     h, w = mask.shape
     if mask.all():
-        return np.ones(len(rows), dtype=bool)
+        return np.ones(len(blobs.x), dtype=bool)
     clearance = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    x = np.clip(np.rint(rows[:, 0]).astype(int), 0, w - 1)
-    y = np.clip(np.rint(rows[:, 1]).astype(int), 0, h - 1)
-    return np.asarray(clearance[y, x] > 0.5 * rows[:, 2])
+    x = np.clip(np.rint(blobs.x).astype(int), 0, w - 1)
+    y = np.clip(np.rint(blobs.y).astype(int), 0, h - 1)
+    return np.asarray(clearance[y, x] > blobs.sigma)
 
 
-def _spread(rows: Float64s, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float) -> Int64s:
+def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], wanted: int, grid_columns: int, crowding: float) -> Int64s:
     """Rows of the keypoints to keep, strongest first; no cell gives more than its crowded share before all have given theirs.
 
     Spreading more evenly finds more at 50 to 60 degrees but loses a tenth everywhere else: weak keypoints aren't found again.
     """
-    angle = (rows[:, 3] - ANGLE_SEAM_DEG) % 360
-    order = np.lexsort((angle, rows[:, 2], rows[:, 1], rows[:, 0], -rows[:, 4]))
+    order = np.lexsort((blobs.sigma, blobs.y, blobs.x, -blobs.response))
     order = order[usable[order]]
-    order = order[_rank_within(np.unique(rows[order][:, :3], axis=0, return_inverse=True)[1].ravel()) == 0]
     if len(order) <= wanted:
         return np.asarray(order)
     cell = shape[1] / grid_columns
-    cells = (rows[order, 1] // cell).astype(np.int64) * (grid_columns + 1) + (rows[order, 0] // cell).astype(np.int64)
+    cells = (blobs.y[order] // cell).astype(np.int64) * (grid_columns + 1) + (blobs.x[order] // cell).astype(np.int64)
     share = wanted * cell * cell / (shape[0] * shape[1])
     crowded = _rank_within(cells) >= crowding * share
     return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:wanted])])

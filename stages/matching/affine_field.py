@@ -36,7 +36,7 @@ class AffineField:
 
 
 def fit_affine_field(
-    x1: Float64s, x2: Float64s, affine: Float64s, weight: Float64s, queries: Float64s, neighbours: int = 32, ridge: float = 2.0
+    x1: Float64s, x2: Float64s, affine: Float64s, weight: Float64s, queries: Float64s, neighbours: int = 20, ridge: float = 2.0
 ) -> AffineField:
     """Fit the field to matches, at queries.
 

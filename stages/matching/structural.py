@@ -74,7 +74,7 @@ def match_structural(
     *,
     dominance: float = 0.8,
     neighbours: int = NEIGHBOURS,
-    rounds: int = 4,
+    rounds: int = 3,
     tilt: Tilt = "auto",
     weak_matches: int = 300,
 ) -> Matches:

@@ -67,10 +67,7 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
     stages, notes = read_stages(model.stages, document, reader, problems)
     _check_pairs(model, document, problems)
     notes += _crowded(model, document)
-    root = beside(model.captures.root, ("captures", "root"), document, problems)
-    if not is_folder(root):
-        remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
-        problems.append(document.problem(("captures", "root"), f"there is no folder {printable(root)}", remedy))
+    captures = _captures(model.captures.root, document, problems)
     if not is_name(model.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
         problems.append(document.problem(("site",), f"{model.site!r} is not a name", remedy))
@@ -80,7 +77,7 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
     return Site(
         model.site,
         document,
-        root,
+        captures.root,
         model.captures.pattern,
         tuple(cameras),
         tuple(view for camera in cameras for view in views_of(camera)),
@@ -99,6 +96,7 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
         model.health.model_dump(),
         [zone.model_dump() for zone in model.zones] or None,
         place.store,
+        captures.store,
     )
 
 
@@ -121,6 +119,17 @@ def _work_folder(asked: str, model: SiteSection, document: Document, problems: l
     if asked:
         return WorkFolder(Path(asked).resolve())
     return WorkFolder(beside(stated, ("work",), document, problems)) if stated else WorkFolder.beside(document.path, name)
+
+
+def _captures(stated: str, document: Document, problems: list[SiteProblem]) -> WorkFolder:
+    """Where the captures lie: a folder, or one that shows what is in an object store."""
+    if is_url(stated):
+        return WorkFolder.mirroring(stated, "captures")
+    root = beside(stated, ("captures", "root"), document, problems)
+    if not is_folder(root):
+        remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
+        problems.append(document.problem(("captures", "root"), f"there is no folder {printable(root)}", remedy))
+    return WorkFolder(root)
 
 
 def _notify(model: SiteSection, path: Path) -> Notify | None:

@@ -213,6 +213,8 @@ class Site:
     """Where changes count: name, polygon (corners x, y on the ground), least_m; None: everywhere."""
     store: str = ""
     """URL of the object store that the work folder mirrors; "" where it is an ordinary one."""
+    captures_store: str = ""
+    """The same of the captures' root."""
 
     @property
     def work_folder(self) -> WorkFolder:

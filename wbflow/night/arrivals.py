@@ -10,7 +10,7 @@ from ..store.digests import Digests
 from ..store.events import ArrivalsEvent, Watcher
 from ..store.record import Health
 from ..store.seen import Seen
-from .captures import CaptureFile, find_captures, find_named, night
+from .captures import CaptureFile, find_captures, find_named, look_again, night
 from .staleness import look_at
 
 
@@ -48,6 +48,7 @@ def arrivals(site: Site, date: datetime.date | None = None, watch: Watcher | Non
     """
     work = site.work_folder
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
+    look_again(site)
     date = night(site, date)
     all_cameras = len(site.cameras)
     tell = (lambda cameras: watch(ArrivalsEvent(cameras, all_cameras))) if watch else None

@@ -46,6 +46,14 @@ def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date
     return sorted(date for date in found if since is None or date >= since)
 
 
+def look_again(site: Site) -> None:
+    """See what has arrived in an object store, where the captures lie in one.  Raises StoreError, OSError."""
+    if site.captures_store:
+        from ..store.delivery import bring  # here: most captures lie in folders
+
+        bring(site.root, site.captures_store)
+
+
 def night(site: Site, date: datetime.date | None) -> datetime.date:
     """The night to work on: `date`, else the newest for which any camera has a capture, else today.
 
@@ -69,6 +77,7 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
     if not pattern_of(site).dated:
         what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
         raise UsageError(what, remedy="for example: pattern: '{camera}/{date:%Y-%m-%d}.jpg'; or run without --since")
+    look_again(site)
     found = nights(site, since)
     if not found:
         raise UsageError(f"there are no captures since {since}", remedy="check captures.root and pattern, or the cameras")

@@ -22,7 +22,7 @@ from .layout import WorkFolder
 from .objects import Objects
 from .segments import FOLDER, Entry, Segment, many, next_name, outdated, whole_name
 from .signed import Damaged, read_signed, write_signed
-from .standin import StandIn, stand_in, write_stand_in
+from .standin import StandIn, mirrored_url, stand_in, write_stand_in
 
 SMALL = 32_768
 """Bytes of a file that a segment holds itself."""
@@ -96,7 +96,7 @@ class Mirror:
         small: dict[str, bytes] = {}
         for name, data in zip(new, self.objects.read_all(new) if new else (), strict=True):
             self._fold(name, data, entries, small)
-        if not self.work.mirror_memo.is_file():
+        if mirrored_url(self.work) != self.objects.url:
             write_atomic(self.work.mirror_memo, json.dumps({"url": self.objects.url}).encode())
         self._lay_out(entries, small, here)
         self._changed |= bool(new) or told != self._segments

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..errors import WbflowError, printable
+from ..errors import ExitCode, WbflowError, printable
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _INSTALL = "pip install 'wbflow[cloud]'  (for gs:// also gcsfs, for abfs:// adlfs)"
@@ -31,9 +31,34 @@ class StoreError(WbflowError):
     """An object store does not do what is asked; the message names it."""
 
 
+class NoSuchStore(StoreError):
+    """The URL is of no store that can be used here."""
+
+    exit_code = ExitCode.USAGE
+
+
 def is_url(text: str) -> bool:
     """Is an object store named, and no folder?"""
     return _URL.match(text) is not None
+
+
+class Found(NamedTuple):
+    """An object as a listing tells of it."""
+
+    size: int
+    mark: str
+    """Another one for other bytes: its ETag; where there is none, when it was written."""
+    seconds: float
+    """When it was written, seconds since 1970; 0 where nobody says."""
+
+    @staticmethod
+    def of(entry: Mapping[str, Any]) -> Found:
+        """From what fsspec tells."""
+        moment = next(
+            (entry[name] for name in ("LastModified", "mtime", "updated", "last_modified", "created") if entry.get(name)), 0
+        )
+        seconds = moment.timestamp() if hasattr(moment, "timestamp") else moment if isinstance(moment, int | float) else 0.0
+        return Found(int(entry["size"]), str(entry.get("ETag") or entry.get("etag") or moment), float(seconds))
 
 
 class Objects:
@@ -53,6 +78,18 @@ class Objects:
                     return []
                 raise
             return sorted(f"{below}/{str(path).rpartition(f'/{below}/')[2]}" for path in found)
+
+    def found(self) -> dict[str, Found]:
+        """Every object by name, with what tells that it is another one than before."""
+        with self._told("a listing"):
+            try:
+                listed = self._system.find(self._top, detail=True)
+            except FileNotFoundError:
+                if self._folders:
+                    return {}
+                raise
+            files = {path: entry for path, entry in listed.items() if entry.get("type") != "directory" and not path.endswith("/")}
+            return {str(path)[len(self._top) + 1 :]: Found.of(entry) for path, entry in files.items()}
 
     def read(self, name: str) -> bytes | None:
         """An object's bytes; None where there is none."""
@@ -146,14 +183,14 @@ class Objects:
         try:
             from fsspec.core import url_to_fs  # an extra
         except ImportError:
-            raise StoreError(f"{self.url}: an object store needs fsspec, which is not installed", remedy=_INSTALL) from None
+            raise NoSuchStore(f"{self.url}: an object store needs fsspec, which is not installed", remedy=_INSTALL) from None
         scheme = self.url.partition("://")[0]
         try:
             system, top = url_to_fs(self.url, use_listings_cache=False, **_OPTIONS.get(scheme, {}))
         except ImportError as error:
-            raise StoreError(f"{self.url}: {printable(error)}", remedy=_INSTALL) from None
+            raise NoSuchStore(f"{self.url}: {printable(error)}", remedy=_INSTALL) from None
         except ValueError as error:
-            raise StoreError(f"{self.url}: {printable(error)}", remedy="write it as s3://bucket/prefix") from None
+            raise NoSuchStore(f"{self.url}: {printable(error)}", remedy="write it as s3://bucket/prefix") from None
         return system, top
 
     @contextlib.contextmanager

@@ -62,6 +62,8 @@ class Segment:
             told: dict[str, Any] = unsigned(zstandard.ZstdDecompressor().decompress(data), name)
             files = {place: Entry(*entry) for place, entry in told["files"].items()}
             small = {place: text.encode("latin-1") for place, text in told["small"].items()}
+            if any(place.startswith("/") or ".." in place.split("/") for place in (*files, *small, *told["gone"])):
+                raise Damaged("tells of files that are not of a work folder")
             return Segment(files, small, tuple(told["gone"]), told["whole"])
         except Damaged:
             raise

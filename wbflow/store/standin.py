@@ -28,6 +28,7 @@ class StandIn:
 
     size: int
     digest: str
+    """"" where nobody knows: of what others have put into a store."""
     at: str
     """The object that has its bytes."""
 
@@ -82,8 +83,8 @@ def fill(path: Path | str) -> bool:
             raise NotFetched(f"{url}/{stands_for.at} is gone")
         with temporary.open("rb") as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()[:32]
-        if (temporary.stat().st_size, found) != (stands_for.size, stands_for.digest):
-            raise NotFetched(f"{url}/{stands_for.at} is damaged")
+        if temporary.stat().st_size != stands_for.size or found != (stands_for.digest or found) or stand_in(temporary):
+            raise NotFetched(f"{url}/{stands_for.at} is {'damaged' if stands_for.digest else 'not what it was'}")
         with contextlib.suppress(FileNotFoundError):
             was = place.stat()
             os.utime(temporary, ns=(was.st_atime_ns, was.st_mtime_ns))  # nothing has changed, for who compares with the store

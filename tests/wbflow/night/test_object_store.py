@@ -30,6 +30,8 @@ from wbflow.store.standin import stand_in
 
 pytest.importorskip("fsspec", reason="object stores need the extra: pip install 'wbflow[cloud]'")
 
+TASKS = 25
+"""Of a night of the toy's."""
 SMALL = 600
 """Of the toy's files the larger ones have objects of their own so."""
 
@@ -73,7 +75,7 @@ def made(toy: ToySite, tmp_path: Path) -> Callable[[str], Mirrored]:
 
     def make(url: str) -> Mirrored:
         shutil.rmtree(toy.folder)
-        return Mirrored(toy.folder, toy.cameras, keys={"work": url}, caches=tmp_path / "caches")
+        return Mirrored(toy.folder, toy.cameras[:3], keys={"work": url}, caches=tmp_path / "caches")
 
     return make
 
@@ -151,11 +153,11 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     os.killpg(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     there = receipts(site.url, tmp_path / "scratch")
-    assert 2 < len(there) < 40
+    assert 2 < len(there) < TASKS
     site.fault("slow", "0")
     site.machine("second")  # the first one's folder is gone with it
     record = site.run()
-    assert record["tasks"] == {"cached": len(there), "ran": 40 - len(there), "rejected": 0, "failed": 0, "skipped": 0}
+    assert record["tasks"] == {"cached": len(there), "ran": TASKS - len(there), "rejected": 0, "failed": 0, "skipped": 0}
     assert not site.ran() & there
     assert site.cloud == expected
 
@@ -165,17 +167,17 @@ def test_a_night_with_nothing_to_do_lists_once_and_fetches_no_artifact(
 ) -> None:
     site = made(f"{s3}/again")
     site.run()
-    assert Counter(method for method, _ in requests)["put_object"] > 40
+    assert Counter(method for method, _ in requests)["put_object"] > TASKS
     requests.clear()
     record = site.run()
-    assert record["tasks"]["cached"] == 40 and record["same_as"]
+    assert record["tasks"]["cached"] == TASKS and record["same_as"]
     assert [name for method, name in requests if method == "list_objects_v2"] == ["again/index/"]
     assert {name for method, name in requests if method == "get_object"} == {"again/held.json"}
     assert len(requests) <= 10
     requests.clear()
     site.machine("second")
     code, words = site.told("status", "--json")
-    assert (code, json.loads(words)["totals"]) == (0, {"cached": 40})
+    assert (code, json.loads(words)["totals"]) == (0, {"cached": TASKS})
     assert not [name for _, name in requests if name.endswith((".wbf", ".ply", ".jpg"))]
 
 
@@ -184,7 +186,7 @@ def test_machines_take_turns(site: Mirrored) -> None:
     site.machine("second")
     site.capture("gate").write_text("another view from gate")
     second = site.run()
-    assert second["tasks"]["ran"] + second["tasks"]["cached"] == 40 and second["tasks"]["cached"] > 10
+    assert second["tasks"]["ran"] + second["tasks"]["cached"] == TASKS and second["tasks"]["cached"] > 4
     assert json.loads((site.work / "reference" / "reference.json").read_bytes())["run"] == first["run"]
     cloud = site.cloud
     site.machine("first")
@@ -207,10 +209,10 @@ def test_what_the_store_has_lost_is_made_anew_and_named(site: Mirrored, tmp_path
     site.machine("second")
     record = site.run("--force", "matches", "--force", "geometry", "--force", "poses", "--force", "rectify")
     assert record["exit_code"] == ExitCode.GOOD and site.cloud == cloud
-    assert any(changed.name in text and "damaged" in text for text in record["repaired"])
+    assert any(changed.name in text and "made again" in text for text in record["repaired"])
     site.machine("third")
     again = site.run("--force", "matches", "--force", "fuse")
-    assert not any("damaged" in text for text in again["repaired"]) and site.cloud == cloud
+    assert not any("made again" in text for text in again["repaired"]) and site.cloud == cloud
 
 
 def test_a_damaged_segment_is_not_believed(site: Mirrored, tmp_path: Path) -> None:
@@ -220,10 +222,10 @@ def test_a_damaged_segment_is_not_believed(site: Mirrored, tmp_path: Path) -> No
         segment.write_bytes(segment.read_bytes()[:-20])
     site.machine("second")
     record = site.run()
-    assert record["tasks"]["ran"] == 40 and site.cloud == cloud
+    assert record["tasks"]["ran"] == TASKS and site.cloud == cloud
     assert all("index" in text and "made again" in text for text in record["repaired"]) and record["repaired"]
     site.machine("third")
-    assert site.run()["tasks"]["cached"] == 40
+    assert site.run()["tasks"]["cached"] == TASKS
 
 
 def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
@@ -238,7 +240,7 @@ def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Call
 def test_an_extra_that_is_missing_is_named(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
     code, words = site.told("run")
-    assert code == ExitCode.FAILED and "pip install 'wbflow[cloud]'" in words
+    assert code == ExitCode.USAGE and "pip install 'wbflow[cloud]'" in words
 
 
 def test_a_store_that_goes_away_costs_no_night_and_gets_it_later(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,7 +256,7 @@ def test_a_store_that_goes_away_costs_no_night_and_gets_it_later(site: Mirrored,
     cloud = site.cloud
     site.run()
     site.machine("second")
-    assert site.run()["tasks"]["cached"] == 40
+    assert site.run()["tasks"]["cached"] == TASKS
     assert site.cloud == cloud
     assert (site.work / "runs" / record["run"] / "run.json").is_file()
 
@@ -315,7 +317,7 @@ def test_what_is_cleaned_away_goes_from_the_store_and_what_is_removed_by_hand_co
     assert site.told("clean", "--keep", "1")[0] == 0
     assert not before <= set((tmp_path / "store").rglob("*.wbf"))
     site.machine("second")
-    assert site.run()["tasks"]["cached"] == 40
+    assert site.run()["tasks"]["cached"] == TASKS
 
 
 def test_the_index_is_brought_together(site: Mirrored, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -326,11 +328,11 @@ def test_the_index_is_brought_together(site: Mirrored, monkeypatch: pytest.Monke
     wholes = [name for name in names if name.endswith("-whole")]
     assert len(wholes) == 2 and len(names) <= 7 and names[0] == wholes[0]
     site.machine("second")
-    assert site.run()["tasks"]["cached"] == 40
+    assert site.run()["tasks"]["cached"] == TASKS
     (tmp_path / "store" / "index" / wholes[-1]).write_bytes(b"")
     site.machine("third")
     record = site.run()
-    assert record["tasks"]["cached"] == 40 and any(wholes[-1] in text for text in record["repaired"])
+    assert record["tasks"]["cached"] == TASKS and any(wholes[-1] in text for text in record["repaired"])
 
 
 def test_bytes_come_when_they_are_read(site: Mirrored) -> None:
@@ -346,3 +348,45 @@ def test_bytes_come_when_they_are_read(site: Mirrored) -> None:
     name = artifact.parent.name
     assert run.artifact(f"geometry {name}").F.shape == (3, 3)
     assert stand_in(artifact) is None
+
+
+def test_captures_come_from_a_store_and_each_once(site: Mirrored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    site.run("--work", str(tmp_path / "disk"))
+    cloud = (tmp_path / "disk" / "runs" / "latest" / "cloud.ply").read_bytes()
+    delivered = tmp_path / "delivered"
+    (site.folder / "captures").rename(delivered)
+    site.keys = {"work": str(tmp_path / "work"), "captures": {"root": f"file://{delivered}", "pattern": "{camera}.txt"}}
+    site.write()
+    fetched: list[str] = []
+    fetch = Objects.fetch
+
+    def noted(store: Objects, name: str, to: Path) -> bool:
+        fetched.append(name)
+        return fetch(store, name, to)
+
+    monkeypatch.setattr(Objects, "fetch", noted)
+    record = site.run()
+    assert record["tasks"]["ran"] == TASKS and sorted(fetched) == sorted(f"{camera}.txt" for camera in site.cameras)
+    assert (tmp_path / "work" / "runs" / "latest" / "cloud.ply").read_bytes() == cloud
+    fetched.clear()
+    assert site.run()["tasks"]["cached"] == TASKS and fetched == []
+    (delivered / "gate.txt").write_text("another view from gate, somewhat later")
+    (delivered / "mast-1.txt").unlink()
+    (delivered / "roof.txt").write_bytes(
+        next(WorkFolder.mirroring(f"file://{delivered}", "captures").root.glob("gate.txt")).read_bytes()
+    )
+    record = site.run(code=ExitCode.DEGRADED)
+    assert sorted(fetched) == ["gate.txt", "roof.txt"]
+    assert [camera["id"] for camera in record["cameras"] if camera["outcome"] != "ok"] == ["mast-1"]
+
+
+def test_a_bucket_is_shown_as_a_folder_whatever_else_it_holds(s3: str, tmp_path: Path) -> None:
+    from wbflow.store.delivery import bring
+    from wbflow.store.outside import read_outside
+
+    store, root = Objects(f"{s3}/delivered"), tmp_path / "here"
+    for name, data in {"yard/": b"", "yard/gate.txt": b"a view", "yard/gate.txt/odd": b"?", "../out": b"?"}.items():
+        store.write(name, data)
+    bring(root, store.url)
+    assert read_outside(root / "yard" / "gate.txt") == b"a view"
+    assert not (tmp_path / "out").exists()

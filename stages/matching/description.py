@@ -1,0 +1,231 @@
+"""What a keypoint's surroundings look like: its main direction, and SIFT's histograms of gradients (Lowe, IJCV 2004).
+
+Histograms are made from a small picture of the surroundings, sampled in the keypoint's own scale and direction: what a sample
+adds to which histogram is then known beforehand, and the samples are as many for a large keypoint as for a small one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.jit import kernel
+from ..types import Float32s, Float64s, Int32s, Int64s
+from .scale_space import Blobs, Pyramid, in_octave
+
+BINS = 36
+"""Of the histogram of directions."""
+WINDOW, REACH = 1.5, 3.0
+"""It weighs by a Gaussian of so many sigmas of the keypoint, over so many times that."""
+STRONG = 0.8
+"""Directions with this share of the strongest are main directions, too."""
+
+CELLS, TURNS = 4, 8
+"""Histograms along each side of the patch, and directions of each."""
+CELL_SIGMAS = 3.0
+"""A histogram's width in sigmas of the keypoint."""
+SAMPLES = 20
+"""Samples along the patch, which reaches half a cell beyond the histograms."""
+LENGTH = CELLS * CELLS * TURNS
+CLIP = 0.2
+"""No direction counts more, of unit length."""
+
+
+_GRADIENTS = 4, 64
+"""x, y, direction and size of the gradients of one row; so long is none."""
+
+
+def main_directions(octaves: Pyramid, blobs: Blobs, seam: float) -> Float64s:
+    """(n,) radians from x to y: of each blob the first main direction from the angle `seam` on."""
+    angle = np.empty(len(blobs.x))
+    for octave, levels in enumerate(octaves):
+        rows = np.flatnonzero(blobs.octave == octave)
+        found = np.empty(len(rows))
+        _directions(levels, blobs.level[rows], *in_octave(octave, blobs.at(rows)), seam, found)
+        angle[rows] = found
+    return angle
+
+
+def describe(octaves: Pyramid, blobs: Blobs, angle: Float64s) -> Float32s:
+    """(n, 128) histograms of unit length, of blobs with main directions `angle`."""
+    out = np.empty((len(blobs.x), LENGTH), np.float32)
+    weight, first, share = _grid()
+    for octave, levels in enumerate(octaves):
+        rows = np.flatnonzero(blobs.octave == octave)
+        found = np.empty((len(rows), out.shape[1]), np.float32)
+        where = in_octave(octave, blobs.at(rows))
+        _histograms(levels, blobs.level[rows], *where, angle[rows], weight, first, share, found)
+        out[rows] = found
+    return out
+
+
+def _grid() -> tuple[Float32s, Int64s, Float32s]:
+    """For each sample along a side: Gaussian weight, the first of two cells that it adds to (0: before the patch), and the share
+    of the second."""
+    at = (np.arange(SAMPLES) + 0.5) * (CELLS + 1) / SAMPLES - 0.5 * (CELLS + 1)
+    cell = at + 0.5 * CELLS + 0.5
+    first = np.floor(cell).astype(np.int64)
+    return np.exp(-0.5 * (at / (0.5 * CELLS)) ** 2).astype(np.float32), first, (cell - first).astype(np.float32)
+
+
+@kernel
+def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: float) -> None:
+    """Direction of each gradient, from 0 on, times `per`, and its size."""
+    for k in range(len(gx)):
+        x, y = gx[k], gy[k]
+        ax, ay = abs(x), abs(y)
+        low, high = min(ax, ay), max(ax, ay)
+        r = low / max(high, np.float32(1e-12))
+        q = r * r
+        # odd powers by least squares, wrong by .0002 rad at most
+        t = r * (np.float32(0.999215) + q * (np.float32(-0.3211819) + q * (np.float32(0.1462766) - q * np.float32(0.0389929))))
+        t = np.float32(1.5707964) - t if ay > ax else t
+        t = np.float32(3.1415927) - t if x < 0 else t
+        t = np.float32(6.2831853) - t if y < 0 else t
+        turn[k] = t * np.float32(per)
+        size[k] = np.sqrt(x * x + y * y)
+
+
+@kernel
+def _directions(
+    levels: Float32s, level: Int32s, xs: Float64s, ys: Float64s, sigmas: Float64s, seam: float, out: Float64s
+) -> None:
+    """Write the first main direction of each: xs, ys, sigmas in pixels of the octave."""
+    _, h, w = levels.shape
+    gradients, along = np.empty(_GRADIENTS, np.float32), np.empty(_GRADIENTS[1], np.float32)
+    histogram, smooth = np.empty(BINS), np.empty(BINS)
+    for n in range(len(xs)):
+        image = levels[level[n]]
+        x, y, window = xs[n], ys[n], WINDOW * sigmas[n]
+        left, right = max(int(np.ceil(x - REACH * window)), 1), min(int(np.floor(x + REACH * window)), w - 2)
+        top, bottom = max(int(np.ceil(y - REACH * window)), 1), min(int(np.floor(y + REACH * window)), h - 2)
+        count = max(min(right - left + 1, _GRADIENTS[1]), 0)
+        gx, gy, turn, size = gradients[0, :count], gradients[1, :count], gradients[2, :count], gradients[3, :count]
+        fall = -0.5 / window**2
+        for k in range(count):
+            along[k] = np.exp(fall * (left + k - x) ** 2)
+        histogram[:] = 0.0
+        for row in range(top, bottom + 1):
+            for k in range(count):
+                gx[k] = image[row, left + k + 1] - image[row, left + k - 1]
+                gy[k] = image[row + 1, left + k] - image[row - 1, left + k]
+            _angles(gx, gy, turn, size, BINS / (2 * np.pi))
+            across = np.exp(fall * (row - y) ** 2)
+            for k in range(count):
+                b = int(turn[k] + np.float32(0.5))
+                histogram[b - BINS if b >= BINS else b] += across * along[k] * size[k]
+        for b in range(BINS):
+            twice = histogram[b - 2] + histogram[(b + 2) % BINS]
+            once = histogram[b - 1] + histogram[(b + 1) % BINS]
+            smooth[b] = (twice + 4 * once + 6 * histogram[b]) / 16
+        out[n] = _first_peak(smooth, seam)
+
+
+@kernel
+def _first_peak(smooth: Float64s, seam: float) -> float:
+    """Of the peaks that are strong, the first from the seam on, between bins by a parabola."""
+    best, found = 7.0, seam
+    least = STRONG * smooth.max()
+    for b in range(BINS):
+        v, before, after = smooth[b], smooth[b - 1], smooth[(b + 1) % BINS]
+        if v > before and v > after and v >= least:
+            angle = (b + 0.5 * (before - after) / (before - 2 * v + after)) * (2 * np.pi / BINS)
+            later = (angle - seam) % (2 * np.pi)
+            if later < best:
+                best, found = later, angle
+    return found
+
+
+@kernel
+def _histograms(
+    levels: Float32s,
+    level: Int32s,
+    xs: Float64s,
+    ys: Float64s,
+    sigmas: Float64s,
+    angles: Float64s,
+    weight: Float32s,
+    first: Int64s,
+    share: Float32s,
+    out: Float32s,
+) -> None:
+    """Write the descriptors; weight, first, share: of `_grid`."""
+    patch = np.empty((SAMPLES + 2, SAMPLES + 2), np.float32)
+    gx, gy, turn, size = np.empty((4, SAMPLES), np.float32)
+    line = np.empty((CELLS + 2, TURNS + 1), np.float32)
+    total = np.empty((CELLS + 2, CELLS + 2, TURNS + 1), np.float32)
+    for n in range(len(xs)):
+        spacing = sigmas[n] * CELL_SIGMAS * (CELLS + 1) / SAMPLES
+        _sample(levels[level[n]], xs[n], ys[n], spacing * np.cos(angles[n]), spacing * np.sin(angles[n]), patch)
+        total[:] = 0
+        for r in range(SAMPLES):
+            for k in range(SAMPLES):
+                gx[k] = patch[r + 1, k + 2] - patch[r + 1, k]
+                gy[k] = patch[r + 2, k + 1] - patch[r, k + 1]
+            _angles(gx, gy, turn, size, TURNS / (2 * np.pi))
+            _add_row(turn, size, weight, first, share, line)
+            below = weight[r] * share[r]
+            above, c = weight[r] - below, first[r]
+            for i in range(CELLS + 2):
+                for o in range(TURNS + 1):
+                    total[c, i, o] += above * line[i, o]
+                    total[c + 1, i, o] += below * line[i, o]
+        _write(total, out[n])
+
+
+@kernel
+def _add_row(turn: Float32s, size: Float32s, weight: Float32s, first: Int64s, share: Float32s, line: Float32s) -> None:
+    """Histograms (cells, turns + 1) of one row's gradients, each shared between two cells and two directions."""
+    line[:] = 0
+    for k in range(SAMPLES):
+        o = min(int(turn[k]), TURNS - 1)
+        part = turn[k] - np.float32(o)
+        value = size[k] * weight[k]
+        second = value * share[k]
+        value -= second
+        up, up2, c = value * part, second * part, first[k]
+        line[c, o] += value - up
+        line[c, o + 1] += up
+        line[c + 1, o] += second - up2
+        line[c + 1, o + 1] += up2
+
+
+@kernel
+def _write(total: Float32s, out: Float32s) -> None:
+    """The inner cells, of unit length, clipped, and of unit length again."""
+    k = 0
+    for i in range(1, CELLS + 1):
+        for j in range(1, CELLS + 1):
+            for o in range(TURNS):
+                out[k] = total[i, j, o] + (total[i, j, TURNS] if o == 0 else np.float32(0))
+                k += 1
+    for again in range(2):
+        length = np.float32(0)
+        for k in range(len(out)):
+            length += out[k] * out[k]
+        length = np.float32(1) / max(np.sqrt(length), np.float32(1e-12))
+        for k in range(len(out)):
+            out[k] *= length
+            if again == 0:
+                out[k] = min(out[k], np.float32(CLIP))
+
+
+@kernel
+def _sample(image: Float32s, x: float, y: float, c: float, s: float, patch: Float32s) -> None:
+    """The surroundings of x, y by bilinear interpolation, (c, s) apart along a row; what lies outside is like the edge."""
+    h, w = image.shape
+    side = len(patch)
+    half = 0.5 * (side - 1)
+    reach = half * (abs(c) + abs(s)) + 2
+    inside = x - reach > 0 and y - reach > 0 and x + reach < w - 1 and y + reach < h - 1
+    for r in range(side):
+        px, py = x - c * half - s * (r - half), y - s * half + c * (r - half)
+        for k in range(side):
+            u, v = px + c * k, py + s * k
+            if not inside:
+                u, v = min(max(u, 0.0), w - 1.001), min(max(v, 0.0), h - 1.001)
+            i, j = int(u), int(v)
+            a, b = np.float32(u - i), np.float32(v - j)
+            p, q = image[j, i], image[j + 1, i]
+            p += a * (image[j, i + 1] - p)
+            q += a * (image[j + 1, i + 1] - q)
+            patch[r, k] = p + b * (q - p)
