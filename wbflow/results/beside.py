@@ -21,6 +21,8 @@ from ..store.signed import Damaged, read_signed, write_signed
 from ..task import Task
 from .artifacts import function
 
+_MOST_NAMED = 8
+"""So many of a figure's parts are named, the largest first."""
 _KEPT = ".beside"
 """Ends the names of these files in the cache, where .json would be a receipt."""
 
@@ -93,7 +95,8 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         title, written = titled(name), _percent if meaning(name).share else spoken
         if isinstance(value, Mapping) and value and not any(isinstance(entry, Mapping) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
-            yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered)
+            less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
+            yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered[:_MOST_NAMED]) + less
         elif value is not None and not isinstance(value, Mapping | list | tuple | str):
             yield title, written(value)
 

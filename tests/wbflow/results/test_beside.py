@@ -11,6 +11,7 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from wbflow.graph import pipeline
 from wbflow.graph.rows import Reports
+from wbflow.results.beside import shown
 
 STAGE = """
 from wbflow_stages.types import Poses, Scene
@@ -92,3 +93,9 @@ def test_what_cannot_be_made_is_told_and_the_night_is_not_lost(toy_with_files: T
     toy_with_files.run()
     assert (latest(toy_with_files) / "toy.txt").is_file()
     assert "no map has the place" in (latest(toy_with_files) / "log.jsonl").read_text()
+
+
+def test_of_a_figure_of_many_cameras_those_that_count_are_named() -> None:
+    ((title, words),) = shown({"lost_without": {f"c{k:02d}": 0.01 * k for k in range(12)}})
+    assert title == "lost without"
+    assert words == "c11 11 %, c10 10 %, c09 9.0 %, c08 8.0 %, c07 7.0 %, c06 6.0 %, c05 5.0 %, c04 4.0 %; 4 others less"
