@@ -15,7 +15,7 @@ from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task, view_name
 from .sources import Sources
 
-ROOM = 6_500_000
+ROOM = 6_000_000
 """Bytes of pictures that a page holds at most: what it is all about are points and words."""
 
 _PRIVATE = FromSite(SiteValue.PRIVACY, optional=True)
