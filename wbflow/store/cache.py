@@ -131,7 +131,7 @@ class Cache:
 
     def newest(self, task: Task) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""
-        receipts = [r for path in self.work.receipts(task) if (r := self._receipt(task, str(path)))]
+        receipts = [r for name in self.work.receipt_names(task) if (r := self._receipt(task, name))]
         return max(receipts, key=lambda r: r.finished, default=None)
 
     def receipts(self) -> Iterator[Receipt]:
