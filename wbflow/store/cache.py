@@ -104,7 +104,7 @@ class Receipt:
     cpu: float = 0.0
     """Seconds."""
     peak_rss_mb: float = 0.0
-    """Of the worker."""
+    """MB (2^20 bytes) that the worker held for itself at most, while it was at this."""
     finished: str = ""
     """ISO 8601, UTC."""
 
