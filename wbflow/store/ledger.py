@@ -31,7 +31,7 @@ create table if not exists runs (
 create table if not exists uses (run text, artifact text, outcome text, reason text, task text, primary key (run, task));
 create table if not exists artifacts (
     artifact text primary key, task text, stage text, outcome text,
-    digest text, bytes integer, wall real, cpu real, finished text);
+    digest text, bytes integer, wall real, cpu real, peak_mb real, finished text);
 create table if not exists unreadable (run text primary key);
 create table if not exists again (run text primary key, same text);
 create index if not exists uses_artifact on uses (artifact);
@@ -99,8 +99,11 @@ class Ledger:
 
     def record_artifacts(self, receipts: Iterable[Receipt]) -> None:
         """Index finished tasks."""
-        rows = [(r.key, r.task, r.preimage.stage, r.outcome, r.digest, r.bytes, r.wall, r.cpu, r.finished) for r in receipts]
-        self._write(("insert or replace into artifacts values (?,?,?,?,?,?,?,?,?)", rows))
+        rows = [
+            (r.key, r.task, r.preimage.stage, r.outcome, r.digest, r.bytes, r.wall, r.cpu, r.peak_rss_mb, r.finished)
+            for r in receipts
+        ]
+        self._write(("insert or replace into artifacts values (?,?,?,?,?,?,?,?,?,?)", rows))
 
     def record_run(self, record: RunRecord, tasks: Iterable[TaskEvent]) -> None:
         """Index a run, and what each of its tasks used."""
