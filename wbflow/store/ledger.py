@@ -17,7 +17,7 @@ from .layout import WorkFolder
 from .record import RunRecord
 from .run_folder import NoSuchRun, RunFolder
 
-_FORM = 2
+_FORM = 3
 """Written when a ledger is complete; one of another form, or cut short, is made again."""
 _NOTHING = """
 drop table if exists runs; drop table if exists uses; drop table if exists artifacts; drop table if exists unreadable;
@@ -29,7 +29,7 @@ create table if not exists runs (
 create table if not exists uses (run text, artifact text, outcome text, reason text, task text, primary key (run, task));
 create table if not exists artifacts (
     artifact text primary key, task text, stage text, outcome text,
-    digest text, bytes integer, wall real, cpu real, finished text);
+    digest text, bytes integer, wall real, cpu real, peak_mb real, finished text);
 create table if not exists unreadable (run text primary key);
 create index if not exists uses_artifact on uses (artifact);
 """
@@ -96,8 +96,11 @@ class Ledger:
 
     def record_artifacts(self, receipts: Iterable[Receipt]) -> None:
         """Index finished tasks."""
-        rows = [(r.key, r.task, r.preimage.stage, r.outcome, r.digest, r.bytes, r.wall, r.cpu, r.finished) for r in receipts]
-        self._write(("insert or replace into artifacts values (?,?,?,?,?,?,?,?,?)", rows))
+        rows = [
+            (r.key, r.task, r.preimage.stage, r.outcome, r.digest, r.bytes, r.wall, r.cpu, r.peak_rss_mb, r.finished)
+            for r in receipts
+        ]
+        self._write(("insert or replace into artifacts values (?,?,?,?,?,?,?,?,?,?)", rows))
 
     def record_run(self, record: RunRecord, tasks: Iterable[TaskEvent]) -> None:
         """Index a run, and what each of its tasks used."""
