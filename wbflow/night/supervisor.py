@@ -22,6 +22,7 @@ from ..store.sizes import in_words
 from ..task import Task
 from . import machine
 from .hand import LOOK_SECONDS, Hand
+from .holding import Holding
 from .limits import Limits
 from .spec import TaskSpec
 from .state import Cause
@@ -107,6 +108,7 @@ class Supervisor:
         self._jobs = jobs
         self._cache = cache
         self._limits = limits
+        self._holding = Holding(limits)
         self._warn = warn
         self._queue: list[tuple[float, int, _Lane]] = []
         self._numbers = itertools.count()
@@ -160,11 +162,18 @@ class Supervisor:
         alone = any(lane.losses for handful in self._busy.values() for lane in handful.lanes)
         room = 1 if not first else self._jobs if not alone else 0
         while (self._queue if first else self._alone) and len(self._busy) < room:
+            if first and self._busy and not self._fits(self._queue[0][2]):
+                return
             lanes = self._next_lanes() if first else [self._alone.pop(0)]
             hand = self._idle.pop() if self._idle else Hand(self._jobs)
             hand.give([(lane.specs[lane.finished :], lane.receipts) for lane in lanes], self._cache)
             self._busy[hand] = _Handful(lanes)
             self._begun(lanes[0].at_work.task)
+
+    def _fits(self, lane: _Lane) -> bool:
+        """Will it hold so little that it can be done beside those at work?"""
+        begun = [[spec.task for each in handful.lanes for spec in each.specs] for handful in self._busy.values()]
+        return self._holding.fits(begun, [spec.task for spec in lane.specs])
 
     def _next_lanes(self) -> list[_Lane]:
         """The next lane; where it is known to be quick, with others that are, but no more than each worker's share of them."""
@@ -192,6 +201,8 @@ class Supervisor:
                     hand.ready = True
                 elif done is not None:
                     specs, another = handful.lane.specs, handful.count(done)
+                    if done.receipt:
+                        self._holding.learn(done.task.stage, done.receipt.peak_rss_mb)
                     self._took[done.task.stage] = done.receipt.wall if done.receipt else math.inf
                     yield Report(specs, done)
                     if another:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import resource
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -24,6 +23,7 @@ from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.room import FULL, REMEDY
 from ..task import Task
+from . import machine
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause
 
@@ -213,6 +213,7 @@ def _trace() -> str:
 
 
 def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
+    machine.count_from_here()
     wall, cpu = time.perf_counter(), lane.clock()
     arguments = {name: _load(value, lane) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
@@ -234,7 +235,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
         cpu=lane.clock() - cpu,
-        peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        peak_rss_mb=machine.most_held() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
     lane.keep(receipt, data)

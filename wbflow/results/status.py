@@ -90,11 +90,12 @@ def _why(plan: Plan, spec: TaskSpec) -> str:
 
 def _pending(plan: Plan, task: Task) -> str:
     """How much of a waiting task's input is to be made anew (the same bytes may come out of it: then the task is not run)."""
-    last = plan.cache.newest(task)
+    if plan.cache.newest(task) is None:
+        return "never run"
     upstreams = plan.upstreams(task)
     pending = sum(upstream not in plan.states for upstream in upstreams)
-    if last is None or not pending:
-        return "never run" if last is None else "once the pair graph is known"
+    if not pending:
+        return "once the pair graph is known"
     return f"{pending} of {len(upstreams)} inputs will change" if pending > 1 else "an input may change"
 
 

@@ -11,11 +11,12 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
+from ..lean import dataclass
 from ..task import Task
 from . import artifact
 from .atomic import Prepared, clear, prepare, put, sync_all, write_atomic
@@ -104,7 +105,7 @@ class Receipt:
     cpu: float = 0.0
     """Seconds."""
     peak_rss_mb: float = 0.0
-    """Of the worker."""
+    """MB (2^20 bytes) that the worker held for itself at most, while it was at this."""
     finished: str = ""
     """ISO 8601, UTC."""
 
@@ -131,7 +132,7 @@ class Cache:
 
     def newest(self, task: Task) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""
-        receipts = [r for path in self.work.receipts(task) if (r := self._receipt(task, str(path)))]
+        receipts = [r for name in self.work.receipt_names(task) if (r := self._receipt(task, name))]
         return max(receipts, key=lambda r: r.finished, default=None)
 
     def receipts(self) -> Iterator[Receipt]:

@@ -19,10 +19,10 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from ..lean import dataclass
 from ..task import Task
 from .atomic import sync_folder
 
@@ -195,15 +195,21 @@ class WorkFolder:
         first = self.receipt(task, key)
         return [first, *(p for p in sorted(self.task(task).glob(f"{key}.*")) if p != first)]
 
-    def receipts(self, task: Task | None = None) -> list[Path]:
-        """The receipts of a task under whatever key, or of all tasks, by name."""
-        return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
+    def receipts(self) -> list[Path]:
+        """The receipts of all tasks, by name."""
+        return sorted(self.cache.glob("*/*/*.json"))
+
+    def receipt_names(self, task: Task) -> list[str]:
+        """The receipts of a task under whatever key, as text."""
+        try:
+            with os.scandir(self._of(task)) as files:
+                return sorted(file.path for file in files if file.name.endswith(".json"))
+        except FileNotFoundError:
+            return []
 
     def cached(self) -> Iterator[Path]:
         """Every file of every task, whatever its key."""
-        for path in self.cache.glob("*/*/*"):
-            if not path.name.startswith("."):
-                yield path
+        return (path for path in self.cache.glob("*/*/*") if not path.name.startswith("."))
 
     def quarantined(self, path: Path) -> Path:
         """Where a damaged file of the cache is put."""

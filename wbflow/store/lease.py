@@ -25,6 +25,8 @@ BEAT_SECONDS = 60.0
 GONE_SECONDS = 600.0
 """Who has not been heard of for so long is gone."""
 _LOOK_SECONDS = 5.0
+_SETTLE_SECONDS = 3.0
+"""Of two who find the same holder gone, the slower one may still take away what the quicker one has put there."""
 _LOOKS = 3
 _LONG_AGO = "2000-01-01T00:00:00+00:00"
 _KERNEL = Path("/proc")
@@ -80,12 +82,15 @@ class Lease:
         StoreError
             It does not answer.
         """
+        took_over = False
         while True:
             holder = self._holder()
             if holder and holder.gone():
                 self._objects.remove([NAME])
-                holder = None
+                holder, took_over = None, True
             if holder is None and self._objects.create(NAME, self._told()):
+                if took_over and not self._still_mine():
+                    continue
                 self._beat = time.monotonic()
                 self._thread.start()
                 return
@@ -109,6 +114,11 @@ class Lease:
         with contextlib.suppress(StoreError):
             if self.held():
                 self._objects.remove([NAME])
+
+    def _still_mine(self) -> bool:
+        time.sleep(_SETTLE_SECONDS)
+        holder = self._holder()
+        return holder is not None and holder.token == self._mine.token
 
     def _go_on(self) -> None:
         while not self._lost and not self._stop.wait(BEAT_SECONDS):

@@ -267,13 +267,14 @@ def holder(heard: datetime.datetime, **more: str) -> bytes:
     return json.dumps(told).encode()
 
 
-def test_two_machines_do_not_write_at_once(site: Mirrored) -> None:
+def test_two_machines_do_not_write_at_once(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     site.run("--until", "frames")
     now, store = datetime.datetime.now(datetime.UTC), Objects(site.url)
     store.write(lease.NAME, holder(now))
     code, words = site.told("run")
     assert code == ExitCode.LOCKED and "crane-pc" in words and site.url in words and "--wait" in words
     assert json.loads(store.read(lease.NAME) or b"")["token"] == "t"
+    monkeypatch.setattr(lease, "_SETTLE_SECONDS", 0.0)
     store.write(lease.NAME, holder(now - datetime.timedelta(minutes=11)))  # nobody has heard of it since
     assert site.run()["exit_code"] == ExitCode.GOOD
     store.write(lease.NAME, holder(now, machine=lease._machine(), process=f"{2**22 + 1} 5"))  # killed on this machine

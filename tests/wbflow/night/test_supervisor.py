@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from tests.helpers.toy_site import ToySite
 from wbflow.cli import main
 from wbflow.night import limits
+from wbflow.night.holding import Holding
 from wbflow.night.limits import Limits
 from wbflow.night.supervisor import Report, Supervisor
 from wbflow.store.past import Past
@@ -35,6 +36,9 @@ def detect(frame, *, at: float = 0.0):
     with open(os.path.join(os.environ["TOY_FAULTS"], "did"), "a") as did:
         did.write(f"{features.xy[0, 0]}\\n")
     what, _, where = open(os.path.join(os.environ["TOY_FAULTS"], "wicked")).read().partition(" ")
+    if what == "hold":
+        held = np.ones(300_000_000, np.uint8)
+        time.sleep(0.6)
     if str(int(features.xy[0, 1])) == where:
         if what == "hang":
             time.sleep(3600)
@@ -188,6 +192,28 @@ def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
     assert told.seconds_for(Task("slow")) == limits.TIMES * 300
     assert told.seconds_for(Task("endless")) == told.seconds_for(Task("new")) == limits.LONGEST
     assert Limits(seconds=5.0, past=past).seconds_for(Task("slow")) == 5
+
+
+def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked: ToySite) -> None:
+    behave(wicked, "hold")
+    wicked.run("--jobs", "1", "--until", "features")
+    held = [json.loads(path.read_text())["peak_rss_mb"] for path in (wicked.work / "cache" / "features").glob("*/*.json")]
+    assert all(286 < mb < 450 for mb in held), held
+    (wicked.folder / "faults" / "did").unlink()
+    again = wicked.wbflow("run", "--jobs", "2", "--until", "features", "--force", "features", "--memory", "500MB")
+    assert again.returncode == 0 and "alone" not in again.stderr, again.stderr
+    assert len((wicked.folder / "faults" / "did").read_text().split()) == len(held), "nobody was ended for another's sake"
+
+
+def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
+    fuse, gate, roof = Task("fuse"), Task("depth", ("gate",)), Task("depth", ("roof",))
+    past = Past(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
+    holding = Holding(Limits(memory=1000 * 2**20, past=past))
+    assert holding.fits([], [fuse]) and holding.fits([[fuse]], [roof])
+    assert not holding.fits([[fuse]], [gate]), "it held 300 MB the last time"
+    assert holding.fits([[fuse]], [Task("new", ("roof",))]), "nobody knows"
+    holding.learn("new", 700.0)
+    assert not holding.fits([[Task("new", ("roof",))]], [Task("new", ("gate",))])
 
 
 def test_a_limit_of_memory_that_is_no_size_is_refused(toy: ToySite) -> None:
