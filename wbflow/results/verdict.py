@@ -187,7 +187,8 @@ def _of_poses(record: RunRecord) -> Iterator[Finding]:
 
 def _remedy_of_lost(camera: CameraRecord) -> str:
     if camera.code == Cause.UNSOLVED:
-        return "a camera nearby that sees the same things from an angle between would tie it in"
+        between = "a camera nearby that sees the same things from an angle between would tie it in"
+        return f"state its lens, if the site file does not (wbflow calibrate finds it): wide ones need that; or {between}"
     if camera.code == Cause.NO_CAPTURE:
         return f"see that it delivers: {_BACK}"
     return f"look at the camera: {_BACK}"

@@ -166,6 +166,52 @@ def test_every_model_of_colmap(tmp_path: Path, name: str) -> None:
     assert np.abs(theirs - (GRID + 0.5)).max() < ALMOST, "COLMAP's origin is the corner of the first pixel"
 
 
+DRAWN = {name: [(c - 0.1 * abs(c), c + 0.1 * abs(c)) for c in given if abs(c) < 10] for name, given in COLMAP.items()} | {
+    "SIMPLE_RADIAL": [(-0.25, 0.25)],
+    "SIMPLE_DIVISION": [(-0.3, 0.05)],
+    "DIVISION": [(-0.3, 0.05)],
+    "FOV": [(0.2, 1.2)],
+    "EUCM": [(0.05, 0.95), (0.6, 1.6)],
+    "OPENCV_FISHEYE": [(-0.06, 0.06), (-0.02, 0.02), (-0.005, 0.005), (-0.001, 0.001)],
+}
+"""What coefficients are drawn from."""
+
+
+@pytest.mark.parametrize("name", sorted(COLMAP.keys() - {"EQUIRECTANGULAR"}))
+def test_drawn_lenses_of_colmap(tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng(len(name))
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 gate.jpg\n\n")
+    focals = len(COLMAP[name]) - len(DRAWN[name])
+    for _ in range(4):
+        middle = [318.7 + rng.uniform(-20, 20), 244.2 + rng.uniform(-20, 20)]
+        focal = rng.uniform(150, 700) * rng.uniform(0.98, 1.02, focals)
+        params = [*focal, *middle, *(rng.uniform(*ends) for ends in DRAWN[name])]
+        (tmp_path / "cameras.txt").write_text(f"1 {name} {WIDTH} {HEIGHT} {' '.join(map(repr, map(float, params)))}\n")
+        camera = read_calibration(tmp_path)["gate.jpg"]
+        lens = Lens(np.array(camera.K), np.array(camera.distortion or [0.0]), None, WIDTH, HEIGHT, camera.model)
+        theirs = pycolmap.Camera(model=name, width=WIDTH, height=HEIGHT, params=params)
+        rays = lens_rays(lens, GRID)
+        there = np.asarray(theirs.img_from_cam(rays)) - 0.5
+        both = np.isfinite(there).all(axis=1)  # COLMAP images nothing behind the camera, and no lens beyond where it folds over
+        assert both.mean() > 0.5
+        assert np.abs(there - GRID)[both].max() < ALMOST
+
+
+@pytest.mark.parametrize(("count", "fisheye"), [(4, True), (4, False), (5, False), (8, False), (12, False), (14, False)])
+def test_drawn_lenses_of_opencv(tmp_path: Path, count: int, fisheye: bool) -> None:
+    rng = np.random.default_rng(count)
+    spread = [0.06, 0.02, 0.005, 0.001] if fisheye else [0.25, 0.05, 0.002, 0.002, 0.01, 0.25, 0.05, 0.01, *[0.003] * 4, 0.03]
+    for _ in range(4):
+        drawn = [float(rng.uniform(-most, most)) for most in (spread if fisheye else [*spread, 0.03])[:count]]
+        path = file_storage(tmp_path / "gate.yaml", drawn, **({"fisheye_model": 1} if fisheye else {}))
+        camera = read_calibration(path)["gate"]
+        lens = Lens(np.array(camera.K), np.array(camera.distortion), None, WIDTH, HEIGHT, camera.model)
+        rays = lens_rays(lens, GRID)
+        seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0)
+        assert seen.mean() > 0.5
+        assert np.abs(opencv_pixels(rays[seen], drawn, fisheye) - GRID[seen]).max() < ALMOST
+
+
 @pytest.fixture(scope="module")
 def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A camera and an image of every model of COLMAP, as COLMAP writes them."""
