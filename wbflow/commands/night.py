@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..errors import ExitCode, UsageError, counted, worst
+from ..lean import dataclass
 from ..screen import findings, next_command, say, summary
 from .common import (
     BACKENDS,
@@ -77,7 +77,7 @@ def run(sites: tuple[Path, ...], dry_run: bool, as_json: bool, verbose: bool, qu
     if dry_run:
         code = each(sites, lambda site: _foretell(site, **asked))
         sys.exit(code)
-    telling = _Telling(verbose, quiet or as_json, bool(asked["since"]) or len(sites) > 1)
+    telling = _Telling(verbose, quiet or as_json, bool(asked["since"]) or len(sites) > 1, as_json)
     records: list[Any] = []
     code = each(sites, lambda site: _work_through(site, telling, records, **asked))
     if as_json:
@@ -94,6 +94,8 @@ class _Telling:
     """Nothing but what went wrong."""
     several: bool
     """Each run says which it is."""
+    as_json: bool = False
+    """For programs."""
 
 
 def _foretell(
@@ -137,7 +139,8 @@ def _work_through(
             finished = work_through(site, date=day, listen=listen, watch=watch.hear, **asked)
         record = finished.record
         codes.append(record.exit_code)
-        records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
+        if telling.as_json:
+            records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
         if telling.several and not telling.quiet:
             say(f"{record.site}, night {record.date}, run {record.run}:")
         if not telling.quiet:

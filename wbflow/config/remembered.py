@@ -124,6 +124,8 @@ def _plain(site: Site) -> dict[str, Any]:
         plain[name] = str(plain[name])
     for name in ("cameras", "views"):
         plain[name] = [{**dataclasses.asdict(c), "mask": str(c.mask) if c.mask else None} for c in plain[name]]
+    if plain["views"] == plain["cameras"]:  # as of most sites
+        plain["views"] = None
     plain["stages"] = {
         name: {**dataclasses.asdict(settings), "files": {key: str(file) for key, file in settings.files.items()}}
         for name, settings in site.stages.items()
@@ -138,7 +140,7 @@ def _site(plain: dict[str, Any], document: Document, reader: FunctionReader) -> 
     """The site again.  Raises TypeError, KeyError for what is none of this version."""
     told = dict(plain)
     told |= {"root": Path(told["root"]), "work": Path(told["work"]), "cameras": tuple(map(_camera, told["cameras"]))}
-    told["views"] = tuple(map(_camera, told["views"]))
+    told["views"] = tuple(map(_camera, told["views"])) if told["views"] is not None else told["cameras"]
     told["stages"] = {name: _settings(settings) for name, settings in told["stages"].items()}
     told["survey"] = StatedSurvey(**{**told["survey"], "cameras": tuple(told["survey"]["cameras"])})
     told |= {"expected": Expected(**told["expected"]), "keep": Keep(**told["keep"])}

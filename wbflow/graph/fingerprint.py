@@ -13,9 +13,9 @@ import functools
 import hashlib
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from ..lean import dataclass
 from .modules import Modules, imported, origin_of, statements
 
 FOLLOWED = ("wbflow_stages",)

@@ -6,10 +6,11 @@ import ast
 import importlib.util
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from ..errors import ExitCode, WbflowError
+from ..lean import dataclass
 from .plugins import was_offered
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import datetime
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..config.site import Site, SiteCamera
 from ..errors import UsageError, WbflowError, printable
+from ..lean import dataclass
 from ..store.digests import Digests
 from .names import Pattern
 
@@ -145,7 +145,7 @@ def file_of_stage(stage: str, name: str) -> str:
 
 
 def _file(site: Site, path: Path, digests: Digests) -> CaptureFile:
-    return _digested(str(path.relative_to(site.root)) if path.is_relative_to(site.root) else str(path), path, digests)
+    return _digested(str(path).removeprefix(f"{site.root}/"), path, digests)
 
 
 def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:

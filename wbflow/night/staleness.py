@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from ..config.site import Site, SiteCamera
+from ..lean import dataclass
 from ..store.artifact import digest
 from ..store.digests import Digests
 from ..store.record import Health

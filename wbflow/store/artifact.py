@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
+from ..lean import dataclass
 from .layout import STAND_IN
 from .outside import open_outside
 
@@ -53,7 +54,7 @@ def decode(data: bytes) -> Any:
     return _untree(tree, _Frames(memoryview(data), end))
 
 
-@dataclasses.dataclass
+@dataclass
 class Opened:
     """The bytes of an artifact of which parts are wanted, again and again: each is rebuilt on its own, for its caller."""
 
@@ -209,7 +210,7 @@ def _array_tree(array: Any, frames: list[bytes]) -> Any:
     return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
 
 
-@dataclasses.dataclass
+@dataclass
 class _Frames:
     """The array frames of an artifact, which lie in the order in which the header names them."""
 

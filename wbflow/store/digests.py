@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import WbflowError
+from ..lean import dataclass
 from .artifact import file_digest
 from .signed import Damaged, read_signed, write_signed
 
@@ -64,7 +65,7 @@ class Digests:
         """The content digest of a file.  Raises OSError."""
         name = str(path)
         self._asked[name] = None
-        status = path.stat()
+        status = os.stat(name)  # noqa: PTH116 (hot path)
         stamp = list(stamp_of(status))
         known = self._known.get(name)
         settled = is_settled(status.st_mtime_ns, status.st_ctime_ns)

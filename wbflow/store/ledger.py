@@ -7,9 +7,10 @@ import contextlib
 import os
 import sqlite3
 from collections.abc import Callable, Iterable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, fields
 from typing import Any, TypeVar
 
+from ..lean import dataclass
 from .atomic import clear
 from .cache import Cache, Receipt
 from .events import TaskEvent
@@ -21,6 +22,7 @@ _FORM = 3
 """Written when a ledger is complete; one of another form, or cut short, is made again."""
 _NOTHING = """
 drop table if exists runs; drop table if exists uses; drop table if exists artifacts; drop table if exists unreadable;
+drop table if exists again;
 """
 _SCHEMA = """
 create table if not exists runs (
@@ -31,6 +33,7 @@ create table if not exists artifacts (
     artifact text primary key, task text, stage text, outcome text,
     digest text, bytes integer, wall real, cpu real, peak_mb real, finished text);
 create table if not exists unreadable (run text primary key);
+create table if not exists again (run text primary key, same text);
 create index if not exists uses_artifact on uses (artifact);
 """
 _PATIENCE_S = 5.0
@@ -111,9 +114,7 @@ class Ledger:
         """Index a run that used what another one did; False where that one's uses are not known (any more)."""
         if self._rows("select count(*) from uses where run = ?", same) != [(sum(record.tasks.to_json().values()),)]:
             return False
-        outcome = "case outcome when 'ran' then 'cached' else outcome end"
-        copied = f"insert or replace into uses select ?, artifact, {outcome}, reason, task from uses where run = ?"
-        self._write(_row(record), (copied, [(record.run, same)]))
+        self._write(_row(record), ("insert or replace into again values (?,?)", [(record.run, same)]))
         return True
 
     def runs(self) -> list[LedgerRun]:
@@ -123,8 +124,9 @@ class Ledger:
 
     def keys_of_runs(self, runs: Iterable[str]) -> set[str]:
         """Keys of all artifacts that these runs used."""
+        named, of = set(runs), dict(self._rows("select run, same from again"))
         query = "select artifact from uses where run = ? and artifact is not null"
-        return {key for run in runs for (key,) in self._rows(query, run)}
+        return {key for run in {of.get(run, run) for run in named} for (key,) in self._rows(query, run)}
 
     def usual_bytes(self) -> dict[str, float]:
         """What an artifact of each stage takes on disk, on average of the newest."""
@@ -133,8 +135,9 @@ class Ledger:
 
     def forget(self, runs: Iterable[str], keys: Iterable[str]) -> None:
         """Leave out what runs used and artifacts that have been removed; what the runs came to stays."""
-        of_runs = ("delete from uses where run = ?", [(run,) for run in runs])
-        self._write(of_runs, ("delete from artifacts where artifact = ?", [(key,) for key in keys]))
+        gone = [(run,) for run in runs]
+        of_runs = ("delete from uses where run = ?", gone), ("delete from again where run = ?", gone)
+        self._write(*of_runs, ("delete from artifacts where artifact = ?", [(key,) for key in keys]))
         if not self._in_memory:
             self._db.execute("vacuum")
             self._db.execute("pragma wal_checkpoint(truncate)")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from ..lean import dataclass
 from .layout import WorkFolder
 
 _MOST = 20_000
