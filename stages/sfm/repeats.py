@@ -17,13 +17,12 @@ from math import isfinite, log
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason
 from ..twoview.pair_score import DISTINCT_CELLS
-from ..twoview.rivals import MUCH_TURNED, TURNED_DEG
+from ..twoview.rivals import MUCH_TURNED, SAME_ROTATION_DEG, TURNED_DEG
 from ..types import Geometry, Pair
 
 PARTS_DEG = (180.0, 120.0, 90.0, 60.0)
 """Of a full turn: buildings with two, three, four and six equal sides."""
 PART_WITHIN_DEG = 2.0
-SAME_ROTATION_DEG = 1.0
 ROW_SHARE, ROW_INLIERS = 0.2, 20
 """Of the accepted inliers, and matches, that a rival of the same rotation needs."""
 

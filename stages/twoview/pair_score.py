@@ -126,7 +126,7 @@ def pair_evidence(
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
         stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
         angle_deg=ray_angle_deg(x1, x2, left.view, right.view, found.R),
-        rival=None if found.R is None else find_rival(left, right, pairs, i1, i2, found.R, found.F, seed),
+        rival=None if found.R is None else find_rival(left, right, pairs, i1, i2, found, seed),
     )
 
 

@@ -8,6 +8,7 @@ appears, of the same keypoints with other partners, and a second pose with it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from ..matching.initial import Correspondences, confirmations
 from ..matching.structural import solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .epipolar import symmetric_epipolar_distance
-from .robust import estimate_essential
+from .robust import TwoView, estimate_essential
 
 EXPLAINED_PX = 12.0
 """A candidate this near to where the accepted matches put its keypoint is no rival."""
@@ -33,6 +34,9 @@ MUCH = 0.25
 """Share of the accepted inliers that makes any other pose a rival..."""
 MUCH_TURNED, TURNED_DEG = 0.08, 20.0
 """...and one that is turned by more than so many degrees."""
+SAME_ROTATION_DEG, ANOTHER_STEP_DEG = 1.0, 30.0
+"""A rival of the same rotation whose baseline has another direction is another pose, though all its matches be on the lines: the
+view of another house of a row."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +46,10 @@ class Rival:
     inliers: int = 0
     """How many of the matches that the geometry does not explain agree with one pose."""
     elsewhere: int = 0
-    """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, not another pose."""
+    """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, unless it is another step
+    along a row, which may lead to the other side."""
     turned_deg: float = 0.0
-    """Between the accepted rotation and that of the matches off the lines."""
+    """Between the accepted rotation and that of these."""
 
     def ambiguous(self, inliers: int) -> bool:
         """Nothing decides between this and a geometry with so many inliers.
@@ -61,8 +66,7 @@ def find_rival(
     pairs: tuple[ViewPair, ...],
     i1: Int32s,
     i2: Int32s,
-    R: Float64s,
-    F: Float64s,
+    accepted: TwoView,
     seed: int = 0,
 ) -> Rival:
     """The strongest pattern of matches besides the accepted ones.
@@ -75,30 +79,42 @@ def find_rival(
         Their views, as `matching.candidates.view_pairs` gives them.
     i1, i2
         (n,) int32, the accepted matches: rows of the features.
-    R, F
-        Their rotation and F.
+    accepted
+        Their geometry, with its pose.
     seed
         Of the random samples.
     """
+    assert accepted.R is not None and accepted.t is not None
     others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
     found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
     if found is None or len(found.i1) < FEWEST:
         return Rival()
     x1, x2 = left.xy[found.i1], right.xy[found.i2]
-    inliers, _ = _one_pose(x1, x2, left.view, right.view, R, seed)
-    off = symmetric_epipolar_distance(F, x1, x2) > OFF_LINES_PX
-    elsewhere, turned = _one_pose(x1[off], x2[off], left.view, right.view, R, seed)
-    return Rival(inliers, elsewhere, turned)
+    every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
+    off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
+    elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
+    if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
+        elsewhere = every
+    return Rival(every.inliers, elsewhere.inliers, elsewhere.turned_deg)
 
 
-def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, seed: int) -> tuple[int, float]:
-    """How many matches agree with one pose, and by how much it is turned against R."""
+class _Pose(NamedTuple):
+    """How many matches agree with one pose, and by how much it and its baseline are turned against the accepted one."""
+
+    inliers: int = 0
+    turned_deg: float = 0.0
+    step_deg: float = 0.0
+
+
+def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, t: Float64s, seed: int) -> _Pose:
+    """The pose that most of the matches agree with, against R and the unit vector t."""
     if len(x1) < FEWEST:
-        return 0, 0.0
+        return _Pose()
     pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
-    if pose is None or pose.R is None:
-        return 0, 0.0
-    return int(pose.inliers.sum()), angle_between_deg(pose.R, R)
+    if pose is None or pose.R is None or pose.t is None:
+        return _Pose()
+    step = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
+    return _Pose(int(pose.inliers.sum()), angle_between_deg(pose.R, R), float(step))
 
 
 def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:

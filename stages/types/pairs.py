@@ -86,7 +86,7 @@ class Geometry:
     rival_inliers: int = 0
     """How many matches agree with the best other hypothesis (see `twoview.rivals`)..."""
     rival_elsewhere: int = 0
-    """...and how many of those off the epipolar lines..."""
+    """...and how many of those off the epipolar lines, or with another step along a row..."""
     rival_turned_deg: float = float("nan")
     """...whose rotation is so far from the accepted one; nan where no rival was looked for."""
     noise_px: Float32s | None = None

@@ -252,7 +252,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.RECTIFICATION,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
         renamed={"method": Renamed("method", {"seed": "literal"})},
-        reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_error_px"),
+        reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_chance", "row_error_px"),
         held=Held(nudged="anew", moved="anew"),
     ),
     Stage(

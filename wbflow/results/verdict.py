@@ -20,6 +20,7 @@ from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
 from ..task import Task, camera_of
+from .at_fault import at_fault
 from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
 
 PLANNED_PAIRS = 0.5
@@ -134,8 +135,13 @@ def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 
 def _of_cameras(record: RunRecord) -> Iterator[Finding]:
+    faults = at_fault(record)
+    excused = {name for others in faults.values() for name in others}
     for camera in record.cameras:
-        if trouble := _trouble(camera, record):
+        trouble = _trouble(camera, record)
+        if trouble and trouble.kind == "camera-fruitless":
+            trouble = None if camera.id in excused else _blamed(trouble, faults.get(camera.id))
+        if trouble:
             down = camera.down
             nights = f"; {down.told(left_out=not camera.ok)}" if down and down.nights > 1 else ""
             figures = {"since": down.since, "nights": down.nights} if down else {}
@@ -171,6 +177,18 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
             remedy += "; or its pose is not what the site file says: measure it anew, or leave it out to have it solved"
         return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
     return None
+
+
+def _blamed(fruitless: Finding, excused: tuple[str, ...] | None) -> Finding:
+    """A camera without a usable pair whose stated pose is at fault for that; excused: others that have none because of it."""
+    if excused is None:
+        return fruitless
+    text = f"{fruitless.text}; its stated pose explains that, and no other camera's explains as much"
+    if excused:
+        have = "has" if len(excused) == 1 else "have"
+        text += f", and {' and '.join(excused)} {have} no pair beside those with it that tells anything"
+    remedy = "it does not stand or look as the site file says: measure its pose anew, or leave it out to have it solved"
+    return replace(fruitless, text=text, remedy=remedy)
 
 
 def _of_poses(record: RunRecord) -> Iterator[Finding]:

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.stages.twoview.test_pair_score import GOOD, solid_pair
+from tests.stages.twoview.test_pair_score import GOOD, VIEW, K, solid_pair
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
+from wbflow_stages.matching.candidates import view_pairs
 from wbflow_stages.twoview.pair_score import pair_score
-from wbflow_stages.twoview.rivals import Rival
+from wbflow_stages.twoview.rivals import Rival, find_rival
+from wbflow_stages.twoview.robust import TwoView
 from wbflow_stages.types import Features, Geometry, Matches
 
 SHIFT = np.array([260.0, 0])
@@ -34,6 +36,33 @@ def repeated(seed: int) -> tuple[Features, Features]:
             )
         )
     return views[0], views[1]
+
+
+def row_of_houses() -> tuple[Features, Features]:
+    """Two views from 3 m apart of four houses that are the same, 5 m wide; rows: house, then point."""
+    rng = np.random.default_rng(5)
+    house = np.column_stack([rng.uniform(0, 5, 80), rng.uniform(-3, 3, 80), rng.uniform(14, 17, 80)])
+    X = np.concatenate([house + np.array([5 * k - 10, 0, 0]) for k in range(4)])
+    descriptors = np.tile(rng.random((80, 128)).astype(np.float32) ** 3, (4, 1))
+    views = []
+    for x in (-1.5, 1.5):
+        image = (X - [x, 0, 0]) @ K.T
+        xy = image[:, :2] / image[:, 2:] + rng.normal(0, 0.3, (len(X), 2))
+        seen = np.abs(descriptors + rng.normal(0, 0.02, descriptors.shape).astype(np.float32))
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        frames = np.repeat(np.eye(2)[None] * 4, len(X), axis=0)
+        views.append(Features(xy, frames, seen, np.ones(len(X), np.float32), np.zeros(len(X), np.uint8), VIEW))
+    return views[0], views[1]
+
+
+def test_the_next_house_of_a_row_is_another_pose_though_it_lies_on_the_lines() -> None:
+    left, right = row_of_houses()
+    same = np.arange(320, dtype=np.int32)
+    F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
+    accepted = TwoView(F / np.linalg.norm(F), np.ones(320, bool), np.eye(3), np.array([-1.0, 0, 0]))
+    rival = find_rival(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
+    assert rival.inliers > 0.25 * len(same) and rival.turned_deg < 1
+    assert rival.ambiguous(len(same))
 
 
 def found(left: Features, right: Features) -> Geometry:

@@ -278,6 +278,33 @@ def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_el
     assert ("its pose is not what the site file says" in finding.remedy) is (known == "stated")
 
 
+def rows(left: str, right: str, given: float, beside: float) -> PairRecord:
+    """A pair refused by its rows, of stated poses."""
+    figures = {"matched": True, "known": "stated", "row_share": given, "row_chance": beside}
+    return PairRecord(left, right, "rejected", "dense matching does not confirm the cameras", figures=figures)
+
+
+def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named() -> None:
+    wide = rows("crane", "roof", 0.026, 0.024)  # says nothing: neither row matches
+    tried = [pair("crane", "gate"), rows("crane", "mast", 0.03, 0.1), rows("gate", "mast", 0.01, 0.012), wide]
+    (fruitless,) = (
+        f for f in verdict_of(night(pairs=[*tried, rows("mast", "roof", 0.1, 0.16)])).findings if f.kind == "camera-fruitless"
+    )
+    assert fruitless.subject == ("mast",)
+    assert "roof has no pair" in fruitless.text and "measure its pose anew" in fruitless.remedy
+
+
+def test_two_cameras_with_as_many_pairs_against_them_are_both_named() -> None:
+    tried = [
+        pair("crane", "gate"),
+        rows("crane", "mast", 0.03, 0.1),
+        rows("gate", "roof", 0.03, 0.1),
+        rows("mast", "roof", 0.1, 0.16),
+    ]
+    found = verdict_of(night(pairs=tried)).findings
+    assert [f.subject for f in found if f.kind == "camera-fruitless"] == [("mast",), ("roof",)]
+
+
 def test_a_camera_in_no_pair_gives_nothing() -> None:
     assert only(night(pairs=without("roof"))).kind == "camera-alone"
 
