@@ -52,6 +52,8 @@ class Which(Enum):
     """Of all subjects that have it, as a mapping."""
     AROUND = auto()
     """Of the cameras that the one in question makes pairs with, and of these pairs, as a mapping."""
+    NEAR = auto()
+    """Of these cameras and a few that make pairs with them (see `Subjects.near`), as a mapping."""
 
 
 class SiteValue(Enum):

@@ -19,6 +19,9 @@ from .state import Cause, State
 from .stated import side, stated, stated_of_site, subject_of
 from .subjects import Subjects
 
+_MANY = frozenset({Which.ALL, Which.AROUND, Which.NEAR})
+"""What is handed on as a mapping."""
+
 
 @dataclass
 class Inputs:
@@ -95,7 +98,7 @@ class Inputs:
         if self._needless(need):
             return Joined({})
         origin = stage_named(need.stage)
-        if need.which in {Which.ALL, Which.AROUND}:
+        if need.which in _MANY:
             return self._join(origin, need, task)
         part = need.part
         if part and origin.scope == "site" and stage.scope != "site":
@@ -112,7 +115,7 @@ class Inputs:
             origin = stage_named(need.stage)
             if need.optional and origin not in self.stages:
                 continue
-            if need.which in {Which.ALL, Which.AROUND} and origin.scope != "site":
+            if need.which in _MANY and origin.scope != "site":
                 found += self.subjects.joined(origin, need, task)
             else:
                 found.append(Task(origin.name, subject_of(origin, need, task)))
@@ -150,7 +153,7 @@ class Inputs:
     def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
         if origin not in self.stages and need.optional:
             return Joined({})
-        if self.subjects.pairs() is None and (origin.scope == "pair" or need.which is Which.AROUND):
+        if self.subjects.pairs() is None and (origin.scope == "pair" or need.which in {Which.AROUND, Which.NEAR}):
             raise Waiting(None)
         if origin.scope == "site":
             return self._entries(origin, need, task)
@@ -174,11 +177,11 @@ class Inputs:
         return Joined(items)
 
     def _entries(self, origin: Stage, need: FromStage, task: Task) -> Input:
-        """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question."""
+        """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question, or near it."""
         assert need.part
         items: dict[Subject, Value | Stored] = {}
         optional = dataclasses.replace(need, optional=True)
-        for camera in self.subjects.around(task.subject[0]):
+        for camera in self.subjects.among(need.which, task.subject[0]):
             stored = self._stored(Task(origin.name), optional, Part(need.part.field, camera), set())
             if isinstance(stored, Stored):
                 items[camera,] = stored

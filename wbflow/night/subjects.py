@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,6 +12,9 @@ from ..graph.pipeline import stage_with
 from ..graph.rows import FromStage, Role, Stage, Which
 from ..task import Task, component_name
 from .state import State
+
+_NEAR = 8
+"""Cameras that show more of what one sees than its partners alone; each is one more picture that a task reads."""
 
 
 @dataclass
@@ -53,6 +57,18 @@ class Subjects:
         around = {c for pair in graph.of.get(camera, ()) for c in pair} - {camera} if graph else set()
         return sorted(around, key=self._position.__getitem__)
 
+    def near(self, camera: str) -> list[str]:
+        """The cameras that one makes pairs with, and where these are fewer than eight, those that make pairs with the most of
+        them; in the order of the site file."""
+        partners = self.around(camera)
+        shared = Counter(other for partner in partners for other in self.around(partner))
+        more = sorted(shared.keys() - {camera, *partners}, key=lambda other: (-shared[other], self._position[other]))
+        return sorted([*partners, *more[: max(0, _NEAR - len(partners))]], key=self._position.__getitem__)
+
+    def among(self, which: Which, camera: str) -> list[str]:
+        """The cameras around one, or near it."""
+        return self.near(camera) if which is Which.NEAR else self.around(camera)
+
     def joined(self, origin: Stage, need: FromStage, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
         if need.which is Which.ALL:
@@ -61,7 +77,7 @@ class Subjects:
         if origin.scope == "pair":
             graph = self._known_graph()
             return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
-        return [Task(origin.name, (c,)) for c in self.around(camera)]
+        return [Task(origin.name, (c,)) for c in self.among(need.which, camera)]
 
     def camera(self, camera: str) -> SiteCamera:
         """What the site file says of a camera, or of one of its views."""
