@@ -24,6 +24,7 @@ from .twoview.pair_score import (
     ray_angle_deg,
     tells_the_site,
 )
+from .twoview.pooled_pair import matches_of_night, pooled_evidence, with_night
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (
     INLIER_FACTOR,
@@ -74,8 +75,8 @@ def estimate_geometry(
 
     Parameters
     ----------
-    matches : correspondences before geometry.  Points that are no keypoints are taken as they are: without the guided round, and
-        with the matcher's own probability in the place of how distinctive their descriptors are.
+    matches : correspondences before geometry.  Points that are no keypoints stay as they are, and their matcher's probability
+        stands for how distinctive their descriptors are; of many nights the keypoints of one say that (`twoview.pooled_pair`).
     left, right : the keypoints of the two frames.
     threshold_px : noise of a correct match, pixels.
     guided : match once more around the epipolar lines, and keep what that finds unless the inliers drop.
@@ -99,10 +100,10 @@ def estimate_geometry(
     how = _How(threshold_px, use_intrinsics, seed)
     if matches.i1 is not None:
         matches = replace(matches, searched=searched_view_pairs(matches, left, right))
-    before = matches
-    found = _solve(matches, _sizes(matches, left, right), how)
-    if guided and found is not None and matches.i1 is not None:
-        matches, found = _guided_round(matches, found, left, right, how)
+    before, found = matches, _solve(matches, _sizes(matches, left, right), how)
+    night = None if found is None else _of_one_night(matches, found, left, right)
+    if guided and found is not None and (night is not None or matches.i1 is not None):
+        matches, found = _guided_round(matches, found, night, left, right, how)
     found, noise, lenses = _weighted(matches, found, _sizes(matches, left, right), how)
     count = 0 if found is None else int(found.inliers.sum())
     if found is None or count < min_inliers:
@@ -115,7 +116,7 @@ def estimate_geometry(
         return Rejected(degenerate, figures | {"needed_share": min_area})
 
     contradicted = found.R is None and use_intrinsics and _known(matches.view1) and _known(matches.view2)
-    evidence = _evidence(before, inliers, found, left, right, seed)
+    evidence = _evidence(before, inliers, night, found, left, right, how)
     score = pair_score(evidence, contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
     if score < min_score and not tells_the_site(evidence):
@@ -175,11 +176,22 @@ def _inliers(matches: Matches, found: TwoView) -> Matches:
     )
 
 
-def _evidence(before: Matches, inliers: Matches, found: TwoView, left: Features, right: Features, seed: int) -> PairEvidence:
-    """What speaks for the pair: its descriptors where the matches have keypoints, else what the matcher said of its points."""
-    if inliers.i1 is None or inliers.i2 is None:
-        return point_evidence(before, inliers, found, seed)
-    return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, found, seed)
+def _of_one_night(matches: Matches, found: TwoView, left: Features, right: Features) -> Matches | None:
+    """What the keypoints match around a geometry of many nights; None for one of a single night."""
+    if matches.nights == 1 or matches.i1 is not None or not min(len(left.xy), len(right.xy)):
+        return None
+    return matches_of_night(_inliers(matches, found), found.F, left, right)
+
+
+def _evidence(
+    before: Matches, inliers: Matches, night: Matches | None, found: TwoView, left: Features, right: Features, how: _How
+) -> PairEvidence:
+    """What speaks for the pair: its descriptors where the matches have keypoints, or of one night where they are of many; else
+    what the matcher said of its points."""
+    if inliers.i1 is not None and inliers.i2 is not None:
+        return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, found, how.seed)
+    own = point_evidence(before, inliers, found, how.seed)
+    return own if night is None else pooled_evidence(own, night, found, left, right, how.threshold_px, how.seed)
 
 
 @dataclass(frozen=True)
@@ -245,9 +257,14 @@ def _solve(matches: Matches, size: Float64s, how: _How) -> TwoView | None:
     return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * bare.inliers.sum() else bare
 
 
-def _guided_round(matches: Matches, found: TwoView, left: Features, right: Features, how: _How) -> tuple[Matches, TwoView]:
-    """Matches and their geometry after the guided round, or what came in where that has more inliers."""
-    again = match_guided(_inliers(matches, found), left, right, found.F)
+def _guided_round(
+    matches: Matches, found: TwoView, night: Matches | None, left: Features, right: Features, how: _How
+) -> tuple[Matches, TwoView]:
+    """Matches and their geometry after the guided round, or what came in where that has more inliers.
+
+    night: what one night's keypoints match around the geometry, where the matches are of many.
+    """
+    again = with_night(matches, night) if night is not None else match_guided(_inliers(matches, found), left, right, found.F)
     again = replace(again, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
     better = _solve(again, _sizes(again, left, right), how)
     if better is None or better.inliers.sum() < found.inliers.sum():

@@ -60,6 +60,7 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
         newest.view2,
         newest.matcher,
         any(night.tilted for night in nights.values()),
+        len(nights),
     )
 
 

@@ -32,6 +32,8 @@ class Matches:
     """Who found them."""
     tilted: bool = False
     """The views compressed in x were used too."""
+    nights: int = 1
+    """So many nights' matches are put together here; of several they have no keypoints."""
     searched: tuple[object, ...] = field(default=(), compare=False, repr=False, metadata={"transient": True})
     """What the matcher searched and geometry may use again; no part of the artifact, and found again where it is missing."""
 

@@ -70,6 +70,14 @@ def test_a_box_that_stands_elsewhere_has_moved() -> None:
     assert (change.from_x, change.from_y) == pytest.approx((2.9, -1.8), abs=0.15)
 
 
+def test_a_thing_of_another_shape_did_not_come_from_where_one_of_the_same_volume_went() -> None:
+    long: Box = ((-5.0, -2.5, 0.0), (-2.9, -1.7, 0.9))
+    found = compared(night(CRATE, long, seed=1), night(CRATE, NEW_BOX))
+    new, gone = sorted(found.changes.values(), key=lambda change: change.kind)
+    assert (new.kind, gone.kind) == ("new", "vanished")
+    assert new.volume == pytest.approx(gone.volume, rel=0.25)
+
+
 @pytest.mark.parametrize("brightness", [1.0, 0.5, 1.5])
 def test_nothing_is_reported_where_only_the_light_has_changed(brightness: float) -> None:
     found = compared(night(CRATE, seed=1, brightness=brightness), night(CRATE))

@@ -9,7 +9,7 @@ from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.pooled import pool_depths, pool_matches
 from wbflow_stages.reasons import Reason
 from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
-from wbflow_stages.types import DepthMap, Features, Geometry, Matches, Rejected, View
+from wbflow_stages.types import DepthMap, Features, Float64s, Geometry, Matches, Rejected, View
 
 H, W = 40, 60
 TRUE = np.asarray(20 + 5 * np.mgrid[0:H, 0:W][1] / W)
@@ -85,10 +85,18 @@ def found(seed: int, again: int = 16) -> Matches:
     return Matches(x1, x2, None, None, likely, None, view, view, "toy")
 
 
-def geometry(matches: Matches) -> Geometry | Rejected:
-    none = np.zeros(0, np.float32)
-    features = Features(np.zeros((0, 2)), np.zeros((0, 2, 2)), none.reshape(0, 4), none, none.astype(np.uint8), matches.view1)
-    return estimate_geometry(matches, features, features)
+def geometry(matches: Matches, left: Features | None = None, right: Features | None = None) -> Geometry | Rejected:
+    return estimate_geometry(matches, left or keypoints(TRULY[0], 0, 0), right or keypoints(TRULY[1], 0, 0))
+
+
+def keypoints(x: Float64s, seed: int, count: int = 600) -> Features:
+    """What a night shows of the scene's first points, .4 pixels off: each looks like itself only, the same for the same seed."""
+    rng = np.random.default_rng(seed)
+    looks = rng.normal(size=(len(x), 32)).astype(np.float32)
+    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
+    at = x[:count] + rng.normal(0, 0.4, x[:count].shape)
+    frames, plain = np.repeat(3 * np.eye(2)[None], len(at), axis=0), np.zeros(len(at), np.uint8)
+    return Features(at, frames, looks[:count], np.ones(len(at), np.float32), plain, View(WIDTH, HEIGHT, K, focal_known=True))
 
 
 def test_a_wide_pair_that_single_nights_reject_is_known_from_four() -> None:
@@ -105,6 +113,17 @@ def test_what_every_night_finds_is_no_more_evidence_for_being_found_again() -> N
     pooled = pool_matches({str(seed): found(seed, again=0) for seed in range(1, 5)})
     assert len(pooled.x1) <= 16 + 8 + 4  # noise may part a few
     assert isinstance(geometry(pooled), Rejected)
+
+
+def test_the_keypoints_of_a_night_say_whether_pooled_matches_are_believed_and_make_them_more_exact() -> None:
+    pooled = pool_matches({str(seed): found(seed) for seed in range(1, 5)})
+    alone, left = geometry(pooled), keypoints(TRULY[0], 5)
+    together = geometry(pooled, left, keypoints(TRULY[1], 5))
+    assert isinstance(alone, Geometry) and isinstance(together, Geometry)
+    off = [float(np.median(symmetric_epipolar_distance(each.F, *TRULY))) for each in (alone, together)]
+    assert together.score > 0 and together.inliers > 1.5 * alone.inliers and off[1] < 0.8 * off[0]
+    unlike = geometry(pooled, left, keypoints(TRULY[1], 6))  # nothing there looks like what the matches put it to
+    assert isinstance(unlike, Geometry) and unlike.score < 0
 
 
 def test_many_nights_of_two_cameras_that_share_nothing_make_no_geometry() -> None:

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.store import atomic, reference
+from wbflow.config.load import load_site
+from wbflow.store import atomic, cache, reference, signed
 from wbflow.store.cache import Cache
 from wbflow.store.layout import WorkFolder
 from wbflow.task import Task
@@ -246,6 +247,40 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
     toy.night("2026-11-04")
     toy.run("--date", "2026-11-04")
     assert ran(toy) == set()
+
+
+def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_reference(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wbflow.night.pool import pool
+
+    work, site = WorkFolder(toy.work), load_site(toy.file)
+    for date in (SECOND, THIRD):
+        toy.night(date)
+        toy.run("--date", date)
+    old = reference.read_reference(work)
+    assert old is not None
+    shutil.copytree(work.reference, toy.folder / "before")
+    done = pool(work, old, site)
+    new, once = reference.read_reference(work), {path.name: path.read_bytes() for path in work.reference.rglob("*.json")}
+    assert {str(task) for task in done} == {"depth a", "depth b", "depth c"}
+    assert new is not None and pool(work, new, site) == done
+    assert {path.name: path.read_bytes() for path in work.reference.rglob("*.json")} == once
+    shutil.rmtree(work.reference)
+    shutil.copytree(toy.folder / "before", work.reference)
+    for task in done:
+        shutil.rmtree(Path(work.receipt(task, new.artifacts[task].key)).parent)
+    for date in (THIRD, SECOND, THIRD, FIRST):
+        toy.run("--date", date)
+    functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_signed"): signed.write_signed}
+    functions |= {(reference, "copy_new"): atomic.copy_new, (reference, "write_atomic"): atomic.write_atomic}
+    for last in (1, 2, 4, 6, 7, 30, 1000):  # the last is never reached
+        steps = iter(range(1000))
+        for (module, name), function in functions.items():
+            monkeypatch.setattr(module, name, _dying(function, steps, last))
+        with contextlib.nullcontext() if last == 1000 else pytest.raises(KeyboardInterrupt):
+            pool(work, old, site)
+        assert reference.read_reference(work) == (new if last == 1000 else old)
 
 
 def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Path) -> None:

@@ -1,0 +1,99 @@
+"""What one night's keypoints add to a geometry that was pooled from many, and what they say of it.
+
+Nights of the same scene are no independent evidence: what looks alike does so every night, and matches that come again agree with
+each other whether they are right or not.  Their number makes the geometry more exact.  Whether it is to be believed, the
+descriptors of one night say as for any pair: how distinctive the matches around it are, whether the clear ones agree with it, and
+what else the two cameras may see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..core.nearest_points import nearest_points
+from ..matching.candidates import searched_view_pairs, view_pairs
+from ..matching.matcher import keypoint_matches
+from ..matching.structural import match_guided
+from ..types import Features, Float64s, Int32s, Matches
+from .pair_score import PairEvidence, pair_evidence
+from .robust import TwoView, supporters
+
+NEAR_PX = 2.0
+"""A keypoint so near to a pooled match's point stands for it: nights differ by noise."""
+SAME_PX = 1.5
+"""A match of the night is the same as a pooled one where their four coordinates differ by less (root of the sum of squares)."""
+FEWEST = 8
+"""Matches of one night that tell something."""
+
+
+def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Features) -> Matches:
+    """What the keypoints of one night match around a pooled geometry.
+
+    Parameters
+    ----------
+    inliers
+        The pooled matches that agree with it.
+    F
+        (3, 3) the geometry.
+    left, right
+        Keypoints of the two cameras in that night.
+    """
+    i1, i2 = _keypoint_at(left, inliers.x1), _keypoint_at(right, inliers.x2)
+    known = (i1 >= 0) & (i2 >= 0)
+    pairs = view_pairs(left, right, inliers.tilted)
+    likely = inliers.probability[known].astype(np.float64)
+    seeds = keypoint_matches(left, right, i1[known], i2[known], likely, tilted=inliers.tilted, searched=pairs)
+    return match_guided(seeds, left, right, F)
+
+
+def with_night(pooled: Matches, night: Matches) -> Matches:
+    """The pooled matches, and those of a night that are not among them."""
+    ends = np.hstack([night.x1, night.x2])
+    away, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(ends) if len(ends) else (np.zeros(0), None)
+    more = away > SAME_PX
+    return replace(
+        pooled,
+        x1=np.vstack([pooled.x1, night.x1[more]]),
+        x2=np.vstack([pooled.x2, night.x2[more]]),
+        probability=np.concatenate([pooled.probability, night.probability[more]]),
+    )
+
+
+def pooled_evidence(
+    own: PairEvidence, night: Matches, found: TwoView, left: Features, right: Features, threshold_px: float, seed: int = 0
+) -> PairEvidence:
+    """Evidence for a pooled geometry: its own number, angle and halves; all that descriptors tell from the keypoints of a night.
+
+    Parameters
+    ----------
+    own
+        What the pooled matches say of it by themselves.
+    night
+        What the keypoints match around it.
+    found
+        The geometry.
+    left, right
+        The keypoints.
+    threshold_px
+        Noise of a correct match, pixels.
+    seed
+        Of the random samples.
+    """
+    keep = supporters(found.F, night.x1, night.x2, threshold_px)
+    if night.i1 is None or night.i2 is None or keep.sum() < FEWEST:
+        return replace(own, distinct_cells=0, distinct_share=0.0, agreement=0.0)
+    pairs = searched_view_pairs(night, left, right)
+    told = pair_evidence(left, right, pairs, night.i1[keep], night.i2[keep], found, seed)
+    rival, more = told.rival, own.inliers / told.inliers
+    if rival is not None:
+        rival = replace(rival, inliers=round(more * rival.inliers), elsewhere=round(more * rival.elsewhere))
+    return replace(told, inliers=own.inliers, half_rotation_deg=own.half_rotation_deg, angle_deg=own.angle_deg, rival=rival)
+
+
+def _keypoint_at(features: Features, x: Float64s) -> Int32s:
+    """(n,) row of the keypoint nearest to each place, -1 where none is near."""
+    distance, row = nearest_points(features.xy, x, 1)
+    return np.where(distance.ravel() <= NEAR_PX, row.ravel(), -1).astype(np.int32)
