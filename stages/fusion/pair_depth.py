@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.cameras import transfer
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..rectification.placement import frame_grid
 from ..rectification.warping import Side, disparity_px, from_rectified, resampling, to_rectified
 from ..types import Camera, DepthMap, Disparity, Float32s, Float64s, Rectification, Uint32s
@@ -122,7 +122,7 @@ def sample_disparity(disparity: Float32s, at: Float64s) -> Float64s:
     return out
 
 
-@kernel
+@helper
 def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
     h, w = disparity.shape
     if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
@@ -138,7 +138,7 @@ def _disparity_at(disparity: Float32s, x: float, y: float) -> float:
     return float(disparity[y0 + int(fy >= 0.5), x0 + int(fx >= 0.5)])
 
 
-@kernel
+@helper
 def _goes_on(disparity: Float32s, x: int, y: int) -> bool:
     """Whether the step from row y to the next one is that of a slope: ground seen at a low angle moves by several pixels from
     row to row, again and again; an edge does it once."""
@@ -154,7 +154,7 @@ def _triangulate(pixels: Float64s, partner: Float64s, M: Float64s, b: Float64s, 
         depth[n], gain[n] = _depth_at(pixels[n, 0], pixels[n, 1], partner[n, 0], partner[n, 1], M, b)
 
 
-@kernel
+@helper
 def _depth_at(x: float, y: float, u: float, v: float, M: Float64s, b: Float64s) -> tuple[float, float]:
     """Closed-form least squares on the two linear equations of the partner (u, v); depth and |dz/dpixel|, nan behind a camera."""
     m0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
@@ -267,7 +267,7 @@ def _slopes(q: Float32s, radius: int, steepest: float, slope_x: Float32s, slope_
                 slope_y[y, x] = (yq[x] * xx[x] - xq[x] * xy[x]) / det
 
 
-@kernel
+@helper
 def _add_neighbour(
     here: Float32s,
     there: Float32s,

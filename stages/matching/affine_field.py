@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..core.nearest_points import nearest_points
 from ..core.sorting import sorting_network
 from ..types import Float64s, Int32s, Int64s
@@ -125,7 +125,7 @@ def _fit(
             sigma[q], support[q] = spread[c], agree[c]
 
 
-@kernel
+@helper
 def _gather(
     query: Float64s,
     distance: Float64s,
@@ -174,7 +174,7 @@ def _gather(
     drawn[2, c], drawn[3, c] = m10 / total * scale[c], m11 / total * scale[c]
 
 
-@kernel
+@helper
 def _add_squares(
     w: Float64s, u: Float64s, v: Float64s,
     uu: Float64s, uv: Float64s, vv: Float64s, u1: Float64s, v1: Float64s, one: Float64s,
@@ -189,7 +189,7 @@ def _add_squares(
         one[c] += w[c]
 
 
-@kernel
+@helper
 def _add_products(w: Float64s, u: Float64s, v: Float64s, s: Float64s, us: Float64s, vs: Float64s, one_s: Float64s) -> None:
     for c in range(len(w)):
         ws = w[c] * s[c]
@@ -198,7 +198,7 @@ def _add_products(w: Float64s, u: Float64s, v: Float64s, s: Float64s, us: Float6
         one_s[c] += ws
 
 
-@kernel
+@helper
 def _solve(sums: Float64s, pull: Float64s, drawn: Float64s, found: Float64s) -> None:
     """The normal equations by cofactors; found: two rows (a, b, offset), s = a u + b v + offset, and the same for t."""
     for c in range(len(pull)):
@@ -215,7 +215,7 @@ def _solve(sums: Float64s, pull: Float64s, drawn: Float64s, found: Float64s) -> 
             found[3 * row + 2, c] = (c02 * bu + c12 * bv + c22 * b) / det
 
 
-@kernel
+@helper
 def _residuals(u: Float64s, v: Float64s, s: Float64s, t: Float64s, found: Float64s, e: Float64s) -> None:
     for c in range(len(u)):
         es = found[0, c] * u[c] + found[1, c] * v[c] + found[2, c] - s[c]
@@ -223,7 +223,7 @@ def _residuals(u: Float64s, v: Float64s, s: Float64s, t: Float64s, found: Float6
         e[c] = np.sqrt(es * es + et * et)
 
 
-@kernel
+@helper
 def _sort(values: Float64s, weights: Float64s, network: Int64s) -> None:
     """Sort each column; the weights go with the values."""
     for n in range(len(network)):
@@ -235,7 +235,7 @@ def _sort(values: Float64s, weights: Float64s, network: Int64s) -> None:
             weights[i, c], weights[j, c] = q if swap else p, p if swap else q
 
 
-@kernel
+@helper
 def _median(values: Float64s, weights: Float64s, spread: Float64s) -> None:
     """Of each sorted column the smallest value with half the weight at or below it, at least 1."""
     k, n = values.shape
@@ -254,13 +254,13 @@ def _median(values: Float64s, weights: Float64s, spread: Float64s) -> None:
         spread[c] = max(spread[c], 1.0)
 
 
-@kernel
+@helper
 def _reweigh(w0: Float64s, e: Float64s, spread: Float64s, w: Float64s) -> None:
     for c in range(len(w0)):
         w[c] = w0[c] / (1 + (e[c] / (2 * spread[c])) ** 2) ** 2
 
 
-@kernel
+@helper
 def _add_agreeing(w0: Float64s, e: Float64s, spread: Float64s, agree: Float64s) -> None:
     for c in range(len(w0)):
         agree[c] += w0[c] if e[c] < 3 * max(spread[c], 2.0) else 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Bools, Float64s, Int32s
 
 
@@ -99,7 +99,7 @@ def _suppress(
         head2[cells2[n, 1], cells2[n, 0]] = n
 
 
-@kernel
+@helper
 def _taken(head: Int32s, following: Int32s, cells: Int32s, x: Float64s, n: int, limit: float) -> bool:
     for row in range(cells[n, 1] - 1, cells[n, 1] + 2):
         for column in range(cells[n, 0] - 1, cells[n, 0] + 2):

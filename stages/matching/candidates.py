@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
 from .neighbours import Neighbours, nearest_neighbours
@@ -201,7 +201,7 @@ def _relative_distances(
         q[c] = _relative_distance(d1, d2, noise1, noise2, i[c], j[c])
 
 
-@kernel
+@helper
 def _relative_distance(d1: Float32s, d2: Float32s, noise1: Float32s, noise2: Float32s, i: int, j: int) -> float:
     """Descriptor distance over the mean noise level of the two keypoints."""
     dot = float(np.dot(d1[i], d2[j]))

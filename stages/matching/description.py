@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Float32s, Float64s, Int32s, Int64s
 from .scale_space import Blobs, Pyramid, in_octave
 
@@ -67,7 +67,7 @@ def _grid() -> tuple[Float32s, Int64s, Float32s]:
     return np.exp(-0.5 * (at / (0.5 * CELLS)) ** 2).astype(np.float32), first, (cell - first).astype(np.float32)
 
 
-@kernel
+@helper
 def _angles(gx: Float32s, gy: Float32s, turn: Float32s, size: Float32s, per: float) -> None:
     """Direction of each gradient, from 0 on, times `per`, and its size."""
     for k in range(len(gx)):
@@ -120,7 +120,7 @@ def _directions(
         out[n] = _first_peak(smooth, seam)
 
 
-@kernel
+@helper
 def _first_peak(smooth: Float64s, seam: float) -> float:
     """Of the peaks that are strong, the first from the seam on, between bins by a parabola."""
     best, found = 7.0, seam
@@ -172,7 +172,7 @@ def _histograms(
         _write(total, out[n])
 
 
-@kernel
+@helper
 def _add_row(turn: Float32s, size: Float32s, weight: Float32s, first: Int64s, share: Float32s, line: Float32s) -> None:
     """Histograms (cells, turns + 1) of one row's gradients, each shared between two cells and two directions."""
     line[:] = 0
@@ -209,7 +209,7 @@ def _write(total: Float32s, out: Float32s) -> None:
                 out[k] = min(out[k], np.float32(CLIP))
 
 
-@kernel
+@helper
 def _sample(image: Float32s, x: float, y: float, c: float, s: float, patch: Float32s) -> None:
     """The surroundings of x, y by bilinear interpolation, (c, s) apart along a row; what lies outside is like the edge."""
     h, w = image.shape

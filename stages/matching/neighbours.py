@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Float32s, Float64s, Int32s, Uint8s
 
 _BLOCK, _SPAN = 512, 32
@@ -102,14 +102,14 @@ def _keep_best(
             first, last = last, min(2 * last, n)
 
 
-@kernel
+@helper
 def _mark(values: Float32s, least: float, enough: Float32s, marks: Uint8s) -> None:
     """Mark the values that exceed `least`, or their own entry of `enough`."""
     for n in range(len(values)):
         marks[n] = np.uint8(values[n] > least) | np.uint8(values[n] > enough[n])
 
 
-@kernel
+@helper
 def _insert(best: Float32s, index: Int32s, value: float, at: int) -> None:
     """Put a value into a list from high to low; the last falls out."""
     place = len(best) - 1

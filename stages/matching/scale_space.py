@@ -15,7 +15,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 
 LEVELS = 3
@@ -134,7 +134,7 @@ def _extrema(d: Float32s, least: float) -> Int64s:
     return out[:n]
 
 
-@kernel
+@helper
 def _mark(
     row: Float32s, above: Float32s, below: Float32s, finer: Float32s, coarser: Float32s, least: np.float32, marks: Uint8s
 ) -> None:
@@ -147,7 +147,7 @@ def _mark(
         marks[x] = np.uint8((v >= max(most, least)) | (v <= min(fewest, -least)))
 
 
-@kernel
+@helper
 def _extreme(d: Float32s, s: int, y: int, x: int) -> bool:
     v = d[s, y, x]
     sign = np.float32(1.0) if v > 0 else np.float32(-1.0)
@@ -160,7 +160,7 @@ def _extreme(d: Float32s, s: int, y: int, x: int) -> bool:
     return True
 
 
-@kernel
+@helper
 def _cubic(t: float, taps: Float64s) -> None:
     """Weights of the four samples around a place `t` after the second (Keys' cubic convolution, a = -1/2)."""
     taps[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
@@ -187,7 +187,7 @@ def _look(d: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64
                 cube[level, b, a] = down[0] * rows[b] + down[1] * rows[b + 1] + down[2] * rows[b + 2] + down[3] * rows[b + 3]
 
 
-@kernel
+@helper
 def _newton(c: Float64s, step: Float64s) -> bool:
     """The step (x, y, s) from the middle of the cube to the extremum; step[3]: the value there.  False where
     there is none, or an edge."""

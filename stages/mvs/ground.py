@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from ..core.cameras import rays, relative_pose, scaled_intrinsics
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..core.side_by_side import side_by_side
 from ..types import Camera, Float32s, Float64s
 
@@ -245,7 +245,7 @@ def _correlate(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64
         out[k] = _correlation(image1, image2, x, y, H, radius) if _in_view(image1, image2, x, y, H, radius) else np.nan
 
 
-@kernel
+@helper
 def _in_view(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s, radius: int) -> bool:
     """Do both images show the patch?  Before the camera its image is convex: its corners tell."""
     h1, w1 = image1.shape
@@ -261,7 +261,7 @@ def _in_view(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s, ra
     return True
 
 
-@kernel
+@helper
 def _correlation(image1: Float32s, image2: Float32s, x: int, y: int, H: Float64s, radius: int) -> float:
     s1, s2, s11, s22, s12 = 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(y - radius, y + radius + 1):

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Float32s, Int32s, Int64s, Uint32s
 
 Uint64s = npt.NDArray[np.uint64]
@@ -47,7 +47,7 @@ _Q, _A, _B, _TRIAL = (i * BLOCK for i in range(4))
 _SPREAD, _TOTAL, _OFFSET, _TAPS = (i * BLOCK for i in range(4))
 
 
-@kernel
+@helper
 def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int, x0: int, n: int, window: Float32s) -> None:
     """The patches of `n` pixels from (x0, y) on: their deviation; then for each tap weights that sum to 1, and for each tap the
     weights times grey minus the patch's mean.  Weights fall as 1 / (1 + (dI / softness)^2); unusable pixels have none."""
@@ -83,7 +83,7 @@ def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int
         window[_SPREAD + x] = np.sqrt(window[_SPREAD + x])
 
 
-@kernel
+@helper
 def _project(
     height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, source: Int32s, s: Float32s
 ) -> None:
@@ -120,7 +120,7 @@ def _project(
             starts[_START + x] = start if mine else starts[_START + x]
 
 
-@kernel
+@helper
 def _costs(
     pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s, reach: int, y: int, x0: int,
     trial: Float32s, source: Int32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s,
@@ -178,7 +178,7 @@ def _costs(
         cost[x] = c
 
 
-@kernel
+@helper
 def _pixels_per_inverse_depth(
     height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, s: Float32s
 ) -> None:
@@ -202,7 +202,7 @@ def _pixels_per_inverse_depth(
             s[_SCALE + x] = max(s[_SCALE + x], moved) if inside else s[_SCALE + x]
 
 
-@kernel
+@helper
 def _planes_at(
     planes: Float32s, cost: Float32s, best: Int32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar,
     trial: Float32s, source: Int32s,
@@ -228,7 +228,7 @@ def _planes_at(
         there[x] = seen[x]
 
 
-@kernel
+@helper
 def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> None:
     """The planes at (x0, y), ..., whatever they cost; q = 0: none."""
     trial[:] = np.float32(0.0)
@@ -257,7 +257,7 @@ def _changed(
         trial[_B + x] += third[x] * turn * per_pixel
 
 
-@kernel
+@helper
 def _keep_cheaper(
     planes: Float32s, cost: Float32s, best: Int32s, usable: Float32s, reach: int, y: int, x0: int, n: int, trial: Float32s,
     source: Int32s, trial_cost: Float32s,

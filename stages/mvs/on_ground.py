@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Camera, Float32s, Float64s
 from .ground import below_horizon, ground_homography
 
@@ -88,7 +88,7 @@ def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, 
         found[k, 1] += (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / z
 
 
-@kernel
+@helper
 def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float64s, here: Float64s) -> bool:
     """Where H takes the pixels around one (u, v), and their grey levels; False where some are behind the camera."""
     n = 0
@@ -104,7 +104,7 @@ def _mapped(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Float
     return True
 
 
-@kernel
+@helper
 def _correlate(image2: Float32s, u: Float64s, v: Float64s, here: Float64s, reach: int, scores: Float64s) -> None:
     """Correlation of a patch with image 2 at each shift of its place there."""
     n = len(here)
@@ -125,7 +125,7 @@ def _correlate(image2: Float32s, u: Float64s, v: Float64s, here: Float64s, reach
             scores[down + reach, across + reach] = (s12 / n - mean * s2 / n) / np.sqrt((spread + 4.0) * (spread2 + 4.0))
 
 
-@kernel
+@helper
 def _best_place(scores: Float64s, reach: int, found: Float64s) -> None:
     """The shift (2) of the best score, to fractions by a parabola each way; it; and the best one that is not beside it."""
     size = 2 * reach + 1

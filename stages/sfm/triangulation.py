@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..core.cameras import ray_angles
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
@@ -157,7 +157,7 @@ def _add(KR: Float64s, C: Float64s, x: Float64s, X: Float64s, scale_px: float, J
             H[i, j] += weight * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
 
 
-@kernel
+@helper
 def _solve(H: Float64s, g: Float64s, x: Float64s) -> float:
     """x = H^-1 g for a symmetric H, by its cofactors; returns the determinant."""
     a = H[1, 1] * H[2, 2] - H[1, 2] * H[1, 2]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..types import Bools, Float32s
 
 Scalar = np.float32
@@ -97,7 +97,7 @@ class Propagation:
         return cost
 
 
-@kernel
+@helper
 def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: Float32s) -> None:
     """The windows of `n` pixels from (x0, y) on: weights, which sum to 1; weights times grey minus the window's mean, which sum
     to 0; the window's deviation.  `left` and `valid` have a border of _RADIUS."""
@@ -133,7 +133,7 @@ def _windows(left: Float32s, valid: Float32s, y: int, x0: int, n: int, window: F
         window[_SPREAD + x] = np.sqrt(window[_SPREAD + x])
 
 
-@kernel
+@helper
 def _costs(
     pairs: Uint64s, y: int, x0: int, trial: Float32s, window: Float32s, s: Float32s, taken: Uint64s, cost: Float32s
 ) -> None:
@@ -189,7 +189,7 @@ def _costs(
         cost[x] = c
 
 
-@kernel
+@helper
 def _neighbours(
     source: Float32s, valid: Float32s, y: int, x0: int, n: int, dx: int, dy: int, low: Scalar, high: Scalar, trial: Float32s
 ) -> None:
@@ -211,7 +211,7 @@ def _neighbours(
         here[_B + x] = nb if usable else np.float32(0.0)
 
 
-@kernel
+@helper
 def _random(x: np.uint32, seed: np.uint32) -> np.float32:
     """A number from -1 to 1: the bits of x and seed well mixed."""
     h = np.uint32(np.uint32(x * np.uint32(0x9E3779B1)) ^ np.uint32(seed * np.uint32(0xC2B2AE3D)))
@@ -238,7 +238,7 @@ def _changed(
         trial[_A + x], trial[_B + x] = na, nb
 
 
-@kernel
+@helper
 def _keep_cheaper(
     planes: Float32s, cost: Float32s, valid: Float32s, y: int, x0: int, n: int, trial: Float32s, trial_cost: Float32s
 ) -> None:

@@ -143,6 +143,24 @@ def test_a_kernel_that_calls_one_of_another_file_is_found() -> None:
     assert _foreign_in_kernels(source) == ["outer uses LIMIT", "outer uses inner", "outer uses sorting"]
 
 
+def test_python_calls_no_helper() -> None:
+    """It could not: how it would is not compiled.  Helpers are private, so nobody but their own file has to be looked at, and
+    tests."""
+    root = Path(wbflow_stages.__file__).parent
+    sources = {path.relative_to(root).as_posix(): path.read_text() for path in sorted(root.rglob("*.py"))}
+    assert {name: found for name, source in sources.items() if (found := _helpers_elsewhere(source))} == {}
+    of = {Path(n).stem: {f.name for f in _kernels(ast.parse(s)) if _is_made_by(f, "helper")} for n, s in sources.items()}
+    others = [ast.parse(path.read_text()) for folder in (root, Path(__file__).parents[1]) for path in folder.rglob("*.py")]
+    imports = [node for tree in others for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    taken = [(str(node.module).split(".")[-1], alias.name) for node in imports for alias in node.names]
+    assert [(stem, name) for stem, name in taken if name in of.get(stem, ())] == []
+
+
+def test_a_helper_that_python_calls_is_found() -> None:
+    source = "@helper\ndef _a(): ...\n@helper\ndef _b(): ...\n@kernel\ndef _c(): _a()\ndef d(): _b()\n@helper\ndef e(): ...\n"
+    assert _helpers_elsewhere(source) == ["_b", "e"]
+
+
 def test_no_kernel_copies_an_array_into_a_slice() -> None:
     """What numba compiles for that, should the shapes differ, takes seconds of a first run; a loop takes none."""
     root = Path(wbflow_stages.__file__).parent
@@ -193,7 +211,21 @@ def _holds_array(value: ast.expr, arrays: set[str]) -> bool:
 
 def _kernels(tree: ast.Module) -> list[ast.FunctionDef]:
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    return [f for f in functions if any(isinstance(d, ast.Name) and d.id == "kernel" for d in f.decorator_list)]
+    return [f for f in functions if _is_made_by(f, "kernel", "helper")]
+
+
+def _is_made_by(function: ast.AST, *decorators: str) -> bool:
+    made = function.decorator_list if isinstance(function, ast.FunctionDef) else []
+    return any(isinstance(decorator, ast.Name) and decorator.id in decorators for decorator in made)
+
+
+def _helpers_elsewhere(source: str) -> list[str]:
+    """Helpers that something else than a kernel of their file can call, or of which nothing is known there."""
+    tree = ast.parse(source)
+    helpers = {f.name for f in _kernels(tree) if _is_made_by(f, "helper")}
+    free = [node for node in tree.body if not _is_made_by(node, "kernel", "helper")]
+    named = {node.id for part in free for node in ast.walk(part) if isinstance(node, ast.Name)}
+    return sorted(name for name in helpers if name in named or not name.startswith("_"))
 
 
 def _foreign_in_kernels(source: str) -> list[str]:

@@ -7,7 +7,8 @@ those of a pair are the left picture's, then as many of the right one.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ...graph.pipeline import STAGES, stage_with
@@ -44,6 +45,11 @@ def seen(maker: Maker, sources: Sources, keys: Mapping[Task, str], room: int) ->
         Bytes that they may take in the page.
     """
     record = sources.record
+
+    @functools.cache  # those of a pair are asked for by both of its cameras
+    def marks_of(dotted: str, task: Task) -> bytes:
+        return maker.made(dotted, task, keys[task]) or b"" if task in keys else b""
+
     told = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     found: list[Seen] = []
@@ -54,7 +60,7 @@ def seen(maker: Maker, sources: Sources, keys: Mapping[Task, str], room: int) ->
         if not picture:
             continue
         view = frame.subject[0]
-        marks = b"".join(_of_camera(maker, keys, view)), b"".join(_of_pairs(maker, sources, keys, view))
+        marks = b"".join(_of_camera(marks_of, view)), b"".join(_of_pairs(marks_of, sources, view))
         data = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
         if len(data) > room:
             break
@@ -76,19 +82,18 @@ def _note(sources: Sources, keys: Mapping[Task, str], camera: str) -> str:
     return ""
 
 
-def _of_camera(maker: Maker, keys: Mapping[Task, str], camera: str) -> Iterator[bytes]:
+def _of_camera(marks_of: Callable[[str, Task], bytes], camera: str) -> Iterator[bytes]:
     for stage in STAGES:
-        task = Task(stage.name, (camera,))
-        if stage.marks and stage.scope == "camera" and task in keys:
-            yield maker.made(stage.marks, task, keys[task]) or b""
+        if stage.marks and stage.scope == "camera":
+            yield marks_of(stage.marks, Task(stage.name, (camera,)))
 
 
-def _of_pairs(maker: Maker, sources: Sources, keys: Mapping[Task, str], camera: str) -> Iterator[bytes]:
+def _of_pairs(marks_of: Callable[[str, Task], bytes], sources: Sources, camera: str) -> Iterator[bytes]:
     for stage in STAGES:
         for pair in sources.record.pairs_of(camera_of(camera)) if stage.marks and stage.scope == "pair" else ():
             if camera not in {pair.left, pair.right}:
                 continue  # of another view of the camera
             task = Task(stage.name, (pair.left, pair.right))
-            if task in keys and (both := maker.made(stage.marks, task, keys[task])):
+            if both := marks_of(stage.marks, task):
                 half = len(both) // 2
                 yield both[:half] if pair.left == camera else both[half:]
