@@ -13,7 +13,6 @@ from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
-from .centres import with_centres
 from .incremental import refine
 from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
@@ -54,7 +53,7 @@ def solve_from_pairs(
     number = {name: view for view, name in enumerate(graph.names)}
     grown = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
     believed = {edge: graph.geometries[edge] for edge in trusted}
-    supported = [without_unsupported(with_centres(refine(model, rounds=3)), believed, max_epipolar_px) for model in grown]
+    supported = [without_unsupported(refine(model, rounds=3), believed, max_epipolar_px) for model in grown]
     models = [model for model, _ in supported if model.use.any()]
     unsupported = {graph.names[view] for _, out in supported for view in out}
     if not models:
