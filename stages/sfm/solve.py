@@ -185,9 +185,8 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     if not mine:
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in mine):
-        return (
-            f"each of its {len(mine)} pairs contradicts the others" if len(mine) > 1 else "its only pair contradicts the others"
-        )
+        which = f"each of its {len(mine)} pairs" if len(mine) > 1 else "its only pair"
+        return f"{which} contradicts the others"
     if name in unsupported:
         return "where the points that it shares would put it, the pairs that see most with it do not fit"
     return "too few points in common with the solved cameras"

@@ -223,6 +223,7 @@ class RunRecord:
     tasks: TaskCounts
     seconds: Seconds
     peak_rss_mb: int
+    """What the fullest worker held for itself, without what it shares; MB of 2^20 bytes."""
     cameras: tuple[CameraRecord, ...]
     pairs: tuple[PairRecord, ...]
     cloud: CloudRecord | None = None
