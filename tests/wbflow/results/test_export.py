@@ -25,9 +25,11 @@ ORIGIN = (53.541, 9.966, 52.0)
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small demo, run once."""
+    """The small demo, run once, with few points: a mesh through many takes long."""
     folder = tmp_path_factory.mktemp("export") / "demo"
     write_demo(folder, small=True, captures=1)
+    with (folder / "site.yaml").open("a") as file:
+        file.write("stages: {fuse: {voxel_m: 0.12}}\n")
     assert CliRunner().invoke(main, ["run", str(folder), "--jobs", "1", "-q"]).exit_code == 0
     return folder
 
