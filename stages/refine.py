@@ -41,6 +41,9 @@ _SURE_COST = 0.3
 _SURE_ALONE = 0.05
 """What a single source shows so well must be believed, too."""
 
+_STEPS, _STEPS_AGAIN = 3, 2
+"""Of planes toward where all sources fit best: with slopes as they were found, then with those of the neighbours' depths."""
+
 _UNLIKE = 2.0
 """Two cameras of which one sees the surface so many times finer meet where they see equally fine."""
 
@@ -97,7 +100,7 @@ def refine(
     reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
     image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
-    spacing = _spacing_px(max(image.shape), [finer[other] for other in around])
+    spacing, least = _spacings_px(max(image.shape), [finer[other] for other in around])
     far = max(2, round(5 * max(image.shape) / 768))
     then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
     planes = _first_planes(depth, then_depth)
@@ -108,7 +111,7 @@ def refine(
     if ground is not None:
         _lean_on_ground(planes, cost, propagation, ground, max_cost)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
+    planes = _settled(planes, cost, propagation, image, scale, max_cost, radius, spacing, least)
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
     z, sigma = _depth_and_sigma(np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=noise_px))
@@ -155,6 +158,22 @@ def _lean_on_ground(planes: Float32s, cost: Float32s, propagation: Propagation, 
     cost[likely] = first[likely]
 
 
+def _settled(
+    planes: Float32s, cost: Float32s, propagation: Propagation, image: Float32s, scale: np.float32, max_cost: float, radius: int,
+    spacing: int, least: int,
+) -> Float32s:  # fmt: skip
+    """Planes (3, h, w) on which their neighbours agree; and where patches have skipped pixels, moved to where all sources
+    together fit best on each of them.  Twice, since a patch that leans wrongly is moved wrongly, and neighbours whose depth is
+    right show how it leans."""
+    planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
+    if least == spacing:
+        return planes
+    propagation.polish(planes, radius, least, _STEPS)
+    planes = smoothed(image, scale * planes, cost, max_cost, least, rounds=2) / scale
+    propagation.polish(planes, radius, least, _STEPS_AGAIN)
+    return planes
+
+
 def _on_ground(planes: Float32s, ground: Float32s) -> Bools:
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(planes[0] / ground[0] - 1) < _ON_GROUND)
@@ -189,10 +208,12 @@ def _sources(
     return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
 
 
-def _spacing_px(side: int, finer: list[float]) -> int:
-    """Of the pixels of a patch, in an image so long: as far apart as those of views that see much less."""
+def _spacings_px(side: int, finer: list[float]) -> tuple[int, int]:
+    """Of the pixels of a patch, in an image so long: as far apart as those of views that see much less; and how near they may be
+    to each other, however long it is."""
     coarser = 1 / float(np.median(finer))
-    return max(1, round(side / 768), round(coarser) if coarser > _UNLIKE else 1)
+    least = max(1, round(coarser)) if coarser > _UNLIKE else 1
+    return max(least, round(side / 768)), least
 
 
 def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Int32s, Uint32s
 from .kernels import BLOCK, NOISE, UNSEEN, Scalar, judge, propagate
+from .polish import polish
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,26 @@ class Propagation:
                 noise, sweep, rings, _CHANGES_AGAIN if again else _CHANGES, Scalar(low), Scalar(high), planes, cost, best,
             )  # fmt: skip
         return cost
+
+    def polish(self, planes: Float32s, radius: int, spacing: int, steps: int) -> None:
+        """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best (`mvs.polish`).
+
+        Parameters
+        ----------
+        planes
+            As `improve` leaves them.
+        radius, spacing
+            Of the patch, in steps of `spacing` pixels; both together no more than `taps` reach.
+        steps
+            Of Gauss and Newton's.
+        """
+        near = range(-radius, radius + 1)
+        offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
+        fall = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
+        polish(
+            self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, spacing * offsets, fall, self.reach,
+            steps, planes,
+        )  # fmt: skip
 
     def support(self, planes: Float32s, limit: float) -> Support:
         """What the sources show of planes (3, h, w), and which of them cost less than the limit."""

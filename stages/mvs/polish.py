@@ -1,0 +1,215 @@
+"""Depth on fractions of a pixel: each plane moved to where all sources together fit best.
+
+`mvs.kernels` looks for planes by the one source that shows them best, on every second pixel of a patch: right to within a pixel,
+but the cheapest of many trials by chance.  From there Gauss-Newton steps follow the slopes of all correlations at once, on every
+pixel of a patch whose centre weighs most.  With a the patch here and b its image in a source, both without their mean and of unit
+length, 1 - ab is half of |a - b|^2: a least-squares problem in the inverse depth q, in which
+
+    gradient = -a db/dq,    curvature = |db/dq|^2,    db/dq = (r - mean - b (b r)) / |patch|,    r = dI/dq,
+
+is what one source adds.  It weighs as much as it fits: the variance of its differences is twice its cost.
+
+References
+----------
+Lucas, Kanade, An iterative image registration technique, IJCAI 1981; Furukawa, Ponce, Accurate, Dense, and Robust Multiview
+Stereopsis, PAMI 2010 (a patch's depth improved on all views' correlations).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.jit import helper, kernel
+from ..types import Float32s, Int32s
+from .kernels import BLOCK, Scalar, Uint64s
+
+_SOFTNESS = 12.0
+"""Grey levels at which a patch's pixel counts half."""
+_FLAT = 0.05
+"""Grey levels squared: patches with less contrast say nothing..."""
+_UNLIKE = 0.6
+"""...nor do sources in which a patch costs more."""
+_FLOOR = 0.02
+"""Added to the cost of a source: no source is better than the grey levels' noise."""
+_HELD = 0.1
+"""What speaks for the plane as it was, in squared share of a patch's contrast that one pixel of movement changes."""
+_STEP_PX, _FARTHEST_PX = 0.5, 2.0
+"""One step moves a plane by no more, in sources' pixels; who goes farther goes nowhere: a wrong plane is not put right so."""
+_NEAREST = 1e-6
+
+# Scratch is flat, in rows of BLOCK at places known to the compiler.
+_Q, _FIRST, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (i * BLOCK for i in range(18))
+_R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * BLOCK for i in range(8))
+_W, _D, _DD, _WEIGHTS = (i * BLOCK for i in range(4))
+_PUSH, _STIFF, _MOVED, _WEIGHT, _VOTES = (i * BLOCK for i in range(5))
+
+
+@helper
+def _window(
+    image: Float32s, usable: Float32s, taps: Int32s, fall: Float32s, reach: int, y: int, x0: int, n: int, window: Float32s
+) -> None:
+    """The patches of `n` pixels from (x0, y) on: sums of weights, of weighted differences to the centre, of their squares; then
+    each tap's weights, and its differences."""
+    soft, count = np.float32(1.0 / _SOFTNESS), len(taps)
+    window[:_WEIGHTS] = np.float32(0.0)
+    centre = image[y + reach, x0 + reach :]
+    for t in range(count):
+        j, i = y + reach + taps[t, 1], x0 + reach + taps[t, 0]
+        grey, use, share = image[j, i:], usable[j, i:], fall[t]
+        weights, values = window[_WEIGHTS + t * BLOCK :], window[_WEIGHTS + (count + t) * BLOCK :]
+        for x in range(n):
+            d = grey[x] - centre[x]
+            w = share * use[x] / (np.float32(1.0) + d * soft * d * soft)
+            weights[x] = w
+            values[x] = d
+            window[_W + x] += w
+            window[_D + x] += w * d
+            window[_DD + x] += w * d * d
+
+
+@helper
+def _project(height: int, width: int, M: Float32s, b: Float32s, k: int, reach: Scalar, y: int, x0: int, s: Float32s) -> None:
+    """Where source k sees the planes, how that changes in x, in y and with q, and whether it sees all of the patch."""
+    row, zero, right, low = np.float32(y), np.float32(0.0), np.float32(width - 1.001), np.float32(height - 1.001)
+    m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
+    m01, m11, m21 = M[k, 0, 1], M[k, 1, 1], M[k, 2, 1]
+    c0, c1, c2 = m01 * row + M[k, 0, 2], m11 * row + M[k, 1, 2], m21 * row + M[k, 2, 2]
+    b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
+    for x in range(BLOCK):
+        column = np.float32(np.int32(x0) + np.int32(x))
+        q, A, B = s[_Q + x], s[_A + x], s[_B + x]
+        W = m20 * column + c2 + b2 * q
+        inverse = np.float32(1.0) / max(W, np.float32(_NEAREST))
+        u, v = (m00 * column + c0 + b0 * q) * inverse, (m10 * column + c1 + b1 * q) * inverse
+        wx, wy = m20 + b2 * A, m21 + b2 * B
+        ux, uy = (m00 + b0 * A - u * wx) * inverse, (m01 + b0 * B - u * wy) * inverse
+        vx, vy = (m10 + b1 * A - v * wx) * inverse, (m11 + b1 * B - v * wy) * inverse
+        s[_U + x], s[_V + x] = u, v
+        s[_UX + x], s[_UY + x], s[_VX + x], s[_VY + x] = ux, uy, vx, vy
+        s[_DU + x], s[_DV + x] = (b0 - u * b2) * inverse, (b1 - v * b2) * inverse
+        du, dv = reach * (abs(ux) + abs(uy)), reach * (abs(vx) + abs(vy))
+        inside = (u >= du) & (v >= dv) & (u + du < right) & (v + dv < low) & (np.float32(_NEAREST) < W) & (q > zero)
+        s[_SEEN + x] = np.float32(1.0) if inside else zero
+
+
+@helper
+def _compare(
+    pairs: Uint64s, height: int, width: int, k: int, taps: Int32s, window: Float32s, s: Float32s, taken: Uint64s, sums: Float32s
+) -> None:
+    """Weighted sums over the patches' images in source k: r, the grey levels there less the centre's, its square, its product
+    with the patch here; and e, what a unit of q changes of r, its square and its products with r and with the patch here."""
+    whole, place, both = s.view(np.int32), s.view(np.uint32), taken.view(np.float32)
+    count, stride, start = len(taps), np.int32(width), np.int32(k * height * width)
+    zero, right, low = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
+    sums[:] = zero
+    for t in range(count):
+        dx, dy = np.float32(taps[t, 0]), np.float32(taps[t, 1])
+        for x in range(BLOCK):
+            at_x = s[_U + x] + dx * s[_UX + x] + dy * s[_UY + x]
+            at_y = s[_V + x] + dx * s[_VX + x] + dy * s[_VY + x]
+            at_x, at_y = at_x if at_x > zero else zero, at_y if at_y > zero else zero  # nan, too: nothing outside is ever read
+            at_x, at_y = min(at_x, right), min(at_y, low)
+            i, j = np.int32(at_x), np.int32(at_y)
+            s[_FX + x], s[_FY + x] = at_x - np.float32(i), at_y - np.float32(j)
+            whole[_PLACE + x] = start + j * stride + i
+        for x in range(BLOCK):
+            taken[x] = pairs[place[_PLACE + x]]
+        for x in range(BLOCK):
+            taken[BLOCK + x] = pairs[place[_PLACE + x] + np.uint32(stride)]
+        weights, values = window[_WEIGHTS + t * BLOCK :], window[_WEIGHTS + (count + t) * BLOCK :]
+        for x in range(BLOCK):
+            fx, fy = s[_FX + x], s[_FY + x]
+            top, bottom = both[2 * x], both[2 * BLOCK + 2 * x]
+            across, below = both[2 * x + 1] - top, both[2 * BLOCK + 2 * x + 1] - bottom
+            top += fx * across
+            down = bottom + fx * below - top
+            s[_FX + x] = top + fy * down
+            s[_FY + x] = (across + fy * (below - across)) * s[_DU + x] + down * s[_DV + x]
+        if t == 0:  # differences to the centre: weak contrast must not drown in rounding
+            for x in range(BLOCK):
+                s[_CENTRE + x] = s[_FX + x]
+        for x in range(BLOCK):
+            r, e, w, d = s[_FX + x] - s[_CENTRE + x], s[_FY + x], weights[x], values[x]
+            wr, we = w * r, w * e
+            sums[_R + x] += wr
+            sums[_RR + x] += wr * r
+            sums[_DR + x] += wr * d
+            sums[_E + x] += we
+            sums[_EE + x] += we * e
+            sums[_RE + x] += wr * e
+            sums[_DE + x] += we * d
+
+
+@helper
+def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> None:
+    """Add what a source says: gradient, curvature and the squared pixels that a unit of q moves, by its weight, and that."""
+    zero, one, flat = np.float32(0.0), np.float32(1.0), np.float32(_FLAT)
+    for x in range(BLOCK):
+        share = one / max(window[_W + x], np.float32(1e-6))
+        d, r, e = share * window[_D + x], share * sums[_R + x], share * sums[_E + x]
+        here, there = share * window[_DD + x] - d * d, share * sums[_RR + x] - r * r
+        inverse = one / max(there, flat)
+        scale = np.sqrt(inverse / max(here, flat))
+        like = (share * sums[_DR + x] - d * r) * scale
+        along = (share * sums[_RE + x] - r * e) * inverse
+        gradient = (share * sums[_DE + x] - d * e) * scale - like * along
+        curvature = (share * sums[_EE + x] - e * e) * inverse - along * along
+        cost = max(one - like, zero)
+        heard = (s[_SEEN + x] > zero) & (here > flat) & (there > flat) & (cost < np.float32(_UNLIKE))
+        weight = one / (cost + np.float32(_FLOOR)) if heard else zero
+        votes[_PUSH + x] += weight * gradient
+        votes[_STIFF + x] += weight * curvature
+        votes[_WEIGHT + x] += weight
+        votes[_MOVED + x] += weight * (s[_DU + x] * s[_DU + x] + s[_DV + x] * s[_DV + x])
+
+
+@helper
+def _move(s: Float32s, votes: Float32s) -> None:
+    """One step of q, held by where it was first: `_HELD` for each vote, where q moves a source by so many pixels."""
+    zero, tiny = np.float32(0.0), np.float32(1e-12)
+    for x in range(BLOCK):
+        per_pixel = np.float32(1.0) / np.sqrt(max(votes[_MOVED + x] / max(votes[_WEIGHT + x], tiny), tiny))
+        held = np.float32(_HELD) * votes[_MOVED + x]
+        away = s[_Q + x] - s[_FIRST + x]
+        step = (votes[_PUSH + x] - held * away) / max(votes[_STIFF + x] + held, tiny)
+        most = np.float32(_STEP_PX) * per_pixel
+        away += min(max(step, -most), most)
+        near = abs(away) <= np.float32(_FARTHEST_PX) * per_pixel
+        s[_Q + x] = s[_FIRST + x] + away if near & (votes[_WEIGHT + x] > zero) else s[_FIRST + x]
+
+
+@kernel
+def polish(
+    image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
+    fall: Float32s, reach: int, steps: int, planes: Float32s,
+) -> None:  # fmt: skip
+    """Move planes in place, in so many steps.  `fall` (n,): what a patch's pixels weigh by their distance from its centre; all
+    else as in `mvs.kernels`."""
+    h, w = planes.shape[1:]
+    zero, far = np.float32(0.0), np.float32(np.abs(taps).max())
+    window = np.zeros(_WEIGHTS + 2 * len(taps) * BLOCK, dtype=np.float32)
+    s, sums, votes = np.zeros(_ROWS, dtype=np.float32), np.zeros(_SUMS, dtype=np.float32), np.zeros(_VOTES, dtype=np.float32)
+    taken = np.zeros(2 * BLOCK, dtype=np.uint64)
+    for y in range(h):
+        for x0 in range(0, w, BLOCK):
+            n = min(BLOCK, w - x0)
+            q, a, c = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
+            s[:] = zero
+            known = 0
+            for x in range(n):
+                good = q[x] > zero
+                known += good
+                s[_Q + x], s[_A + x], s[_B + x] = (q[x], a[x], c[x]) if good else (zero, zero, zero)
+                s[_FIRST + x] = s[_Q + x]
+            if known == 0:
+                continue
+            _window(image, usable, taps, fall, reach, y, x0, n, window)
+            for _ in range(steps):
+                votes[:] = zero
+                for k in range(len(M)):
+                    _project(height, width, M, b, k, far, y, x0, s)
+                    _compare(pairs, height, width, k, taps, window, s, taken, sums)
+                    _vote(window, s, sums, votes)
+                _move(s, votes)
+            for x in range(n):
+                q[x] = s[_Q + x] if q[x] > zero else q[x]
