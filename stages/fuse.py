@@ -36,6 +36,10 @@ _GOOD_COMPANY, _SHALLOW = 0.4, 0.3
 """Where pixels lie further apart on a slanted surface than voxels look for others, a point is kept that has so much of its
 surroundings on its plane, and a standard deviation below this share of the way to the next pixel (chosen on the demo yard)."""
 
+_OUTVOTED = 1.5
+"""Where two views or more agree with a depth, but put the surface so many pixels' widths before or behind it (the median of all,
+and of itself), it is left out: they have their own points there (chosen on the fountain and the demo yard)."""
+
 _GRAZING = 0.05
 """Cosine of the lowest angle at which the way to the next pixel is still reckoned with."""
 
@@ -131,13 +135,15 @@ def _samples(
     """The points of one view that its own and the other views' evidence leaves standing.
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
-    refinement put there on the word of a single pair is nobody's: where one pattern repeats, both its views agree on a wrong one.
+    several views put elsewhere, though near, is left to them.  What refinement put there on the word of a single pair is
+    nobody's: where one pattern repeats, both its views agree on a wrong one.
     """
     supported = frame.mask & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
     if min_pairs > 1:
         supported &= check.agreeing >= min_pairs
     supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
     supported &= np.isfinite(depth.depth) & (2 * check.violating <= check.agreeing)
+    supported &= (check.agreeing < 2) | (np.abs(check.shift) * camera.K[0, 0] <= _OUTVOTED)
     share = company(depth, supported)
     supported &= (check.pairs > 1) | (share >= _LEAST_COMPANY)
     y, x = np.nonzero(supported)

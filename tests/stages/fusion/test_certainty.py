@@ -24,7 +24,7 @@ def variance(noise: float, views: int, believed: float, depth: float = 20.0) -> 
     known = np.ones((ROWS, COLUMNS), bool)
     z = np.full((ROWS, COLUMNS), depth, np.float32)
     seen = DepthMap(z, (believed * z).astype(np.float32), flat, flat, known.astype(np.uint32), ("other",), known)
-    check = CrossCheck(count, count.astype(np.uint16), count, count, count, count, scatter)
+    check = CrossCheck(count, count.astype(np.uint16), count, count, count, count, scatter, flat)
     return float(depth_variance(seen, check, *EVERYWHERE).mean()), float(own[0].var()) * depth**2
 
 
