@@ -12,8 +12,9 @@ from ..core.cameras import relative_pose
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
-from ..types import Camera, Geometry, Pair, PairCheck, Placement, Poses, Survey, View
+from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, Poses, Survey, View
 from .incremental import refine
+from .lens_sigma import MOST_SIGMA_PX, lens_sigmas
 from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
 from .support import straight_error_px, without_unsupported
@@ -60,7 +61,14 @@ def solve_from_pairs(
         return graph.why_nothing(trusted, dropped)
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
-    return _collect(graph, worlds, stated, exact, metric, dropped, unsupported, max_epipolar_px, survey)
+    found = _collect(graph, worlds, stated, exact, metric, dropped, unsupported, max_epipolar_px, survey)
+    return replace(found, unsure_lenses=_unsure_lenses(graph, worlds))
+
+
+def _unsure_lenses(graph: ViewGraph, worlds: list[World]) -> dict[str, LensSigma]:
+    """The solved lenses that the observations do not tell."""
+    sigmas = {graph.names[view]: sigma for world in worlds for view, sigma in lens_sigmas(world.model).items()}
+    return {name: sigmas[name] for name in graph.names if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX}
 
 
 def _exact(placement: Placement) -> bool:

@@ -7,7 +7,7 @@ from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows,
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
 from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
-from .site import PoseCheck, Poses, Scene
+from .site import LensSigma, PoseCheck, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "Int32s",
     "Int64s",
     "Lens",
+    "LensSigma",
     "Matches",
     "Overlap",
     "Pair",

@@ -34,6 +34,17 @@ class PoseCheck:
 
 @short_repr
 @dataclass(frozen=True)
+class LensSigma:
+    """Standard deviations of what was solved of a lens."""
+
+    focal: float
+    """Of the focal length, as a share of it."""
+    border_px: float
+    """Of pixels at the border of the frame, but for what a turn of the camera undoes."""
+
+
+@short_repr
+@dataclass(frozen=True)
 class Scene:
     """Where the things that the cameras look at are expected, in the world of the cameras."""
 
@@ -67,6 +78,8 @@ class Poses:
     uncertain: Mapping[str, float] = field(default_factory=dict)
     """Known poses (by id) that the images tell no better than they are stated, where that is not well enough to match along rows:
     standard deviation of the rows of the camera's best pair, pixels."""
+    unsure_lenses: Mapping[str, LensSigma] = field(default_factory=dict)
+    """Lenses (by id of the camera) that were solved, though the images don't tell them well enough."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()

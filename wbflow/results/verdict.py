@@ -104,7 +104,7 @@ def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> Ru
     record = replace(record, cameras=cameras)
     cameras = tuple(_with_down(camera, record, past) for camera in cameras)
     record = replace(record, cameras=cameras)
-    of_cameras = *_of_cameras(record), *_of_poses(record)
+    of_cameras = *_of_cameras(record), *_of_poses(record), *_of_lenses(record)
     found = (*_whole(record, facts), *of_cameras, *_of_tasks(record, facts), *_of_figures(record, facts, expected))
     verdict = Verdict("good", found)
     if facts.interrupted or (facts.product and not record.cloud):
@@ -201,6 +201,19 @@ def _of_poses(record: RunRecord) -> Iterator[Finding]:
     text += f" up to {worst:.1f} px beside the row where it is looked for: depths may be of look-alikes"
     remedy = "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see"
     yield Finding("poses-uncertain", names, text, {"row_px": worst}, remedy=remedy)
+
+
+def _of_lenses(record: RunRecord) -> Iterator[Finding]:
+    """Lenses that nobody stated and tonight's pictures don't tell: all that rests on them may be bent, though it fits."""
+    if not record.poses or not record.poses.unsure_lenses:
+        return
+    unsure = record.poses.unsure_lenses
+    focal, border = (max(sigma[name] for sigma in unsure.values()) for name in ("focal", "border_px"))
+    text = f"the lens was not stated, and tonight's pictures do not determine it: {shortened(', '.join(unsure))}; the noise alone"
+    text += f" leaves {100 * focal:.1f} % of its focal length open and {border:.1f} px at the border (standard deviations), wrong"
+    text += " matches several times as much: cloud and poses may be bent or stretched, though they fit the pictures"
+    remedy = "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside"
+    yield Finding("lens-undetermined", tuple(unsure), text, {"focal": focal, "border_px": border}, remedy=remedy)
 
 
 def _remedy_of_lost(camera: CameraRecord) -> str:

@@ -194,6 +194,12 @@ class WorldRecord:
         return uncertain
 
     @property
+    def unsure_lenses(self) -> Mapping[str, Mapping[str, float]]:
+        """Cameras whose lens was solved, though the pictures don't tell it well enough; standard deviations."""
+        unsure: Mapping[str, Mapping[str, float]] = self.figures.get("unsure_lenses") or {}
+        return unsure
+
+    @property
     def joins(self) -> tuple[str, ...]:
         """What would join the worlds that share no pair."""
         return tuple(self.figures.get("joins") or ())

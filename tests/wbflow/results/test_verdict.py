@@ -268,6 +268,15 @@ def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_
     assert "up to 4.1 px beside the row" in only(record).text
 
 
+def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
+    world = WorldRecord({"unsure_lenses": {name: {"focal": 0.031, "border_px": 2.24} for name in ("mast", "gate")}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    found = only(record)
+    assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
+    assert "3.1 % of its focal length" in found.text and "2.2 px at the border" in found.text
+    assert found.remedy is not None and "wbflow calibrate" in found.remedy
+
+
 @pytest.mark.parametrize("known", ["stated", "solved"])
 def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_elsewhere(known: str) -> None:
     tried = [

@@ -118,5 +118,5 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
         return "bad"
     health = camera.health is None or camera.health.ok
     poses = record.poses
-    suspect = poses is not None and camera.id in {*poses.suspects, *poses.doubtful, *poses.uncertain}
+    suspect = poses is not None and camera.id in {*poses.suspects, *poses.doubtful, *poses.uncertain, *poses.unsure_lenses}
     return "good" if health and not suspect and camera.down is None else "warn"

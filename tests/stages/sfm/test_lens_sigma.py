@@ -1,0 +1,78 @@
+"""Lenses that nobody stated: whether the images tell them is known, and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.exact_pairs import PairSite, make_pair_site
+from wbflow_stages.poses import solve_poses
+from wbflow_stages.sfm.incremental import Model, refine
+from wbflow_stages.sfm.lens_sigma import MOST_SIGMA_PX, MOST_VIEWS, lens_sigmas
+from wbflow_stages.sfm.view_graph import ViewGraph
+from wbflow_stages.types import Poses
+
+FOCAL = 800.0
+CERTAIN = 1e-6
+
+
+def solve(site: PairSite) -> Poses:
+    poses = solve_poses(site.views, {}, site.geometries)
+    assert isinstance(poses, Poses), poses
+    return poses
+
+
+def adjusted(site: PairSite) -> Model:
+    graph = ViewGraph.of(site.views, site.geometries)
+    (model,) = graph.models(list(graph.geometries), {})
+    return refine(model, rounds=3)
+
+
+def test_a_lens_that_many_points_all_over_the_pictures_tell_is_not_named() -> None:
+    assert not solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=7)).unsure_lenses
+
+
+def test_a_lens_whose_border_no_point_is_near_is_named_with_how_little_is_known_of_it() -> None:
+    poses = solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=24))
+    assert set(poses.unsure_lenses) == set(poses.cameras)
+    for sigma in poses.unsure_lenses.values():
+        assert sigma.border_px > 3 * MOST_SIGMA_PX and sigma.focal > 0.005
+
+
+def test_two_cameras_alone_do_not_tell_their_lens() -> None:
+    poses = solve(make_pair_site(2, know="nothing", noise_px=0.2))
+    assert set(poses.unsure_lenses) == {"c0", "c1"}
+
+
+def test_a_stated_lens_is_never_named() -> None:
+    assert not solve(make_pair_site(2, know="K", noise_px=0.2, radius=24)).unsure_lenses
+
+
+def test_focal_lengths_are_off_by_as_much_as_their_standard_deviations_say() -> None:
+    off = []
+    for seed in range(8):
+        model = adjusted(make_pair_site(5, know="hfov", noise_px=0.3, points=120, seed=seed, focal=FOCAL))
+        sigma = lens_sigmas(model, centre_sigma=CERTAIN)
+        off.append((model.cameras[0].K[0, 0] / FOCAL - 1) / sigma[0].focal)
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 2
+
+
+def test_principal_points_that_may_lie_elsewhere_leave_more_open() -> None:
+    model = adjusted(make_pair_site(5, know="hfov", noise_px=0.3, focal=FOCAL))
+    exact, unsure = lens_sigmas(model, centre_sigma=CERTAIN), lens_sigmas(model)
+    assert all(unsure[view].border_px > exact[view].border_px for view in model.cameras)
+
+
+def test_twice_the_noise_leaves_twice_as_much_open() -> None:
+    one, two = (adjusted(make_pair_site(5, know="hfov", noise_px=noise, focal=FOCAL)) for noise in (0.15, 0.3))
+    ratio = lens_sigmas(two, CERTAIN)[0].border_px / lens_sigmas(one, CERTAIN)[0].border_px
+    assert ratio == pytest.approx(2, rel=0.3)
+
+
+def test_of_very_many_cameras_and_of_known_lenses_nothing_is_asked() -> None:
+    model = adjusted(make_pair_site(3, know="hfov", noise_px=0.3, focal=FOCAL))
+    assert not lens_sigmas(replace(model, lenses={}))
+    camera = model.cameras[0]
+    assert not lens_sigmas(replace(model, cameras=dict.fromkeys(range(MOST_VIEWS + 1), camera)))
