@@ -101,8 +101,7 @@ def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
     divided by LEVELS)."""
     found, least = [], contrast * WHITE / LEVELS
     for octave, levels in enumerate(octaves):
-        differences = levels[1:] - levels[:-1]
-        x, y, scale, value = _refine(_extrema(differences, 0.5 * least), differences, least).T
+        x, y, scale, value = _refine(_extrema(levels, 0.5 * least), levels, least).T
         zoom = 2.0 ** (octave - 1)
         sigma = zoom * FINEST_SIGMA * 2 ** (scale / LEVELS)
         level = np.clip(np.rint(scale), 1, LEVELS).astype(np.int32)
@@ -112,26 +111,42 @@ def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
 
 
 @kernel
-def _extrema(d: Float32s, least: float) -> Int64s:
-    """(n, 3) x, y, level of those above `least` that no neighbour in place or scale exceeds."""
-    count, h, w = d.shape
+def _extrema(levels: Float32s, least: float) -> Int64s:
+    """(n, 3) x, y, level of those differences above `least` that no neighbour in place or scale exceeds.
+
+    Of the differences three rows of each scale are kept: all of them are as large as the pyramid.
+    """
+    count, h, w = levels.shape
     out, n = np.empty((1024, 3), np.int64), 0
     marks = np.zeros((w + 7) // 8, np.uint64)
     each, limit = marks.view(np.uint8), np.float32(least)
-    for s in range(1, count - 1):
-        for y in range(BORDER, h - BORDER):
-            _mark(d[s, y], d[s, y - 1], d[s, y + 1], d[s - 1, y], d[s + 1, y], limit, each)
+    d = np.empty((3, count - 1, w), np.float32)
+    for below in range(BORDER - 1, h - BORDER + 1):
+        for s in range(count - 1):
+            _subtract(levels[s + 1, below], levels[s, below], d[below % 3, s])
+        y = below - 1
+        if y < BORDER:
+            continue
+        row, above, under = d[y % 3], d[(y - 1) % 3], d[below % 3]
+        for s in range(1, count - 2):
+            _mark(row[s], above[s], under[s], row[s - 1], row[s + 1], limit, each)
             for eight in range(len(marks)):
                 if marks[eight] == 0:
                     continue
                 for x in range(max(8 * eight, BORDER), min(8 * eight + 8, w - BORDER)):
-                    if each[x] == 0 or not _extreme(d, s, y, x):
+                    if each[x] == 0 or not _extreme(d, row[s, x], s, x):
                         continue
                     if n == len(out):
                         out = np.concatenate((out, out))
                     out[n, 0], out[n, 1], out[n, 2] = x, y, s
                     n += 1
     return out[:n]
+
+
+@helper
+def _subtract(coarser: Float32s, finer: Float32s, out: Float32s) -> None:
+    for x in range(len(out)):
+        out[x] = coarser[x] - finer[x]
 
 
 @helper
@@ -148,14 +163,14 @@ def _mark(
 
 
 @helper
-def _extreme(d: Float32s, s: int, y: int, x: int) -> bool:
-    v = d[s, y, x]
+def _extreme(d: Float32s, v: np.float32, s: int, x: int) -> bool:
+    """Does no neighbour exceed v, which is in the middle of the three rows?"""
     sign = np.float32(1.0) if v > 0 else np.float32(-1.0)
     v = sign * v
-    for i in range(s - 1, s + 2):
-        for j in range(y - 1, y + 2):
+    for j in range(3):
+        for i in range(s - 1, s + 2):
             for k in range(x - 1, x + 2):
-                if sign * d[i, j, k] > v:
+                if sign * d[j, i, k] > v:
                     return False
     return True
 
@@ -169,22 +184,25 @@ def _cubic(t: float, taps: Float64s) -> None:
     taps[3] = (0.5 * t - 0.5) * t * t
 
 
-@kernel
-def _look(d: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64s, cube: Float64s) -> None:
-    """Differences at x, y and a pixel around, in the levels around s, by interpolation: cube (3, 3, 3), by s, y, x."""
-    left, top = int(np.floor(x)) - 1, int(np.floor(y)) - 2
+@helper
+def _look(levels: Float32s, s: int, x: float, y: float, taps: Float64s, rows: Float64s, cube: Float64s) -> None:
+    """Differences at x, y and a pixel around, in the scales around s, by interpolation: cube (3, 3, 3), by s, y, x."""
+    left, top = int(np.floor(x)) - 2, int(np.floor(y)) - 2
     across, down = taps[0], taps[1]
     _cubic(x - np.floor(x), across)
     _cubic(y - np.floor(y), down)
-    for level in range(3):
-        for a in range(3):
-            first = left + a - 1
-            for r in range(6):
-                line = d[s - 1 + level, top + r]
-                rows[r] = across[0] * line[first] + across[1] * line[first + 1]
-                rows[r] += across[2] * line[first + 2] + across[3] * line[first + 3]
-            for b in range(3):
-                cube[level, b, a] = down[0] * rows[b] + down[1] * rows[b + 1] + down[2] * rows[b + 2] + down[3] * rows[b + 3]
+    for scale in range(3):
+        for r in range(6):
+            coarser, finer = levels[s + scale, top + r], levels[s + scale - 1, top + r]
+            for a in range(3):
+                first = left + a
+                v = across[0] * (coarser[first] - finer[first]) + across[1] * (coarser[first + 1] - finer[first + 1])
+                v += across[2] * (coarser[first + 2] - finer[first + 2]) + across[3] * (coarser[first + 3] - finer[first + 3])
+                rows[a, r] = v
+        for b in range(3):
+            for a in range(3):
+                v = down[0] * rows[a, b] + down[1] * rows[a, b + 1] + down[2] * rows[a, b + 2] + down[3] * rows[a, b + 3]
+                cube[scale, b, a] = v
 
 
 @helper
@@ -211,17 +229,17 @@ def _newton(c: Float64s, step: Float64s) -> bool:
 
 
 @kernel
-def _refine(start: Int64s, d: Float32s, least: float) -> Float64s:
+def _refine(start: Int64s, levels: Float32s, least: float) -> Float64s:
     """(n, 4) x, y, scale in levels, and absolute value of those that Newton's steps lead to an extremum nearby."""
-    count = len(d)
+    count = len(levels) - 1
     out = np.empty((len(start), 4))
-    taps, rows, cube, step = np.empty((2, 4)), np.empty(6), np.empty((3, 3, 3)), np.empty(4)
+    taps, rows, cube, step = np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4)
     n = 0
     for k in range(len(start)):
         x, y, s = float(start[k, 0]), float(start[k, 1]), start[k, 2]
         x0, y0 = x, y
         for _ in range(STEPS):
-            _look(d, s, x, y, taps, rows, cube)
+            _look(levels, s, x, y, taps, rows, cube)
             good = _newton(cube, step)
             moved = max(abs(step[0]), abs(step[1]))
             if not moved < 4.0:
