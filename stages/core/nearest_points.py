@@ -1,6 +1,7 @@
-"""Exact nearest neighbours among points of an image: a grid of cells, looked at in growing squares around each query.
+"""Exact nearest neighbours among points of an image: a grid of cells, of which squares around each query are looked at.
 
-Points of an image are spread well enough for this to be several times faster than a tree.
+Points of an image are spread well enough for this to be several times faster than a tree.  No list is kept in order: distances
+are counted below a limit, and the limit halved in, which the compiler does for several at once.
 """
 
 from __future__ import annotations
@@ -8,29 +9,35 @@ from __future__ import annotations
 import numpy as np
 
 from ..types import Float64s, Int32s
-from .jit import kernel
+from .jit import helper, kernel
 
 _POINTS_PER_CELL = 2.0
+_ENOUGH = 1.5
+"""The first square looked at holds so many times what is asked, if points lie evenly."""
+_HALVINGS = 100
 
 
 def nearest_points(points: Float64s, queries: Float64s, k: int) -> tuple[Float64s, Int32s]:
-    """Distances (m, k) and rows (m, k) of the k nearest of `points` (n, 2) to each of `queries` (m, 2), nearest first.
+    """Distances (m, k) and rows (m, k) of the k nearest of `points` (n, 2) to each of `queries` (m, 2), in no order.
 
-    k is at most n; of points at one distance, any comes first, the same at every call.
+    k is at most n; of points at one distance, any is among them, the same at every call.
     """
     by_axis = np.ascontiguousarray(points.T)  # several times faster than extremes along the long axis
     low, high = by_axis.min(axis=1), by_axis.max(axis=1)
     extent = np.maximum(high - low, 1e-9)
     size = max(float(np.sqrt(extent[0] * extent[1] * _POINTS_PER_CELL / len(points))), float(extent.max()) / len(points))
     columns, rows = np.floor((high - low) / size).astype(np.int64) + 1
-    order, starts = _by_cell(points, low, size, columns, rows)
-    distance, index = np.full((len(queries), k), np.inf), np.zeros((len(queries), k), np.int32)
-    _search(queries, points[order], order, starts, low, size, columns, rows, distance, index)
-    return np.sqrt(distance), index
+    order, starts = by_cell(points, low, size, columns, rows)
+    squared, index = np.empty((len(queries), k)), np.empty((len(queries), k), np.int32)
+    room = np.empty((3, len(points))), np.empty((3, len(points)), np.int32)
+    room[0][:2] = by_axis[:, order]
+    reach = int(np.ceil(0.5 * (np.sqrt(_ENOUGH * k / _POINTS_PER_CELL) - 1)))
+    _search(queries, *room, order, starts, low, size, columns, rows, reach, squared, index)
+    return np.sqrt(squared), index
 
 
 @kernel
-def _by_cell(points: Float64s, low: Float64s, size: float, columns: int, rows: int) -> tuple[Int32s, Int32s]:
+def by_cell(points: Float64s, low: Float64s, size: float, columns: int, rows: int) -> tuple[Int32s, Int32s]:
     """Rows (n,) of `points` in order of their cells, and where in it each cell starts (cells + 1,)."""
     cell = np.empty(len(points), np.int32)
     starts = np.zeros(columns * rows + 1, np.int32)
@@ -50,40 +57,35 @@ def _by_cell(points: Float64s, low: Float64s, size: float, columns: int, rows: i
 def _search(
     queries: Float64s,
     points: Float64s,
+    chosen: Int32s,
     names: Int32s,
     starts: Int32s,
     low: Float64s,
     size: float,
     columns: int,
     rows: int,
+    begin: int,
     squared: Float64s,
     index: Int32s,
 ) -> None:
-    """Write squared distances and names of the nearest; points: in order of their cells, whose first ones are `starts`."""
+    """Write squared distances and names of the nearest.
+
+    points: (3, n) x and y in order of their cells, whose first ones are `starts`, and room for distances; chosen: room; begin:
+    cells that the first square reaches to each side.
+    """
     k = squared.shape[1]
     for q in range(len(queries)):
         x, y = queries[q, 0] - low[0], queries[q, 1] - low[1]
         cx, cy = int(min(max(x / size, 0.0), columns - 1.0)), int(min(max(y / size, 0.0), rows - 1.0))
-        best, name = squared[q], index[q]
-        for reach in range(max(columns, rows)):
-            left, right, top, bottom = cx - reach, cx + reach, cy - reach, cy + reach
-            for row in range(max(top, 0), min(bottom, rows - 1) + 1):
-                # the whole row where the square begins or ends, else its two ends
-                whole = row in (top, bottom)
-                for end in range(1 if whole else 2):
-                    first, last = max(right if end == 1 else left, 0), min(right if whole or end == 1 else left, columns - 1)
-                    if first > last:
-                        continue
-                    for at in range(starts[row * columns + first], starts[row * columns + last + 1]):
-                        dx, dy = points[at, 0] - queries[q, 0], points[at, 1] - queries[q, 1]
-                        d = dx * dx + dy * dy
-                        if d >= best[k - 1]:
-                            continue
-                        place = k - 1
-                        while place > 0 and d < best[place - 1]:
-                            best[place], name[place] = best[place - 1], name[place - 1]
-                            place -= 1
-                        best[place], name[place] = d, names[at]
+        reach, found, limit = begin, 0, 0.0
+        while True:
+            left, right = max(cx - reach, 0), min(cx + reach, columns - 1)
+            top, bottom = max(cy - reach, 0), min(cy + reach, rows - 1)
+            found = 0
+            for row in range(top, bottom + 1):
+                first, last = starts[row * columns + left], starts[row * columns + right + 1]
+                _distances(points, first, last, queries[q, 0], queries[q, 1], found, chosen)
+                found += last - first
             # no point outside the square is nearer than its nearest side that has points beyond it
             side = np.inf
             if left > 0:
@@ -94,5 +96,59 @@ def _search(
                 side = min(side, y - top * size)
             if bottom < rows - 1:
                 side = min(side, (bottom + 1) * size - y)
-            if best[k - 1] <= side * side:
+            limit = _largest(points, found) if side == np.inf else side * side
+            if found >= k and (side == np.inf or (side > 0 and _count(points, found, limit) >= k)):
                 break
+            reach += 1
+        low_limit, high_limit = -1.0, limit
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low_limit + high_limit)
+            count = _count(points, found, middle)
+            if count >= k:
+                high_limit = middle
+            else:
+                low_limit = middle
+            if count == k or not low_limit < 0.5 * (low_limit + high_limit) < high_limit:
+                break
+        _take(points, chosen, found, low_limit, high_limit, names, squared[q], index[q])
+
+
+@helper
+def _distances(points: Float64s, first: int, last: int, x: float, y: float, found: int, chosen: Int32s) -> None:
+    """Squared distances of a row of cells, after those `found` before, and where the points are."""
+    for n in range(last - first):
+        dx, dy = points[0, first + n] - x, points[1, first + n] - y
+        points[2, found + n] = dx * dx + dy * dy
+        chosen[0, found + n] = first + n
+
+
+@helper
+def _largest(points: Float64s, found: int) -> float:
+    most = 0.0
+    for n in range(found):
+        most = max(most, points[2, n])
+    return most
+
+
+@helper
+def _count(points: Float64s, found: int, limit: float) -> int:
+    count = 0
+    for n in range(found):
+        count += 1 if points[2, n] <= limit else 0
+    return count
+
+
+@helper
+def _take(
+    points: Float64s, chosen: Int32s, found: int, low: float, high: float, names: Int32s, squared: Float64s, index: Int32s
+) -> None:
+    """Write the points up to the low limit, then of those up to the high one as many as there is place for."""
+    below = between = 0
+    for n in range(found):
+        d = points[2, n]
+        chosen[1, below], chosen[2, between] = n, n
+        below += 1 if d <= low else 0
+        between += 1 if low < d <= high else 0
+    for c in range(len(squared)):
+        n = chosen[1, c] if c < below else chosen[2, c - below]
+        squared[c], index[c] = points[2, n], names[chosen[0, n]]

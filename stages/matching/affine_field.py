@@ -13,12 +13,13 @@ import numpy as np
 
 from ..core.jit import helper, kernel
 from ..core.nearest_points import nearest_points
-from ..core.sorting import sorting_network
-from ..types import Float64s, Int32s, Int64s
+from ..types import Float32s, Float64s, Int32s
 
 _BATCH = 128
 _WIDTH_RANK = 8
 """The distance of this neighbour (0 is the nearest) is the width of the weights."""
+_LARGEST_SPREAD_PX, _HALVINGS = 65536.0, 11
+"""The median residual is looked for between 1 and the first, by so many halvings of the logarithm: to half a per cent."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,12 @@ def fit_affine_field(
         Pull toward the mean of the frame affines; no unit.
     """
     distance, index = nearest_points(x1, queries, min(neighbours, len(x1) - 1) + 1)
-    m = len(queries)
+    m, k = distance.shape
+    width = np.partition(distance, min(k - 1, _WIDTH_RANK), axis=1)[:, min(k - 1, _WIDTH_RANK)] + 1.0
     field = AffineField(np.empty((m, 2)), np.empty((m, 2, 2)), np.empty(m), np.empty(m))
+    by_neighbour, by_query = np.zeros((7, k, _BATCH), np.float32), np.zeros((27, _BATCH), np.float32)
     _fit(
-        queries, distance, index, x1, x2, affine, weight, ridge, sorting_network(distance.shape[1]),
+        queries, distance, width, index, x1, x2, affine, weight, ridge, by_neighbour, by_query, np.ones((2, _BATCH)),
         field.prediction, field.affine, field.sigma_px, field.support,
     )  # fmt: skip
     return field
@@ -69,38 +72,39 @@ def fit_affine_field(
 def _fit(
     queries: Float64s,
     distance: Float64s,
+    width: Float64s,
     index: Int32s,
     x1: Float64s,
     x2: Float64s,
     affine: Float64s,
     weight: Float64s,
     ridge: float,
-    network: Int64s,
+    by_neighbour: Float32s,
+    by_query: Float32s,
+    middle: Float64s,
     prediction: Float64s,
     out: Float64s,
     sigma: Float64s,
     support: Float64s,
 ) -> None:
     """A batch of queries at a time: arrays hold a row for each neighbour and a column for each query, and every loop over columns
-    is one that the compiler does for several at once."""
+    is one that the compiler does for several at once.  by_neighbour, by_query, middle: room for them."""
+    w0, w, e, u, v = by_neighbour[0], by_neighbour[1], by_neighbour[2], by_neighbour[3], by_neighbour[4]
+    s, t = by_neighbour[5], by_neighbour[6]
+    scale, pull, spread, agree, total = by_query[0], by_query[1], by_query[2], by_query[3], by_query[4]
+    drawn, found, sums = by_query[5:9], by_query[9:15], by_query[15:27]
     k = distance.shape[1]
-    w0, w, e = np.zeros((k, _BATCH)), np.zeros((k, _BATCH)), np.zeros((k, _BATCH))
-    u, v, s, t = np.zeros((k, _BATCH)), np.zeros((k, _BATCH)), np.zeros((k, _BATCH)), np.zeros((k, _BATCH))
-    values, weights = np.zeros((k, _BATCH)), np.zeros((k, _BATCH))
-    scale, pull, spread, agree = np.ones(_BATCH), np.ones(_BATCH), np.ones(_BATCH), np.zeros(_BATCH)
-    middle, drawn, found, sums = np.zeros((2, _BATCH)), np.zeros((4, _BATCH)), np.zeros((6, _BATCH)), np.zeros((12, _BATCH))
     for first in range(0, len(queries), _BATCH):
         count = min(_BATCH, len(queries) - first)
         for c in range(count):
             _gather(
-                queries[first + c], distance[first + c], index[first + c], x1, x2, affine, weight, ridge, c,
+                first + c, queries, distance, width, index, x1, x2, affine, weight, ridge, c,
                 w0, u, v, s, t, scale, pull, middle, drawn,
             )  # fmt: skip
-        for a in range(k):  # not  w[:] = w0: how to raise for shapes that differ takes longer to compile than all of this
-            for c in range(_BATCH):
-                w[a, c] = w0[a, c]
+        _copy(w0, w)
         for _ in range(4):
-            sums[:] = 0.0
+            for a in range(12):
+                _clear(sums[a])
             for a in range(k):
                 _add_squares(w[a], u[a], v[a], sums[0], sums[1], sums[2], sums[3], sums[4], sums[5])
                 _add_products(w[a], u[a], v[a], s[a], sums[6], sums[7], sums[8])
@@ -108,13 +112,10 @@ def _fit(
             _solve(sums, pull, drawn, found)
             for a in range(k):
                 _residuals(u[a], v[a], s[a], t[a], found, e[a])
-                for c in range(_BATCH):
-                    values[a, c], weights[a, c] = e[a, c], w0[a, c]
-            _sort(values, weights, network)
-            _median(values, weights, spread)
+            _median(e, w0, spread, agree, total)
             for a in range(k):
                 _reweigh(w0[a], e[a], spread, w[a])
-        agree[:] = 0.0
+        _clear(agree)
         for a in range(k):
             _add_agreeing(w0[a], e[a], spread, agree)
         for c in range(count):
@@ -126,9 +127,25 @@ def _fit(
 
 
 @helper
+def _copy(here: Float32s, there: Float32s) -> None:
+    """Not  there[:] = here: how to raise for shapes that differ takes longer to compile than all of this."""
+    for a in range(here.shape[0]):
+        for c in range(here.shape[1]):
+            there[a, c] = here[a, c]
+
+
+@helper
+def _clear(row: Float32s) -> None:
+    for c in range(len(row)):
+        row[c] = 0
+
+
+@helper
 def _gather(
-    query: Float64s,
+    q: int,
+    queries: Float64s,
     distance: Float64s,
+    widths: Float64s,
     index: Int32s,
     x1: Float64s,
     x2: Float64s,
@@ -136,28 +153,29 @@ def _gather(
     weight: Float64s,
     ridge: float,
     c: int,
-    w0: Float64s,
-    u: Float64s,
-    v: Float64s,
-    s: Float64s,
-    t: Float64s,
-    scale: Float64s,
-    pull: Float64s,
+    w0: Float32s,
+    u: Float32s,
+    v: Float32s,
+    s: Float32s,
+    t: Float32s,
+    scale: Float32s,
+    pull: Float32s,
     middle: Float64s,
-    drawn: Float64s,
+    drawn: Float32s,
 ) -> None:
     """Write the neighbours of one query into column c: weights by distance, u, v around the query in units of `scale`, s, t
     around their mean in image 2, `middle`; drawn: the mean of the frame affines, toward which `pull` draws."""
-    k = len(distance)
-    width = distance[min(k - 1, _WIDTH_RANK)] + 1.0
-    scale[c] = width + 5.0
+    k = distance.shape[1]
+    width = widths[q]
+    unit = width + 5.0
+    scale[c] = unit
     total, ms, mt = 1e-9, 0.0, 0.0
     m00, m01, m10, m11 = 0.0, 0.0, 0.0, 0.0
     for a in range(k):
-        j = index[a]
-        n = weight[j] / (1 + (distance[a] / width) ** 2) if distance[a] > 1e-6 else 0.0
+        j = index[q, a]
+        n = weight[j] / (1 + (distance[q, a] / width) ** 2) if distance[q, a] > 1e-6 else 0.0
         w0[a, c] = n
-        u[a, c], v[a, c] = (x1[j, 0] - query[0]) / scale[c], (x1[j, 1] - query[1]) / scale[c]
+        u[a, c], v[a, c] = (x1[j, 0] - queries[q, 0]) / unit, (x1[j, 1] - queries[q, 1]) / unit
         total += n
         ms += n * x2[j, 0]
         mt += n * x2[j, 1]
@@ -167,17 +185,17 @@ def _gather(
         m11 += n * affine[j, 1, 1]
     ms, mt = ms / total, mt / total
     for a in range(k):
-        s[a, c], t[a, c] = x2[index[a], 0] - ms, x2[index[a], 1] - mt
+        s[a, c], t[a, c] = x2[index[q, a], 0] - ms, x2[index[q, a], 1] - mt
     middle[0, c], middle[1, c] = ms, mt
     pull[c] = 0.02 * ridge * total
-    drawn[0, c], drawn[1, c] = m00 / total * scale[c], m01 / total * scale[c]
-    drawn[2, c], drawn[3, c] = m10 / total * scale[c], m11 / total * scale[c]
+    drawn[0, c], drawn[1, c] = m00 / total * unit, m01 / total * unit
+    drawn[2, c], drawn[3, c] = m10 / total * unit, m11 / total * unit
 
 
 @helper
 def _add_squares(
-    w: Float64s, u: Float64s, v: Float64s,
-    uu: Float64s, uv: Float64s, vv: Float64s, u1: Float64s, v1: Float64s, one: Float64s,
+    w: Float32s, u: Float32s, v: Float32s,
+    uu: Float32s, uv: Float32s, vv: Float32s, u1: Float32s, v1: Float32s, one: Float32s,
 ) -> None:  # fmt: skip
     for c in range(len(w)):
         wu, wv = w[c] * u[c], w[c] * v[c]
@@ -190,7 +208,7 @@ def _add_squares(
 
 
 @helper
-def _add_products(w: Float64s, u: Float64s, v: Float64s, s: Float64s, us: Float64s, vs: Float64s, one_s: Float64s) -> None:
+def _add_products(w: Float32s, u: Float32s, v: Float32s, s: Float32s, us: Float32s, vs: Float32s, one_s: Float32s) -> None:
     for c in range(len(w)):
         ws = w[c] * s[c]
         us[c] += u[c] * ws
@@ -199,16 +217,17 @@ def _add_products(w: Float64s, u: Float64s, v: Float64s, s: Float64s, us: Float6
 
 
 @helper
-def _solve(sums: Float64s, pull: Float64s, drawn: Float64s, found: Float64s) -> None:
+def _solve(sums: Float32s, pull: Float32s, drawn: Float32s, found: Float32s) -> None:
     """The normal equations by cofactors; found: two rows (a, b, offset), s = a u + b v + offset, and the same for t."""
     for c in range(len(pull)):
-        suu, suv, svv = sums[0, c] + pull[c] + 1e-6, sums[1, c], sums[2, c] + pull[c] + 1e-6
-        su, sv, sw = sums[3, c], sums[4, c], sums[5, c] + 1e-6
+        more = float(pull[c])
+        suu, suv, svv = sums[0, c] + more + 1e-6, float(sums[1, c]), sums[2, c] + more + 1e-6
+        su, sv, sw = float(sums[3, c]), float(sums[4, c]), sums[5, c] + 1e-6
         c00, c01, c02 = svv * sw - sv * sv, sv * su - suv * sw, suv * sv - svv * su
         c11, c12, c22 = suu * sw - su * su, suv * su - suu * sv, suu * svv - suv * suv
         det = suu * c00 + suv * c01 + su * c02
         for row in range(2):
-            bu, bv = sums[6 + 3 * row, c] + pull[c] * drawn[2 * row, c], sums[7 + 3 * row, c] + pull[c] * drawn[2 * row + 1, c]
+            bu, bv = sums[6 + 3 * row, c] + more * drawn[2 * row, c], sums[7 + 3 * row, c] + more * drawn[2 * row + 1, c]
             b = sums[8 + 3 * row, c]
             found[3 * row, c] = (c00 * bu + c01 * bv + c02 * b) / det
             found[3 * row + 1, c] = (c01 * bu + c11 * bv + c12 * b) / det
@@ -216,7 +235,7 @@ def _solve(sums: Float64s, pull: Float64s, drawn: Float64s, found: Float64s) -> 
 
 
 @helper
-def _residuals(u: Float64s, v: Float64s, s: Float64s, t: Float64s, found: Float64s, e: Float64s) -> None:
+def _residuals(u: Float32s, v: Float32s, s: Float32s, t: Float32s, found: Float32s, e: Float32s) -> None:
     for c in range(len(u)):
         es = found[0, c] * u[c] + found[1, c] * v[c] + found[2, c] - s[c]
         et = found[3, c] * u[c] + found[4, c] * v[c] + found[5, c] - t[c]
@@ -224,43 +243,33 @@ def _residuals(u: Float64s, v: Float64s, s: Float64s, t: Float64s, found: Float6
 
 
 @helper
-def _sort(values: Float64s, weights: Float64s, network: Int64s) -> None:
-    """Sort each column; the weights go with the values."""
-    for n in range(len(network)):
-        i, j = np.uint64(network[n, 0]), np.uint64(network[n, 1])
-        for c in range(values.shape[1]):
-            a, b, p, q = values[i, c], values[j, c], weights[i, c], weights[j, c]
-            swap = a > b
-            values[i, c], values[j, c] = b if swap else a, a if swap else b
-            weights[i, c], weights[j, c] = q if swap else p, p if swap else q
-
-
-@helper
-def _median(values: Float64s, weights: Float64s, spread: Float64s) -> None:
-    """Of each sorted column the smallest value with half the weight at or below it, at least 1."""
+def _median(values: Float32s, weights: Float32s, high: Float32s, low: Float32s, below: Float32s) -> None:
+    """To `high` the least value, nearly, with half the weight of its column at or below it, at least 1; low, below: room."""
     k, n = values.shape
-    half, below = np.zeros(n), np.zeros(n)
-    for a in range(k):
-        for c in range(n):
-            half[c] += 0.5 * weights[a, c]
     for c in range(n):
-        spread[c] = values[k - 1, c]
-    for a in range(k):
+        low[c], high[c] = 1, np.float32(_LARGEST_SPREAD_PX)
+    for _ in range(_HALVINGS):
         for c in range(n):
-            before = below[c] < half[c]
-            below[c] += weights[a, c]
-            spread[c] = values[a, c] if before and below[c] >= half[c] else spread[c]
-    for c in range(n):
-        spread[c] = max(spread[c], 1.0)
+            below[c] = 0
+        for a in range(k):
+            for c in range(n):
+                inside = values[a, c] * values[a, c] <= low[c] * high[c]
+                below[c] += weights[a, c] if inside else -weights[a, c]
+        for c in range(n):
+            middle = np.sqrt(low[c] * high[c])
+            enough = below[c] >= np.float32(0)
+            high[c], low[c] = middle if enough else high[c], low[c] if enough else middle
 
 
 @helper
-def _reweigh(w0: Float64s, e: Float64s, spread: Float64s, w: Float64s) -> None:
+def _reweigh(w0: Float32s, e: Float32s, spread: Float32s, w: Float32s) -> None:
     for c in range(len(w0)):
-        w[c] = w0[c] / (1 + (e[c] / (2 * spread[c])) ** 2) ** 2
+        r = e[c] / (spread[c] + spread[c])
+        r = np.float32(1) + r * r
+        w[c] = w0[c] / (r * r)
 
 
 @helper
-def _add_agreeing(w0: Float64s, e: Float64s, spread: Float64s, agree: Float64s) -> None:
+def _add_agreeing(w0: Float32s, e: Float32s, spread: Float32s, agree: Float32s) -> None:
     for c in range(len(w0)):
-        agree[c] += w0[c] if e[c] < 3 * max(spread[c], 2.0) else 0.0
+        agree[c] += w0[c] if e[c] < np.float32(3) * max(spread[c], np.float32(2)) else np.float32(0)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.jit import helper, kernel
+from ..core.nearest_points import by_cell
 from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
 from .neighbours import Neighbours, nearest_neighbours
@@ -172,12 +173,10 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
     asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)
     cell = SEARCH_CELL_PX
-    origin = pair.x2.min(axis=0)
-    cells = np.floor((pair.x2 - origin) / cell).astype(np.int64)
-    columns, rows = cells.max(axis=0) + 1
-    key = cells[:, 1] * columns + cells[:, 0]
-    order = np.argsort(key, kind="stable").astype(np.int32)
-    starts = np.searchsorted(key[order], np.arange(columns * rows + 1)).astype(np.int32)
+    by_axis = np.ascontiguousarray(pair.x2.T)
+    origin = by_axis.min(axis=1)
+    columns, rows = np.floor((by_axis.max(axis=1) - origin) / cell).astype(np.int64) + 1
+    order, starts = by_cell(pair.x2, origin, cell, columns, rows)
     c = pair.candidates
     first = np.searchsorted(c.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
     return _search(

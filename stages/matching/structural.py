@@ -60,6 +60,9 @@ class Evidence:
 
 
 EVIDENCE = Evidence()
+EPIPOLAR = EVIDENCE.epipolar
+HOPELESS = -8.0
+"""A candidate with log odds below this takes nothing away from its rivals that could be told: it is left out."""
 
 MIN_SIGMA_PX = 2.0
 TRUST_HALF = 1.5
@@ -201,6 +204,8 @@ def _expect(
     )  # fmt: skip
     if F is not None:
         _score_epipolar(i, j, pair.x1, pair.x2, np.ascontiguousarray(F), coefficients, log_odds)
+    rivals = log_odds > HOPELESS
+    i, j, log_odds = i[rivals], j[rivals], log_odds[rivals]
     p = assign(i, j, log_odds, len(pair.x1), len(pair.x2))
     keep = p > odds * (1 - p)
     return pair.rows1[i[keep]], pair.rows2[j[keep]], p[keep]
@@ -232,15 +237,17 @@ def _score(
     for c in range(len(i)):
         a, b = i[c], j[c]
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
+        t = trust[a]
         penalty = by_distance * np.log(1 + r2 / sigma[a] ** 2) + by_sigma * log_sigma[a]
+        log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
+        if log_odds[c] < HOPELESS - EPIPOLAR:
+            continue
         W, N = forward[a], unframes2[b]
         q00, q01 = N[0, 0] * W[0, 0] + N[0, 1] * W[1, 0], N[0, 0] * W[0, 1] + N[0, 1] * W[1, 1]
         q10, q11 = N[1, 0] * W[0, 0] + N[1, 1] * W[1, 0], N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
         zoom = log_scale1[a] + log_scale2[b]
         turn = np.arctan2(q10 - q01, q00 + q11)
-        penalty += by_scale * np.log(1 + (zoom / 0.25) ** 2) + by_angle * np.log(1 + (turn / 0.25) ** 2)
-        t = trust[a]
-        log_odds[c] = (1 - t) * (alone - alone_slope * q[c]) + t * (base - slope * q[c] - penalty)
+        log_odds[c] -= t * (by_scale * np.log(1 + (zoom / 0.25) ** 2) + by_angle * np.log(1 + (turn / 0.25) ** 2))
 
 
 def _log_scale(m: Float64s) -> Float64s:
