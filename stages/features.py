@@ -87,7 +87,7 @@ def _features(views: list[_View], view: View, preprocessing: str) -> Features:
     xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
     tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
     plain = len(views[0][0])
-    lookalikes = nearest_elsewhere(descriptors, xy, plain)
+    lookalikes = nearest_elsewhere(descriptors[:plain], xy[:plain], plain)
     return Features(xy, frames, descriptors, responses, tilts, view, lookalikes, plain, preprocessing)
 
 

@@ -37,9 +37,9 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
-def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, apart_px: float = 6.0) -> Float32s:
-    """(n,) distance of each descriptor to the most similar of the first `others` that lies at least `apart_px` from it in the
-    image.
+def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: int = 0, apart_px: float = 6.0) -> Float32s:
+    """(n - begin,) distance of each descriptor to the most similar of the first `others` that lies at least `apart_px` from it in
+    the image.
 
     Parameters
     ----------
@@ -49,18 +49,20 @@ def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, apart_px
         (n, 2) pixels.
     others
         How many of them, from the first, are asked.
+    begin
+        The first that asks: 0, or `others`.
     apart_px
         What lies nearer is the same thing.
     """
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)
     room = np.empty(_BLOCK * others, np.float32)
-    for start in [*range(0, others, _BLOCK), *range(others, len(descriptors), _BLOCK)]:
+    for start in [*range(begin, others, _BLOCK), *range(others, len(descriptors), _BLOCK)]:
         among = start < others
         first = start if among else 0  # similarity has no direction: the others are compared with each other once
         rows = descriptors[start : min(start + _BLOCK, others) if among else start + _BLOCK]
         _best_elsewhere(_products(rows, transposed[:, first:], room), start, first, xy, apart_px**2, among, best)
-    return _distance(np.maximum(best, -1))
+    return _distance(np.maximum(best[begin:], -1))
 
 
 def _products(rows: Float32s, columns: Float32s, room: Float32s) -> Float32s:

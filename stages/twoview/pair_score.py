@@ -116,7 +116,7 @@ def pair_evidence(
     dots = np.einsum("nd,nd->n", left.descriptors[i1], right.descriptors[i2]).astype(np.float64)
     distance = np.sqrt(np.maximum(2 - 2 * dots, 1e-9))
     rivalry = distance / np.maximum(rival_distances(left, right, pairs, i1, i2), 1e-6)
-    likeness = distance / np.maximum(np.minimum(_lookalikes(left)[i1], _lookalikes(right)[i2]), 1e-6)
+    likeness = distance / np.maximum(np.minimum(_lookalikes(left, i1), _lookalikes(right, i2)), 1e-6)
     distinct = (rivalry < DISTINCT_FROM_RIVALS) & (likeness < DISTINCT_FROM_LOOKALIKES)
     return PairEvidence(
         inliers=len(i1),
@@ -161,11 +161,19 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
     )
 
 
-def _lookalikes(features: Features) -> Float32s:
-    """Distance of each keypoint to the most similar one elsewhere in its own image."""
-    if len(features.lookalikes) == len(features.xy):
-        return features.lookalikes
-    return nearest_elsewhere(features.descriptors, features.xy, len(features.xy))
+def _lookalikes(features: Features, rows: Int32s) -> Float32s:
+    """Distance of some keypoints (n,) to the most similar one elsewhere in their own image."""
+    known = features.lookalikes
+    if not len(known):
+        return nearest_elsewhere(features.descriptors, features.xy, len(features.xy))[rows]
+    plain = rows < len(known)
+    found = np.empty(len(rows), np.float32)
+    found[plain] = known[rows[plain]]
+    if plain.all():
+        return found
+    asking = np.concatenate([np.arange(len(known)), rows[~plain]])
+    found[~plain] = nearest_elsewhere(features.descriptors[asking], features.xy[asking], len(known), begin=len(known))
+    return found
 
 
 def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:

@@ -121,8 +121,8 @@ class Features:
     """(n,) `PLAIN`, or `TILTED` for the view compressed by 2 in x."""
     view: View
     lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
-    """(n,) distance to the most similar descriptor of the plain view at least 6 px away: how distinctive a keypoint is in its own
-    image (empty: unknown)."""
+    """(p,) of the plain view's keypoints, the distance to the most similar descriptor of that view at least 6 px away: how
+    distinctive a keypoint is in its own image (empty: unknown).  Of a tilted view few are ever asked."""
     plain_keypoints: int = 0
     """Rows of the plain view."""
     preprocessing: str = "none"
