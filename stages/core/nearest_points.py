@@ -36,21 +36,46 @@ def nearest_points(points: Float64s, queries: Float64s, k: int) -> tuple[Float64
     return np.sqrt(squared), index
 
 
-@kernel
 def by_cell(points: Float64s, low: Float64s, size: float, columns: int, rows: int) -> tuple[Int32s, Int32s]:
-    """Rows (n,) of `points` in order of their cells, and where in it each cell starts (cells + 1,)."""
-    cell = np.empty(len(points), np.int32)
-    starts = np.zeros(columns * rows + 1, np.int32)
+    """Rows (n,) of `points` in order of their cells, and where in it each cell starts (cells + 1,).
+
+    Parameters
+    ----------
+    points
+        (n, 2) pixels.
+    low
+        (2,) the corner where the cells begin.
+    size
+        Side of a cell, pixels.
+    columns, rows
+        So many cells.
+    """
+    order, starts = np.empty(len(points), np.int32), np.zeros(columns * rows + 1, np.int32)
+    _put_in_cells(points, low, size, columns, rows, np.empty(len(points), np.int32), np.empty_like(starts), starts, order)
+    return order, starts
+
+
+@kernel
+def _put_in_cells(
+    points: Float64s,
+    low: Float64s,
+    size: float,
+    columns: int,
+    rows: int,
+    cell: Int32s,
+    free: Int32s,
+    starts: Int32s,
+    order: Int32s,
+) -> None:  # fmt: skip
     for k in range(len(points)):
         cell[k] = int((points[k, 1] - low[1]) / size) * columns + int((points[k, 0] - low[0]) / size)
         starts[cell[k] + 1] += 1
     for c in range(columns * rows):
         starts[c + 1] += starts[c]
-    order, free = np.empty(len(points), np.int32), starts.copy()
+        free[c] = starts[c]
     for k in range(len(points)):
         order[free[cell[k]]] = k
         free[cell[k]] += 1
-    return order, starts
 
 
 @kernel

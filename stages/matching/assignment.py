@@ -28,7 +28,7 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
     """
     probability = np.empty(len(i))
     if len(i):
-        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), np.ones(n1), np.ones(n2), iterations, probability)
+        _sinkhorn(i, j, np.exp(np.clip(log_odds, -30, 30)), np.ones((2, n1)), np.ones((2, n2)), iterations, probability)
     return probability
 
 
@@ -65,15 +65,20 @@ def _heads(cells: Int32s) -> Int32s:
 
 
 @kernel
-def _sinkhorn(i: Int32s, j: Int32s, mass: Float64s, u: Float64s, v: Float64s, iterations: int, probability: Float64s) -> None:
-    row, column = np.empty(len(u)), np.empty(len(v))
+def _sinkhorn(
+    i: Int32s, j: Int32s, mass: Float64s, rows: Float64s, columns: Float64s, iterations: int, probability: Float64s
+) -> None:
+    """rows, columns: (2, n) their factors, ones at first, and room."""
+    u, row, v, column = rows[0], rows[1], columns[0], columns[1]
     for _ in range(iterations):
-        row[:] = 1.0
+        for c in range(len(row)):
+            row[c] = 1.0
         for c in range(len(i)):
             row[i[c]] += mass[c] * v[j[c]]
         for c in range(len(u)):
             u[c] = 1.0 / row[c]
-        column[:] = 1.0
+        for c in range(len(column)):
+            column[c] = 1.0
         for c in range(len(i)):
             column[j[c]] += mass[c] * u[i[c]]
         for c in range(len(v)):

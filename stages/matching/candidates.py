@@ -179,10 +179,16 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
     order, starts = by_cell(pair.x2, origin, cell, columns, rows)
     c = pair.candidates
     first = np.searchsorted(c.i, np.arange(len(pair.x1) + 1)).astype(np.int32)
-    return _search(
-        asking, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, first, c.j,
-        c.descriptors1, c.descriptors2, c.noise1, c.noise2,
-    )  # fmt: skip
+    room = 4 * len(asking) + 16
+    while True:
+        i, j, q = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+        count = _search(
+            asking, radius, field.prediction, pair.x2, origin, cell, columns, rows, order, starts, first, c.j,
+            c.descriptors1, c.descriptors2, c.noise1, c.noise2, i, j, q,
+        )  # fmt: skip
+        if count <= room:
+            return i[:count], j[:count], q[:count]
+        room = count
 
 
 def inverses(m: Float64s) -> Float64s:
@@ -225,11 +231,12 @@ def _search(
     d2: Float32s,
     noise1: Float32s,
     noise2: Float32s,
-) -> tuple[Int32s, Int32s, Float64s]:
-    """Pairs of an asking keypoint and a keypoint of image 2 within its radius that are not candidates yet (first, known: their
-    list by row) and whose relative distance, the third result, is small."""
-    room = 4 * len(asking) + 16
-    out_i, out_j, out_q = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+    out_i: Int32s,
+    out_j: Int32s,
+    out_q: Float64s,
+) -> int:
+    """Write pairs of an asking keypoint and a keypoint of image 2 within its radius that are not candidates yet (first, known:
+    their list by row) and whose relative distance, written too, is small; as many as there is room for.  Returns how many."""
     count = 0
     for n in range(len(asking)):
         a = asking[n]
@@ -254,9 +261,7 @@ def _search(
                     q = _relative_distance(d1, d2, noise1, noise2, a, b)
                     if q >= MAX_DISTANCE:
                         continue
-                    if count == len(out_i):
-                        out_i, out_j = np.concatenate((out_i, out_i)), np.concatenate((out_j, out_j))
-                        out_q = np.concatenate((out_q, out_q))
-                    out_i[count], out_j[count], out_q[count] = a, b, q
+                    if count < len(out_i):
+                        out_i[count], out_j[count], out_q[count] = a, b, q
                     count += 1
-    return out_i[:count], out_j[:count], out_q[:count]
+    return count

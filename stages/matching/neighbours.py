@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.jit import helper, kernel
-from ..types import Float32s, Float64s, Int32s, Uint8s
+from ..types import Float32s, Float64s, Int32s, Uint8s, Uint64s
 
 _BLOCK, _SPAN = 512, 32
 
@@ -30,10 +30,10 @@ def nearest_neighbours(descriptors1: Float32s, descriptors2: Float32s, k: int) -
     rows, row_best = np.full((n1, k), -1, np.int32), np.full((n1, k), -2, np.float32)
     columns, column_best = np.full((n2, k), -1, np.int32), np.full((n2, k), -2, np.float32)
     other, enough = np.ascontiguousarray(descriptors2.T), np.full(n2, -2, np.float32)
-    room = np.empty(_BLOCK * n2, np.float32)
+    room, marks = np.empty(_BLOCK * n2, np.float32), np.zeros((n2 + 7) // 8, np.uint64)
     for start in range(0, n1 if k else 0, _BLOCK):
         similarity = _products(descriptors1[start : start + _BLOCK], other, room)
-        _keep_best(similarity, start, rows, row_best, columns, column_best, enough)
+        _keep_best(similarity, start, rows, row_best, columns, column_best, enough, marks, marks.view(np.uint8))
     return Neighbours(rows, _distance(row_best), columns, _distance(column_best))
 
 
@@ -78,19 +78,19 @@ def _distance(similarity: Float32s) -> Float32s:
 
 @kernel
 def _keep_best(
-    similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s, enough: Float32s
-) -> None:
+    similarity: Float32s, start: int, rows: Int32s, row_best: Float32s, columns: Int32s, column_best: Float32s, enough: Float32s,
+    marks: Uint64s, each: Uint8s,
+) -> None:  # fmt: skip
     """Merge a block of similarities into the best k of its rows and of all columns; of equals, the first index stays.
 
     enough: (n2,) the last of each column's best.  Few similarities enter a list: spans twice as long each time are compared at
-    once with what was enough before them, and only what exceeds that is looked at.
+    once with what was enough before them, and only what exceeds that is looked at.  marks, each: the same memory, zeros at first.
     """
     k, n = rows.shape[1], similarity.shape[1]
-    marks = np.zeros((n + 7) // 8, np.uint64)
     for i in range(similarity.shape[0]):
         row, first, last = start + i, 0, min(_SPAN, n)
         while first < n:
-            _mark(similarity[i, first:last], row_best[row, k - 1], enough[first:last], marks.view(np.uint8))
+            _mark(similarity[i, first:last], row_best[row, k - 1], enough[first:last], each)
             for eight in range((last - first + 7) // 8):
                 if marks[eight] == 0:
                     continue

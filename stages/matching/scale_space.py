@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from ..core.jit import helper, kernel
-from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint64s
 
 LEVELS = 3
 """Scales to the octave."""
@@ -32,6 +32,8 @@ MOST_CURVED = 10.0
 STEPS, NEAR, FAR_PX = 5, 0.6, 1.5
 """So many steps at most; none follows one as short as this, in pixels and levels, or leads farther than that from the start."""
 WHITE = 255.0
+_PIXELS_TO_ONE = 64
+"""Extrema are given room for one in so many pixels at first."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
     divided by LEVELS)."""
     found, least = [], contrast * WHITE / LEVELS
     for octave, levels in enumerate(octaves):
-        x, y, scale, value = _refine(_extrema(levels, 0.5 * least), levels, least).T
+        x, y, scale, value = _refined(_rough(levels, 0.5 * least), levels, least).T
         zoom = 2.0 ** (octave - 1)
         sigma = zoom * FINEST_SIGMA * 2 ** (scale / LEVELS)
         level = np.clip(np.rint(scale), 1, LEVELS).astype(np.int32)
@@ -110,17 +112,28 @@ def find_blobs(octaves: Pyramid, contrast: float) -> Blobs:
     return Blobs.joined(found)
 
 
-@kernel
-def _extrema(levels: Float32s, least: float) -> Int64s:
-    """(n, 3) x, y, level of those differences above `least` that no neighbour in place or scale exceeds.
+def _rough(levels: Float32s, least: float) -> Int64s:
+    """(n, 3) x, y, level of the extrema on the grid."""
+    count, _, w = levels.shape
+    out = np.empty((len(levels[0]) * w // _PIXELS_TO_ONE + 64, 3), np.int64)
+    marks = np.zeros((w + 7) // 8, np.uint64)
+    while True:
+        n = _extrema(levels, least, np.empty((3, count - 1, w), np.float32), marks, marks.view(np.uint8), out)
+        if n <= len(out):
+            return out[:n]
+        out = np.empty((n, 3), np.int64)
 
-    Of the differences three rows of each scale are kept: all of them are as large as the pyramid.
+
+@kernel
+def _extrema(levels: Float32s, least: float, d: Float32s, marks: Uint64s, each: Uint8s, out: Int64s) -> int:
+    """Write x, y, level of those differences above `least` that no neighbour in place or scale exceeds, as many as there is room
+    for, and return how many there are.
+
+    Of the differences three rows of each scale are kept in `d`: all of them are as large as the pyramid.  marks, each: the same
+    memory by eights and one by one.
     """
     count, h, w = levels.shape
-    out, n = np.empty((1024, 3), np.int64), 0
-    marks = np.zeros((w + 7) // 8, np.uint64)
-    each, limit = marks.view(np.uint8), np.float32(least)
-    d = np.empty((3, count - 1, w), np.float32)
+    limit, n = np.float32(least), 0
     for below in range(BORDER - 1, h - BORDER + 1):
         for s in range(count - 1):
             _subtract(levels[s + 1, below], levels[s, below], d[below % 3, s])
@@ -136,11 +149,10 @@ def _extrema(levels: Float32s, least: float) -> Int64s:
                 for x in range(max(8 * eight, BORDER), min(8 * eight + 8, w - BORDER)):
                     if each[x] == 0 or not _extreme(d, row[s, x], s, x):
                         continue
-                    if n == len(out):
-                        out = np.concatenate((out, out))
-                    out[n, 0], out[n, 1], out[n, 2] = x, y, s
+                    if n < len(out):
+                        out[n, 0], out[n, 1], out[n, 2] = x, y, s
                     n += 1
-    return out[:n]
+    return n
 
 
 @helper
@@ -219,7 +231,7 @@ def _newton(c: Float64s, step: Float64s) -> bool:
     a, b, e = yy * ss - ys * ys, ys * xs - xy * ss, xy * ys - yy * xs
     det = xx * a + xy * b + xs * e
     if abs(det) < 1e-12:
-        step[:] = np.inf
+        step[0] = step[1] = step[2] = step[3] = np.inf
         return False
     step[0] = -(a * gx + b * gy + e * gs) / det
     step[1] = -(b * gx + (xx * ss - xs * xs) * gy + (xy * xs - xx * ys) * gs) / det
@@ -228,12 +240,19 @@ def _newton(c: Float64s, step: Float64s) -> bool:
     return bool(flat > 0 and (xx + yy) ** 2 * MOST_CURVED < (MOST_CURVED + 1) ** 2 * flat)
 
 
-@kernel
-def _refine(start: Int64s, levels: Float32s, least: float) -> Float64s:
+def _refined(start: Int64s, levels: Float32s, least: float) -> Float64s:
     """(n, 4) x, y, scale in levels, and absolute value of those that Newton's steps lead to an extremum nearby."""
-    count = len(levels) - 1
     out = np.empty((len(start), 4))
-    taps, rows, cube, step = np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4)
+    n = _refine(start, levels, least, np.empty((2, 4)), np.empty((3, 6)), np.empty((3, 3, 3)), np.empty(4), out)
+    return out[:n]
+
+
+@kernel
+def _refine(
+    start: Int64s, levels: Float32s, least: float, taps: Float64s, rows: Float64s, cube: Float64s, step: Float64s, out: Float64s
+) -> int:
+    """Write these, and return how many; taps, rows, cube, step: room."""
+    count = len(levels) - 1
     n = 0
     for k in range(len(start)):
         x, y, s = float(start[k, 0]), float(start[k, 1]), start[k, 2]
@@ -258,4 +277,4 @@ def _refine(start: Int64s, levels: Float32s, least: float) -> Float64s:
                 s -= 1
             if s < 1 or s > count - 2 or max(abs(x - x0), abs(y - y0)) > FAR_PX:
                 break
-    return out[:n]
+    return n

@@ -189,11 +189,13 @@ def _slopes(disparity: Float32s) -> tuple[Float32s, Float32s]:
     for y in range(height):
         for x0 in range(0, width, _BLOCK):
             n = min(_BLOCK, width - x0)
-            s[_XX:_XY] = 1.0
-            s[_XY:] = 0.0
-            centre = bordered[y + 5, x0 + 5 :]
-            if np.isnan(centre[:n]).all():
+            centre, known = bordered[y + 5, x0 + 5 :], 0
+            for x in range(n):
+                known += 0 if np.isnan(centre[x]) else 1
+            if known == 0:
                 continue
+            for x in range(5 * _BLOCK):
+                s[x] = 1.0 if x < _XY else 0.0
             for dy in range(-5, 6, 2):
                 for dx in range(-5, 6, 2):
                     there = bordered[y + dy + 5, x0 + dx + 5 :]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.jit import kernel
+from ..core.jit import helper, kernel
 from ..core.sorting import sorting_network
 from ..types import Float32s
 
@@ -91,6 +91,21 @@ def _neighbours_inside(shape: tuple[int, ...]) -> Float32s:
     return (rows[:, None] * columns).astype(np.float32)
 
 
+@helper
+def _unknown(row: Float32s, n: int) -> bool:
+    """Is nothing known of the first n?  In a loop: numpy's words for this take longer to compile than the rest of a kernel."""
+    known = 0
+    for x in range(n):
+        known += 0 if np.isnan(row[x]) else 1
+    return known == 0
+
+
+@helper
+def _fill(row: Float32s, first: int, last: int, value: np.float32) -> None:
+    for x in range(first, last):
+        row[x] = value
+
+
 @kernel
 def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> None:
     """Planes (3, h, w) into `out`: the pixels' own, corrected by a least-squares plane through what 5x5 neighbours, `stride`
@@ -107,11 +122,12 @@ def _correct(bordered: Float32s, border: int, stride: int, out: Float32s) -> Non
             n = min(_BLOCK, width - x0)
             row, column = y + border, x0 + border
             d, a, b, grey = known[row, column:], bordered[1, row, column:], bordered[2, row, column:], image[row, column:]
-            if np.isnan(d[:n]).all():
-                out[:, y, x0 : x0 + n] = np.float32(np.nan)
+            if _unknown(d, n):
+                for k in range(3):
+                    _fill(out[k, y], x0, x0 + n, np.float32(np.nan))
                 continue
-            s[:] = none
-            s[3 * _BLOCK : 5 * _BLOCK] = np.float32(2.0)  # slopes stay the plane's own where little speaks
+            _fill(s, 0, 9 * _BLOCK, none)
+            _fill(s, 3 * _BLOCK, 5 * _BLOCK, np.float32(2.0))  # slopes stay the plane's own where little speaks
             for j in range(-_NEAR, _NEAR + 1):
                 for i in range(-_NEAR, _NEAR + 1):
                     dx, dy = i * stride, j * stride
@@ -168,10 +184,10 @@ def _filtered(bordered: Float32s, spacing: int) -> Float32s:
             n = min(_BLOCK, width - x0)
             row, column = y + border, x0 + border
             own, grey = bordered[0, row, column:], bordered[3, row, column:]
-            if np.isnan(own[:n]).all():
-                out[y, x0 : x0 + n] = np.float32(np.nan)
+            if _unknown(own, n):
+                _fill(out[y], x0, x0 + n, np.float32(np.nan))
                 continue
-            half[:] = np.float32(0.0)
+            _fill(half, 0, _BLOCK, np.float32(0.0))
             k = 0
             for j in range(-_REACH, _REACH + 1, _STRIDE):
                 for i in range(-_REACH, _REACH + 1, _STRIDE):
@@ -221,12 +237,12 @@ def _doubt(confirmed: Float32s, planes: Float32s, inside: Float32s) -> Float32s:
             n = min(_BLOCK, width - x0)
             row, column = y + _BORDER, x0 + _BORDER
             d, a, b = confirmed[row, column:], planes[1, y, x0:], planes[2, y, x0:]
-            if np.isnan(d[:n]).all():
-                doubt[y, x0 : x0 + n] = np.float32(np.inf)
+            if _unknown(d, n):
+                _fill(doubt[y], x0, x0 + n, np.float32(np.inf))
                 continue
-            s[:_BLOCK] = np.float32(0.0)  # how far away
-            s[_BLOCK : 2 * _BLOCK] = np.float32(np.inf)  # the lowest disparity
-            s[2 * _BLOCK :] = np.float32(-np.inf)  # the highest
+            _fill(s, 0, _BLOCK, np.float32(0.0))  # how far away
+            _fill(s, _BLOCK, 2 * _BLOCK, np.float32(np.inf))  # the lowest disparity
+            _fill(s, 2 * _BLOCK, 3 * _BLOCK, np.float32(-np.inf))  # the highest
             for dy in range(-_NEAR, _NEAR + 1):
                 for dx in range(-_NEAR, _NEAR + 1):
                     other = confirmed[row + dy, column + dx :]

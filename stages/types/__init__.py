@@ -1,7 +1,7 @@
 """What the stages hand to each other: frozen dataclasses of arrays.  Axes, units, order: see the package's docstring."""
 
 from ..reasons import Reason, Rejected
-from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s
+from .arrays import Bools, Float32s, Float64s, Int16s, Int32s, Int64s, Pair, Uint8s, Uint16s, Uint32s, Uint64s
 from .captured import Capture, Lens, Placement, Privacy, Survey
 from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
@@ -57,6 +57,7 @@ __all__ = [
     "Uint8s",
     "Uint16s",
     "Uint32s",
+    "Uint64s",
     "Usual",
     "View",
 ]
