@@ -3,7 +3,8 @@
 Starting from the depth that pairs gave, planes are improved by what several photographs together show (`mvs.propagation`):
 matches that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a
 surface best.
-In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.
+In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.  Even
+surfaces are laid on planes of many pixels (`mvs.flats`).
 
 References
 ----------
@@ -23,6 +24,7 @@ from .core.bending import straight_frame, straight_frames
 from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
+from .mvs.flats import lay_on_flats
 from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
@@ -82,8 +84,7 @@ def refine(
     then_camera, then_depth
         The reference's, if there is one: where to start from where tonight's pairs have nothing, if the camera stands as then.
     radius
-        The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones, whose
-        pixels move apart.
+        The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
     sweeps
         Passes over the image, alternately down and up.
     max_sources, min_angle_deg, max_angle_deg
@@ -120,7 +121,8 @@ def refine(
         sure |= _on_ground(planes, ground)
     if then_depth is not None:
         sure |= (support.second < max_cost) & then_depth.sure & _as_before(z, sigma, then_depth)
-    return DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
+    rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
+    return _flattened(rough, planes[0], lay_on_flats(frame, image, propagation, planes, support, rough.sure, scale, max_cost))
 
 
 def _as_fine(camera: Camera, others: Mapping[str, Camera], depth: DepthMap, useful: Sequence[str]) -> dict[str, float]:
@@ -191,6 +193,15 @@ def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tupl
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = z * np.sqrt((noise.noise_px * z) ** 2 / parallax + noise.floor**2)
     return z.astype(np.float32), sigma.astype(np.float32)
+
+
+def _flattened(rough: DepthMap, q: Float32s, sigma: Float32s) -> DepthMap:
+    """Depth with even surfaces on their planes.  q, sigma: (h, w) inverse depths, and the deviation of those, nan elsewhere."""
+    flat = np.isfinite(sigma)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.where(flat, 1.0 / q, rough.depth)
+    floor = np.float32(NoiseModel.floor)
+    return replace(rough, depth=z, sigma=np.where(flat, z * np.hypot(z * sigma, floor), rough.sigma), sure=rough.sure | flat)
 
 
 def _sources(

@@ -1,0 +1,219 @@
+"""Even regions of a picture, and the planes that the depths in each of them tell.
+
+A region is what hangs together without an edge; pixels of its colour beside it belong to it, too.  Planes are found in the
+largest regions (RANSAC), fitted by weights that fall with the error, and shared with the other regions that lie on them: the
+plaster between the windows of a façade is many regions and one plane.
+
+References
+----------
+Fischler, Bolles, Random Sample Consensus, CACM 1981; Beaton, Tukey, The Fitting of Power Series, Technometrics 1974 (weights).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+
+_EVEN = 6
+"""Grey levels, in any colour: 3x3 pixels that differ by no more show no edge."""
+
+_BESIDE, _ALIKE = 3, 10
+"""So near a region, pixels that differ from its nearest pixel by no more grey levels belong to it."""
+
+_SMALLEST, _THICK = 40, 5
+"""Pixels of a region; the way from its middle to its rim that it takes to tell a plane alone: narrow ones tilt."""
+
+_EVERY = 2
+"""Of so many pixels one is asked: the others say the same."""
+
+_LEAST, _FEWEST = 200, 15
+"""Depths that tell a plane, and those with which a region may join one."""
+
+_TRIALS, _ASKED = 64, 1500
+"""Of RANSAC, and depths on which each is tried."""
+
+_ROUNDS = 4
+"""Of fitting and joining."""
+
+_AGAIN = 0.2
+"""This share of a region's depths off a plane may tell another one: a box stands before a wall of its colour."""
+
+_JOIN_PX, _FURTHEST_PX = 0.1, 1.0
+"""What the middle of a region may lie off a plane beyond what noise explains, and the plane's own error there, pixels."""
+
+NEAR_PX = 2.0
+"""In a source: a depth that is no farther from a plane speaks for it."""
+
+CORRELATED = 240.0
+"""So many neighbouring pixels err alike: patches overlap, and planes spread (fitted to errors on the demo's weak yard)."""
+
+
+@dataclass(frozen=True)
+class EvenRegions:
+    """Regions 1, 2, ... of a picture."""
+
+    number: Int32s
+    """(h, w), 0 for none."""
+    thick: Bools
+    """(regions + 1,): may tell a plane alone."""
+
+
+@dataclass(frozen=True)
+class RegionPlane:
+    """A plane in inverse depth, in pixels of a source: (1, x, y) @ plane with x and y from the middle of the picture."""
+
+    plane: Float64s
+    """(3,)"""
+    covariance: Float64s
+    """(3, 3) of it."""
+    spread: float
+    """Standard deviation of single depths, robust."""
+    regions: tuple[int, ...]
+    """Those that lie on it."""
+
+    def variance(self, at: Float64s) -> Float64s:
+        """(n,) of its value at places (n, 3), each (1, x, y)."""
+        return np.asarray(np.sum((at @ self.covariance) * at, axis=1), dtype=np.float64)
+
+
+def even_regions(image: Uint8s, usable: Bools, spacing: int) -> EvenRegions:
+    """The even regions of a picture.
+
+    Parameters
+    ----------
+    image, usable
+        (h, w, 3) uint8, and (h, w) bool, what may be matched.
+    spacing
+        Pixels for each of an image 768 wide.
+    """
+    square = np.ones((3, 3), np.uint8)
+    differ = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
+    even = ((differ <= _EVEN) & usable).astype(np.uint8)
+    _, found, stats, _ = cv2.connectedComponentsWithStats(even, connectivity=4)
+    kept = stats[:, cv2.CC_STAT_AREA] >= _SMALLEST * spacing**2
+    kept[0] = False
+    number = (np.cumsum(kept) * kept)[found].astype(np.int32)
+    thick = np.zeros(int(kept.sum()) + 1, bool)
+    if len(thick) == 1:
+        return EvenRegions(number, thick)
+    inner = cv2.distanceTransform((number > 0).astype(np.uint8), cv2.DIST_C, 3)
+    thick[number[inner >= (_THICK - 1) * spacing]] = True
+    outside = (number == 0).astype(np.uint8)
+    away, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_C, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    places = np.flatnonzero(number)
+    place = np.zeros(int(nearest.max()) + 1, np.int64)
+    place[nearest.ravel()[places]] = places
+    there = place[nearest]  # the nearest pixel of a region
+    unlike = np.abs(image.astype(np.int16) - image.reshape(-1, 3)[there].astype(np.int16)).max(axis=2)
+    belongs = usable & ((away <= 1) | ((away <= _BESIDE * spacing) & (unlike <= _ALIKE)))
+    return EvenRegions(np.where(belongs, number.ravel()[there], 0).astype(np.int32), thick)
+
+
+def planes_of_regions(regions: EvenRegions, known: Float32s, spacing: int) -> list[RegionPlane]:
+    """Planes that depths in even regions tell, those of the best known regions first.
+
+    Parameters
+    ----------
+    regions
+        Of the picture.
+    known
+        (h, w) inverse depths in pixels of a source, nan where there is none to be believed.
+    spacing
+        Pixels for each of an image 768 wide.
+    """
+    alike = CORRELATED / _EVERY
+    rng = np.random.default_rng(1)
+    told = (regions.number > 0) & np.isfinite(known)
+    y, x = (spacing * among for among in np.nonzero(told[::spacing, ::spacing]))
+    asked = (x + y) // spacing % _EVERY == 0
+    y, x = y[asked], x[asked]
+    of = regions.number[y, x]
+    order = np.argsort(of, kind="stable")
+    y, x, of = y[order], x[order], of[order]
+    at, d = from_middle(x, y, known.shape), known[y, x].astype(np.float64)
+    ends = np.searchsorted(of, np.arange(1, len(regions.thick) + 1))
+    free = {k: np.arange(ends[k - 1], ends[k]) for k in range(1, len(regions.thick))}
+    free = {k: mine for k, mine in free.items() if len(mine) >= _FEWEST}
+    enough = {k: max(_LEAST, int(_AGAIN * len(mine))) for k, mine in free.items()}
+    seeds = sorted((k for k in free if regions.thick[k]), key=lambda k: (-len(free[k]), k))
+    found = []
+    for seed in (k for k in seeds for _ in range(2)):
+        if len(free.get(seed, ())) < enough[seed]:
+            continue
+        plane = _grown(at, d, free, seed, rng, alike)
+        if plane is None:
+            continue
+        found.append(plane)
+        for k in plane.regions:
+            left = free.pop(k)
+            left = left[np.abs(d[left] - at[left] @ plane.plane) > NEAR_PX]
+            if len(left) >= enough[k]:
+                free[k] = left
+    return found
+
+
+def from_middle(x: Int64s, y: Int64s, shape: tuple[int, ...]) -> Float64s:
+    """(n, 3): 1, x, y from the middle of a picture of this shape."""
+    return np.column_stack([np.ones(len(x)), x - shape[1] / 2, y - shape[0] / 2])
+
+
+def _grown(
+    at: Float64s, d: Float64s, free: dict[int, Int64s], seed: int, rng: np.random.Generator, alike: float
+) -> RegionPlane | None:
+    """The plane of a region, and of all others that lie on it."""
+    mine = free[seed]
+    start = _tried(at[mine], d[mine], rng)
+    plane = None if start is None else _fitted(at[mine], d[mine], start, (seed,), alike)
+    for _ in range(_ROUNDS):
+        if plane is None:
+            return None
+        members = {seed} | {k for k, i in free.items() if _joins(at[i], d[i], plane, alike)}
+        if members == set(plane.regions):
+            break
+        i = np.concatenate([free[k] for k in sorted(members)])
+        plane = _fitted(at[i], d[i], plane.plane, tuple(sorted(members)), alike)
+    return plane
+
+
+def _tried(at: Float64s, d: Float64s, rng: np.random.Generator) -> Float64s | None:
+    """(3,) the best of random planes through three depths each."""
+    asked, triples = rng.integers(0, len(d), min(_ASKED, len(d))), rng.integers(0, len(d), (_TRIALS, 3))
+    triples = triples[np.abs(np.linalg.det(at[triples])) > 0.02 * len(d)]  # triangles of some size
+    if not len(triples):
+        return None
+    planes = np.linalg.solve(at[triples], d[triples][..., None])[..., 0]
+    off = np.abs(at[asked] @ planes.T - d[asked, None])
+    return np.asarray(planes[np.minimum(off, NEAR_PX).sum(axis=0).argmin()], dtype=np.float64)
+
+
+def _fitted(at: Float64s, d: Float64s, plane: Float64s, regions: tuple[int, ...], alike: float) -> RegionPlane | None:
+    """Least squares with Tukey's weights, from a first plane; None where too few depths lie near it."""
+    inverse, spread = np.eye(3), 0.0
+    for _ in range(5):
+        off = d - at @ plane
+        near = np.abs(off) <= NEAR_PX
+        if near.sum() < min(_LEAST, len(d) / 3):
+            return None
+        spread = float(1.4826 * np.median(np.abs(off[near])))
+        u = np.clip(off / max(4.685 * spread, 1e-3), -1, 1)
+        weighted = at * ((1 - u * u) ** 2)[:, None]
+        normal = np.einsum("ni,nj->ij", weighted, at)
+        if np.linalg.matrix_rank(normal) < 3:
+            return None
+        inverse = np.linalg.inv(normal)
+        plane = inverse @ np.einsum("ni,n->i", weighted, d)
+    return RegionPlane(plane, spread**2 * alike * inverse, spread, regions)
+
+
+def _joins(at: Float64s, d: Float64s, plane: RegionPlane, alike: float) -> bool:
+    """Do depths (n,) at places (n, 3) lie on a plane as noise does?"""
+    off = d - at @ plane.plane
+    variance = float(plane.variance(at.mean(axis=0)[None])[0])
+    if variance > _FURTHEST_PX**2:
+        return False
+    noise = np.sqrt(variance + plane.spread**2 * min(1.0, alike / len(d)))
+    return bool(abs(np.median(off)) <= noise + _JOIN_PX and np.median(np.abs(off)) <= 1.2 * plane.spread + _JOIN_PX)

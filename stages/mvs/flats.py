@@ -1,0 +1,162 @@
+"""Even surfaces laid on planes: what patches of plaster, asphalt or snow cannot tell, a whole wall of them can.
+
+Where next to nothing is to be seen a patch matches by its noise, and beside a window by the window: depths scatter about the
+surface by several times what is expected.  A plane through the depths of a whole even region (`mvs.even`) averages that.  It is
+taken where the depths around a pixel lie about it as noise does, and yields to what the photographs show.
+
+References
+----------
+Planes as priors that yield to the photographs: Xu, Tao, Planar Prior Assisted PatchMatch Multi-View Stereo, AAAI 2020 (ACMP).
+Pixels judged by reliable ones of their surface: Wang et al., Adaptive Patch Deformation for Textureless-Resilient Multi-View
+Stereo, CVPR 2023 (APD).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Bools, Float32s, Frame, Uint32s
+from .even import CORRELATED, NEAR_PX, RegionPlane, even_regions, from_middle, planes_of_regions
+from .propagation import Propagation, Support
+
+_AROUND = 25
+"""Half the side of the window, pixels of an image 768 wide, in which depths must lie about a plane."""
+
+_HELD, _FEWEST, _AGREED = 0.05, 20, 0.6
+"""Of the region's pixels in the window so many have a depth, as a share and in number, and so many of these are near."""
+
+_OFF_SIGMAS, _OFF_PX, _OFF_AT_MOST = 1.5, 0.15, 0.8
+"""Their mean may be off by what noise explains, and between these pixels of a source: more is relief."""
+
+_SURE_PX = 0.5
+"""Standard deviation of a plane where it is taken, at most."""
+
+_SHARED_PX = 0.2
+"""What all depths of a plane err alike."""
+
+_STRONG = 4.0
+"""Grey levels of a patch's deviation from which its own match is heard..."""
+
+_YIELDS = 0.198
+"""...and a plane yields if its cost squared is so much more: where exp(-c^2 / .18) (1 + .5) falls below exp(-c^2 / .18) .5."""
+
+_SOURCES = 2.0
+"""So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
+included, is common to all its depths."""
+
+_SEES = 0.3
+"""A source that sees this share of the depths around sees what lies between them."""
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """What is known of a view's planes, (h, w) each but the first, written region by region."""
+
+    planes: Float32s
+    """(3, h, w), in pixels of a source; nan for none."""
+    sigma: Float32s
+    """Their standard deviation."""
+    anchors: Bools
+    """Depths that speak for the plane of their region."""
+
+
+def lay_on_flats(
+    frame: Frame, grey: Float32s, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
+    scale: np.float32, max_cost: float,
+) -> Float32s:  # fmt: skip
+    """Put even surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
+
+    Parameters
+    ----------
+    frame, grey
+        The view, and its (h, w) grey levels.
+    propagation, planes, support
+        Of the view: (3, h, w) planes, and what the sources show of them.
+    sure
+        (h, w): depths to be believed.
+    scale
+        Pixels in a source for a unit of inverse depth.
+    max_cost
+        A source sees a plane that costs less.
+
+    Returns
+    -------
+    (h, w) float32, standard deviation of the inverse depths that were put there, nan elsewhere.
+    """
+    spacing = max(1, round(max(grey.shape) / 768))
+    laid = _laid(frame, np.where(sure, scale * planes[0], np.float32(np.nan)), spacing)
+    take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
+    if take.any():
+        trial = np.where(take, laid.planes / scale, np.float32(np.nan))
+        shown = propagation.support(trial, max_cost)
+        with np.errstate(invalid="ignore"):
+            dearer = shown.first**2 - support.first**2 > _YIELDS
+        take &= ~(sure & dearer & _strong(grey, 6 * spacing + 1))
+        sources, seen = _sources_around(laid.anchors, support.sources, len(propagation.M), spacing)
+        take &= ~sure | (seen >= _SOURCES)
+        planes[:, take] = trial[:, take]
+        support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
+    return np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
+
+
+def _laid(frame: Frame, known: Float32s, spacing: int) -> _Laid:
+    """The planes of a view's even regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
+    nan = np.full((4, *known.shape), np.nan, np.float32)
+    laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool))
+    regions = even_regions(frame.image, frame.mask, spacing)
+    for plane in planes_of_regions(regions, known, spacing):
+        lies = np.isin(regions.number, plane.regions)
+        y, x = np.nonzero(lies)
+        rows, columns = slice(y.min(), y.max() + 1), slice(x.min(), x.max() + 1)
+        _lay(laid, plane, (rows, columns), lies[rows, columns], known[rows, columns], spacing)
+    return laid
+
+
+def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s, spacing: int) -> None:
+    """Take a plane at those pixels of its regions (`lies`) around which depths are about it, if it is surer than another."""
+    y, x = np.mgrid[where]
+    at = from_middle(x.ravel(), y.ravel(), laid.sigma.shape)
+    value = (at @ plane.plane).reshape(lies.shape)
+    off = np.where(lies, known - value, np.nan).astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(off) <= NEAR_PX
+    all_around, known_around, near_around = (_around(some, spacing) for some in (lies, np.isfinite(off), near))
+    mean = _around(np.where(near, off, np.float32(0)), spacing) / np.maximum(near_around, 1)
+    alike = CORRELATED * spacing**2
+    allowed = _OFF_SIGMAS * plane.spread * np.sqrt(alike / np.maximum(near_around, 1))
+    sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
+    take = lies & (known_around >= np.maximum(_HELD * all_around, _FEWEST * spacing**2)) & (near_around >= _AGREED * known_around)
+    take &= (np.abs(mean) <= np.clip(allowed, _OFF_PX, _OFF_AT_MOST)) & (sigma <= np.hypot(_SURE_PX, _SHARED_PX))
+    take &= ~(laid.sigma[where] <= sigma)
+    for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
+        layer[where] = np.where(take, values, layer[where])
+    laid.sigma[where] = np.where(take, sigma, laid.sigma[where])
+    laid.anchors[where] |= take & near
+
+
+def _around(values: Bools | Float32s, spacing: int) -> Float32s:
+    """(h, w) sums over the window around each pixel."""
+    side = 2 * _AROUND * spacing + 1
+    sums = cv2.boxFilter(values.astype(np.float32), -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums, dtype=np.float32)
+
+
+def _strong(grey: Float32s, side: int) -> Bools:
+    """(h, w): is there something to be seen in the square patch of so many pixels a side?"""
+    mean, square = (cv2.boxFilter(levels, -1, (side, side)) for levels in (grey, grey * grey))
+    return np.asarray(square - mean * mean > _STRONG**2)
+
+
+def _sources_around(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
+    """(h, w) bits of the sources that see a share of the anchors around, and by how many an anchor is seen on average."""
+    anchored = np.maximum(_around(anchors, spacing), 1)
+    bits, seen = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
+    for k in range(count):
+        bit = np.uint32(1 << k)
+        share = _around(anchors & ((sources & bit) > 0), spacing) / anchored
+        bits[share >= _SEES] |= bit
+        seen += share
+    return bits, seen
