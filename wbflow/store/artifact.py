@@ -7,11 +7,13 @@ The header alone rebuilds an object that holds no arrays, so small artifacts are
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import importlib
 import json
 import math
 import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,9 @@ from .layout import STAND_IN
 from .outside import open_outside
 
 MAGIC = b"WBF1"
+_SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look
+_MINE = threading.local()
+"""Compressor and decompressor of each thread: making one takes ten times as long as a small array."""
 
 
 class ArtifactError(WbflowError, ValueError):
@@ -159,13 +164,24 @@ def figures(value: Any) -> dict[str, Any]:
 
 def _kept(value: Any) -> list[str]:
     """Names of a dataclass's fields, without those marked `transient`: they are found again where they are missing."""
-    return [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]
+    kind: Any = type(value)
+    return _kept_of(kind)
+
+
+@functools.lru_cache
+def _kept_of(kind: Any) -> list[str]:
+    return [f.name for f in dataclasses.fields(kind) if not f.metadata.get("transient")]
+
+
+@functools.lru_cache
+def _names_of(kind: Any) -> frozenset[str]:
+    return frozenset(f.name for f in dataclasses.fields(kind))
 
 
 def _is_small(value: Any) -> bool:
     """A dataclass of nothing but scalars and words."""
     fields = [getattr(value, f.name) for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else [()]
-    return all(isinstance(field, bool | int | float | str) for field in fields)
+    return all(isinstance(field, _SCALARS) for field in fields)
 
 
 def _is_plain(value: Any) -> bool:
@@ -173,11 +189,11 @@ def _is_plain(value: Any) -> bool:
         return all(map(_is_plain, value))
     if isinstance(value, Mapping):
         return all(isinstance(key, str) and _is_plain(entry) for key, entry in value.items())
-    return value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))
+    return value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value))
 
 
 def _tree(value: Any, frames: list[bytes]) -> Any:
-    if value is None or isinstance(value, bool | int | float | str):
+    if value is None or isinstance(value, _SCALARS):
         return value
     if hasattr(value, "dtype"):
         return _array_tree(value, frames)
@@ -198,7 +214,6 @@ def _key(key: Any) -> Any:
 
 def _array_tree(array: Any, frames: list[bytes]) -> Any:
     import numpy as np
-    import zstandard
 
     shape = list(array.shape)
     array = np.ascontiguousarray(array)
@@ -206,8 +221,24 @@ def _array_tree(array: Any, frames: list[bytes]) -> Any:
         array = array.astype(array.dtype.newbyteorder("<"))
     if array.dtype.hasobject:
         raise TypeError("an array of Python objects cannot be kept in an artifact")
-    frames.append(zstandard.ZstdCompressor(level=1).compress(array.tobytes()))
+    frames.append(_compressor().compress(array.tobytes()))
     return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
+
+
+def _compressor() -> Any:
+    if not hasattr(_MINE, "compressor"):
+        import zstandard
+
+        _MINE.compressor = zstandard.ZstdCompressor(level=1)
+    return _MINE.compressor
+
+
+def _decompressor() -> Any:
+    if not hasattr(_MINE, "decompressor"):
+        import zstandard
+
+        _MINE.decompressor = zstandard.ZstdDecompressor()
+    return _MINE.decompressor
 
 
 @dataclass
@@ -234,8 +265,8 @@ def _untree(node: Any, frames: _Frames) -> Any:
     if "map" in node:
         return {tuple(key) if isinstance(key, list) else key: _untree(entry, frames) for key, entry in node["map"]}
     kind = _dataclass(node["type"])
-    known = {f.name for f in dataclasses.fields(kind)}
     fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
+    known = _names_of(kind)
     return kind(**{name: value for name, value in fields.items() if name in known})
 
 
@@ -244,13 +275,14 @@ def _array(node: dict[str, Any], frame: memoryview) -> Any:
     import zstandard
 
     try:
-        raw = zstandard.ZstdDecompressor().decompress(frame)
+        raw = _decompressor().decompress(frame)
         return np.frombuffer(bytearray(raw), dtype=np.dtype(node["array"])).reshape(node["shape"])
     except (zstandard.ZstdError, ValueError) as error:
         raise ArtifactError(f"damaged array: {error}") from error
 
 
 def _dataclass(name: str) -> Any:
+    """By its name in an artifact: each time anew, since modules beside a site file are forgotten with it."""
     module, _, qualified = name.partition(":")
     kind: Any = importlib.import_module(module)
     for attribute in qualified.split("."):
