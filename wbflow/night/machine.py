@@ -12,6 +12,9 @@ SHARE = 0.8
 """Of the memory of this machine, or of the control group that the run is in, that its workers may hold together."""
 _KERNEL = Path("/proc")
 _GROUPS = Path("/sys/fs/cgroup")
+_CLEAR, _STATUS = f"{_KERNEL}/self/clear_refs", f"{_KERNEL}/self/status"  # text: looked at for each task
+_STATUS_BYTES = 1 << 16
+_HELD = (b"VmHWM:", b"RssFile:", b"RssShmem:")
 
 
 def memory() -> int:
@@ -34,15 +37,23 @@ def held_by(process: int) -> int:
 def count_from_here() -> None:
     """Forget what this process held at most so far."""
     with suppress(OSError):
-        (_KERNEL / "self" / "clear_refs").write_text("5")
+        descriptor = os.open(_CLEAR, os.O_WRONLY)
+        try:
+            os.write(descriptor, b"5")
+        finally:
+            os.close(descriptor)
 
 
 def most_held() -> int:
     """Bytes that this process held for itself at most since it was last asked to forget; where that is not told, with what it
     shares and since its start."""
-    with suppress(OSError, KeyError, ValueError):
-        told = dict(line.split(":", 1) for line in (_KERNEL / "self" / "status").read_text().splitlines())
-        peak, files, shared = (int(told[name].split()[0]) for name in ("VmHWM", "RssFile", "RssShmem"))
+    with suppress(OSError, ValueError):
+        descriptor = os.open(_STATUS, os.O_RDONLY)
+        try:
+            told = os.read(descriptor, _STATUS_BYTES)
+        finally:
+            os.close(descriptor)
+        peak, files, shared = (int(told[told.index(name) + len(name) :].split(None, 1)[0]) for name in _HELD)
         return (peak - files - shared) * 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
