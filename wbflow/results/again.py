@@ -152,7 +152,7 @@ def remember(finished: FinishedRun, night: Night, basis: Basis, journal: Journal
         reference = read_reference(work)
     except BadReference:
         return
-    files = [*_of_tasks(plan), *_of_reference(plan.cache, reference), *night.site.reader.files()]
+    files = [*_of_tasks(plan), *_of_reference(plan, reference), *night.site.reader.files()]
     stamps, newest = stamps_of(files)
     if not plan.cache.untouched():
         return
@@ -194,12 +194,13 @@ def _of_tasks(plan: Plan) -> Iterator[str]:
                 yield plan.cache.work.picture_name(task, receipt.key)
 
 
-def _of_reference(cache: Cache, reference: Reference | None) -> Iterator[str]:
+def _of_reference(plan: Plan, reference: Reference | None) -> Iterator[str]:
     """The files of the reference; that there is none, too."""
-    work = cache.work
+    work = plan.cache.work
     yield from (str(work.reference_record), str(work.reference_twin))
     for task, pinned in reference.artifacts.items() if reference else ():
-        yield from cache.copies(task, pinned.key)
+        state = plan.states.get(task)
+        yield from plan.cache.copies(task, pinned.key, state.receipt if state else None)
 
 
 def _now() -> datetime.datetime:

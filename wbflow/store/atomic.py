@@ -201,8 +201,18 @@ def _opened(name: Path | str, mode: Literal["wb", "xb"] = "wb") -> FileIO:
     try:
         return open(name, mode, 0)  # noqa: PTH123 (hot path)
     except FileNotFoundError:
-        os.makedirs(os.path.dirname(name), exist_ok=True)  # noqa: PTH103, PTH120
+        _make_folder(os.fspath(name).rpartition("/")[0])
         return open(name, mode, 0)  # noqa: PTH123
+
+
+def _make_folder(folder: str) -> None:
+    """With those around it, of which most are there: each task has a folder."""
+    try:
+        os.mkdir(folder)  # noqa: PTH102 (hot path)
+    except FileNotFoundError:
+        os.makedirs(folder, exist_ok=True)  # noqa: PTH103
+    except FileExistsError:  # somebody else has just made it
+        return
 
 
 def _into_place(temporary: str, path: Path | str, gives_way: bool) -> None:

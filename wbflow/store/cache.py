@@ -248,9 +248,9 @@ class Cache:
         """Are all receipts that were read or written through this cache as they were then?"""
         return all(stamp_at(name) == stamp for name, (stamp, _) in self._known.items())
 
-    def copies(self, task: Task, key: str) -> list[str]:
-        """Where the reference keeps the receipt and the artifact of a key that is known here."""
-        receipt, name = self.by_key(task, key), self.work.pinned_name(task, key)
+    def copies(self, task: Task, key: str, known: Receipt | None = None) -> list[str]:
+        """Where the reference keeps the receipt and the artifact of a key that is known here.  known: a receipt of the task."""
+        receipt, name = known if known and known.key == key else self.by_key(task, key), self.work.pinned_name(task, key)
         return [name, *([f"{name[: name.rindex('/')]}/{receipt.file}"] if receipt and receipt.file else [])]
 
     def _receipt(self, task: Task | None, name: str) -> Receipt | None:

@@ -182,7 +182,7 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
         The disk is full, or there is no right to write.
     """
     work = cache.work
-    kept = {str(work.reference_record), str(work.reference_twin)}
+    kept, anew = {str(work.reference_record), str(work.reference_twin)}, work.reference.exists()
     for receipt in receipts:
         for name in _names(cache, receipt):
             copy = work.pinned_beside(name)
@@ -193,11 +193,17 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
     told = signed(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, told, ours=True)
-    for folder, _, names in os.walk(work.reference):
+    if anew:
+        _remove_all_but(work.reference, kept)
+
+
+def _remove_all_but(reference: Path, kept: set[str]) -> None:
+    """What was there for an earlier reference goes."""
+    for folder, _, names in os.walk(reference):
         for name in names:
             if (old := f"{folder}/{name}") not in kept and os.path.isfile(old):  # noqa: PTH113 (hot path)
                 os.unlink(old)  # noqa: PTH108
-    _remove_empty(work.reference)
+    _remove_empty(reference)
 
 
 def drop_reference(work: WorkFolder) -> bool:
