@@ -57,7 +57,7 @@ def main() -> None:
     wbflow check photographs               what is wrong with it, and with the captures
     wbflow run photographs                 the night's work
     """
-    gc.set_threshold(50_000, 20, 20)  # a plan is a hundred thousand objects that stay: not to be looked through again and again
+    gc.set_threshold(250_000, 20, 20)  # a plan is a hundred thousand objects that stay: not to be looked through again and again
 
 
 for _command in (

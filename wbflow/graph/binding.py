@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+from ..lean import dataclass
 from .functions import FunctionInfo, FunctionReader
 from .modules import FunctionError
 from .rows import FromSite, FromStage, Need, SiteValue, Stage

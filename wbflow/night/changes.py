@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from ..lean import dataclass
 from .journal import Journal
 from .night import Night
 from .state import Cause, State

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from ..lean import dataclass
 from ..store.past import Past
 from ..task import Task
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from ..config.site import Site
+from ..lean import dataclass
 from ..store.cache import Cache
 from ..store.digests import Digests
 from ..store.layout import WorkFolder

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 from ..graph.rows import Part, PointTable
+from ..lean import dataclass
 from ..store import artifact
 from ..store.cache import Preimage, Receipt
 from ..task import Subject, Task

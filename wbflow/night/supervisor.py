@@ -14,9 +14,10 @@ import math
 import select
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from ..errors import WbflowError
+from ..lean import dataclass
 from ..store.cache import Cache, Receipt
 from ..store.sizes import in_words
 from ..task import Task

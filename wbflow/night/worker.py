@@ -7,7 +7,7 @@ import datetime
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..errors import LONGEST_TRACE, printable
 from ..graph.codec import result_bytes, result_of
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
+from ..lean import dataclass
 from ..store import artifact
 from ..store.atomic import Prepared
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt

@@ -8,7 +8,6 @@ import importlib
 import re
 import shutil
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Literal
 
 from ..config.site import Site, SiteCamera
@@ -16,6 +15,7 @@ from ..errors import ExitCode, printable
 from ..graph.exports import DECODE
 from ..graph.pipeline import SITE_TYPES
 from ..graph.rows import SiteValue
+from ..lean import dataclass
 from ..night.captures import CaptureFile, expected, pattern_of
 from ..night.night import Night, open_night
 from ..store.layout import WorkFolder

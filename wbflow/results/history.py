@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
+from ..lean import dataclass
 from ..store.layout import WorkFolder
 from ..store.ledger import Ledger, LedgerRun
 from ..store.record import Verdict

@@ -12,9 +12,10 @@ import json
 import os
 import threading
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
+from ..lean import dataclass
 from .lock import Locked
 from .objects import Objects, StoreError
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from ..lean import dataclass
 from ..task import Task
 from .artifact import digest, promised_digest
 from .atomic import write_atomic

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ...config.site import Measure
 from ...errors import counted
 from ...graph.pipeline import STAGES
+from ...lean import dataclass
 from ...night.state import Cause
 from ...store.record import Finding, RunRecord
 from ...task import Task

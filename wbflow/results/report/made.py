@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from ...errors import WbflowError
 from ...graph.codec import result_of
 from ...graph.functions import FunctionReader
 from ...graph.pipeline import stage_named
+from ...lean import dataclass
 from ...store.artifact import digest
 from ...store.atomic import write_atomic
 from ...store.cache import Cache

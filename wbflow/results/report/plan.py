@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from ...lean import dataclass
 from ...store.record import PairRecord
 from .place import Layout, Standing
 from .sources import Sources

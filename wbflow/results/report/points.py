@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from ...graph.pipeline import STAGES
+from ...lean import dataclass
 from ...task import Task
 from .made import Maker
 
