@@ -21,7 +21,7 @@ import numpy as np
 
 from ..core.jit import helper, kernel
 from ..types import Float32s, Int32s
-from .kernels import BLOCK, Scalar, Uint64s
+from .kernels import Scalar, Uint64s
 
 _SOFTNESS = 12.0
 """Grey levels at which a patch's pixel counts half."""
@@ -36,12 +36,16 @@ _HELD = 0.1
 _STEP_PX, _FARTHEST_PX = 0.5, 2.0
 """One step moves a plane by no more, in sources' pixels; who goes farther goes nowhere: a wrong plane is not put right so."""
 _NEAREST = 1e-6
+_BLOCK = 128
+"""Pixels of a row that are worked on together."""
 
-# Scratch is flat, in rows of BLOCK at places known to the compiler.
-_Q, _FIRST, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (i * BLOCK for i in range(18))
-_R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * BLOCK for i in range(8))
-_W, _D, _DD, _WEIGHTS = (i * BLOCK for i in range(4))
-_PUSH, _STIFF, _MOVED, _WEIGHT, _VOTES = (i * BLOCK for i in range(5))
+# Scratch is flat, in rows of _BLOCK at places known to the compiler.
+_Q, _FIRST, _A, _B, _U, _V, _UX, _UY, _VX, _VY, _DU, _DV, _SEEN, _PLACE, _FX, _FY, _CENTRE, _ROWS = (
+    i * _BLOCK for i in range(18)
+)
+_R, _RR, _DR, _E, _EE, _RE, _DE, _SUMS = (i * _BLOCK for i in range(8))
+_W, _D, _DD, _WEIGHTS = (i * _BLOCK for i in range(4))
+_PUSH, _STIFF, _MOVED, _WEIGHT, _VOTES = (i * _BLOCK for i in range(5))
 
 
 @helper
@@ -56,7 +60,7 @@ def _window(
     for t in range(count):
         j, i = y + reach + taps[t, 1], x0 + reach + taps[t, 0]
         grey, use, share = image[j, i:], usable[j, i:], fall[t]
-        weights, values = window[_WEIGHTS + t * BLOCK :], window[_WEIGHTS + (count + t) * BLOCK :]
+        weights, values = window[_WEIGHTS + t * _BLOCK :], window[_WEIGHTS + (count + t) * _BLOCK :]
         for x in range(n):
             d = grey[x] - centre[x]
             w = share * use[x] / (np.float32(1.0) + d * soft * d * soft)
@@ -75,7 +79,7 @@ def _project(height: int, width: int, M: Float32s, b: Float32s, k: int, reach: S
     m01, m11, m21 = M[k, 0, 1], M[k, 1, 1], M[k, 2, 1]
     c0, c1, c2 = m01 * row + M[k, 0, 2], m11 * row + M[k, 1, 2], m21 * row + M[k, 2, 2]
     b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
-    for x in range(BLOCK):
+    for x in range(_BLOCK):
         column = np.float32(np.int32(x0) + np.int32(x))
         q, A, B = s[_Q + x], s[_A + x], s[_B + x]
         W = m20 * column + c2 + b2 * q
@@ -104,7 +108,7 @@ def _compare(
     sums[:] = zero
     for t in range(count):
         dx, dy = np.float32(taps[t, 0]), np.float32(taps[t, 1])
-        for x in range(BLOCK):
+        for x in range(_BLOCK):
             at_x = s[_U + x] + dx * s[_UX + x] + dy * s[_UY + x]
             at_y = s[_V + x] + dx * s[_VX + x] + dy * s[_VY + x]
             at_x, at_y = at_x if at_x > zero else zero, at_y if at_y > zero else zero  # nan, too: nothing outside is ever read
@@ -112,23 +116,23 @@ def _compare(
             i, j = np.int32(at_x), np.int32(at_y)
             s[_FX + x], s[_FY + x] = at_x - np.float32(i), at_y - np.float32(j)
             whole[_PLACE + x] = start + j * stride + i
-        for x in range(BLOCK):
+        for x in range(_BLOCK):
             taken[x] = pairs[place[_PLACE + x]]
-        for x in range(BLOCK):
-            taken[BLOCK + x] = pairs[place[_PLACE + x] + np.uint32(stride)]
-        weights, values = window[_WEIGHTS + t * BLOCK :], window[_WEIGHTS + (count + t) * BLOCK :]
-        for x in range(BLOCK):
+        for x in range(_BLOCK):
+            taken[_BLOCK + x] = pairs[place[_PLACE + x] + np.uint32(stride)]
+        weights, values = window[_WEIGHTS + t * _BLOCK :], window[_WEIGHTS + (count + t) * _BLOCK :]
+        for x in range(_BLOCK):
             fx, fy = s[_FX + x], s[_FY + x]
-            top, bottom = both[2 * x], both[2 * BLOCK + 2 * x]
-            across, below = both[2 * x + 1] - top, both[2 * BLOCK + 2 * x + 1] - bottom
+            top, bottom = both[2 * x], both[2 * _BLOCK + 2 * x]
+            across, below = both[2 * x + 1] - top, both[2 * _BLOCK + 2 * x + 1] - bottom
             top += fx * across
             down = bottom + fx * below - top
             s[_FX + x] = top + fy * down
             s[_FY + x] = (across + fy * (below - across)) * s[_DU + x] + down * s[_DV + x]
         if t == 0:  # differences to the centre: weak contrast must not drown in rounding
-            for x in range(BLOCK):
+            for x in range(_BLOCK):
                 s[_CENTRE + x] = s[_FX + x]
-        for x in range(BLOCK):
+        for x in range(_BLOCK):
             r, e, w, d = s[_FX + x] - s[_CENTRE + x], s[_FY + x], weights[x], values[x]
             wr, we = w * r, w * e
             sums[_R + x] += wr
@@ -144,7 +148,7 @@ def _compare(
 def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> None:
     """Add what a source says: gradient, curvature and the squared pixels that a unit of q moves, by its weight, and that."""
     zero, one, flat = np.float32(0.0), np.float32(1.0), np.float32(_FLAT)
-    for x in range(BLOCK):
+    for x in range(_BLOCK):
         share = one / max(window[_W + x], np.float32(1e-6))
         d, r, e = share * window[_D + x], share * sums[_R + x], share * sums[_E + x]
         here, there = share * window[_DD + x] - d * d, share * sums[_RR + x] - r * r
@@ -167,7 +171,7 @@ def _vote(window: Float32s, s: Float32s, sums: Float32s, votes: Float32s) -> Non
 def _move(s: Float32s, votes: Float32s) -> None:
     """One step of q, held by where it was first: `_HELD` for each vote, where q moves a source by so many pixels."""
     zero, tiny = np.float32(0.0), np.float32(1e-12)
-    for x in range(BLOCK):
+    for x in range(_BLOCK):
         per_pixel = np.float32(1.0) / np.sqrt(max(votes[_MOVED + x] / max(votes[_WEIGHT + x], tiny), tiny))
         held = np.float32(_HELD) * votes[_MOVED + x]
         away = s[_Q + x] - s[_FIRST + x]
@@ -187,12 +191,12 @@ def polish(
     else as in `mvs.kernels`."""
     h, w = planes.shape[1:]
     zero, far = np.float32(0.0), np.float32(np.abs(taps).max())
-    window = np.zeros(_WEIGHTS + 2 * len(taps) * BLOCK, dtype=np.float32)
+    window = np.zeros(_WEIGHTS + 2 * len(taps) * _BLOCK, dtype=np.float32)
     s, sums, votes = np.zeros(_ROWS, dtype=np.float32), np.zeros(_SUMS, dtype=np.float32), np.zeros(_VOTES, dtype=np.float32)
-    taken = np.zeros(2 * BLOCK, dtype=np.uint64)
+    taken = np.zeros(2 * _BLOCK, dtype=np.uint64)
     for y in range(h):
-        for x0 in range(0, w, BLOCK):
-            n = min(BLOCK, w - x0)
+        for x0 in range(0, w, _BLOCK):
+            n = min(_BLOCK, w - x0)
             q, a, c = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
             s[:] = zero
             known = 0
