@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from ..task import camera_of
-from .evidence import Pair, cameras_of
+from .evidence import Evidence, Pair, cameras_of
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -15,15 +17,39 @@ MOST_AT_A_CAMERA = 32
 
 _LEAST_OF_VIEWS = 0.04
 """A pair with one of several views must promise so much, unless cameras hang together by it: the other views show the rest."""
+_LEAST_OF_BEST = 0.5
+"""Where only looks are known, so much of what the best views of the same two cameras promise: how alike views look is no share of
+what they see, and right pairs of wide views have a likeness of a few hundredths."""
 
 
-def adds_little(pair: Pair, worth: float) -> bool:
-    """Is it a pair with one of several views, of which others promise more?"""
-    return worth < _LEAST_OF_VIEWS and {*pair} != cameras_of(pair)
+def of_little_use(evidence: Evidence) -> set[Pair]:
+    """Pairs with one of several views, of which others promise more."""
+    of_views = {pair: cameras for pair in evidence if (cameras := cameras_of(pair)) != {*pair}}
+    best: dict[frozenset[str], float] = {}
+    for pair, cameras in of_views.items():
+        best[cameras] = max(best.get(cameras, 0.0), evidence[pair][2])
+    found = set()
+    for pair, cameras in of_views.items():
+        angle, _, worth = evidence[pair]
+        if worth < (_LEAST_OF_BEST * best[cameras] if math.isnan(angle) else _LEAST_OF_VIEWS):
+            found.add(pair)
+    return found
 
 
-def choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair, str]:
-    """Reasons by chosen pair: forced ones, the spanning tree, cover for weak cuts, then the best up to `degree`."""
+def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collection[Pair] = ()) -> dict[Pair, str]:
+    """Reasons by chosen pair: forced ones, the spanning tree, cover for weak cuts, then the best up to `degree`.
+
+    Parameters
+    ----------
+    candidates
+        Views, and pairs with their `weight` and `order`.
+    degree
+        Pairs wanted at each view.
+    forced
+        Pairs that are always chosen.
+    little
+        Pairs that are chosen only where cameras hang together by them.
+    """
     import networkx as nx
 
     position = {node: i for i, node in enumerate(candidates.nodes)}
@@ -71,9 +97,9 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair]) -> dict[Pair, 
         )
         if best := min(across, default=None):
             take(best[2], best[3], f"covers the weak cut {bridge[0]}--{bridge[1]}")
-    for u, v, data in ranked:
-        little = adds_little((u, v), data["weight"])
-        if not graph.has_edge(u, v) and not little and has_room(u, v, min(degree, MOST_AT_A_CAMERA)):
+    for u, v, _ in ranked:
+        useful = (u, v) not in little and (v, u) not in little
+        if not graph.has_edge(u, v) and useful and has_room(u, v, min(degree, MOST_AT_A_CAMERA)):
             closes = len(set(graph[u]) & set(graph[v]))
             take(u, v, f"closes {closes} triangle{'s' * (closes != 1)}" if closes else "among the best of its cameras")
     return chosen

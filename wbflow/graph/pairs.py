@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..lean import dataclass
 from ..task import camera_of
-from .choice import MOST_AT_A_CAMERA, adds_little, choose
+from .choice import MOST_AT_A_CAMERA, choose, of_little_use
 from .evidence import ALL_KNOWN, MOST_DROPPED, Evidence, Known, Pair, cameras_of, evidence_of, unfit
 
 if TYPE_CHECKING:
@@ -101,13 +101,14 @@ def select_pairs(
             reasons[pair] = why
         else:
             candidates.add_edge(*pair, weight=promise, order=next(orders))
-    chosen = choose(candidates, degree, [p for p in evidence if p in forced and cameras_of(p) not in banned])
+    little = of_little_use(evidence)
+    chosen = choose(candidates, degree, [p for p in evidence if p in forced and cameras_of(p) not in banned], little)
     counts = Counter(camera for pair in chosen for camera in pair)
     told = _told(evidence, chosen)
     edges = []
-    for pair, (angle, shared, promise) in evidence.items():
+    for pair, (angle, shared, _) in evidence.items():
         if pair in told:
-            reason = chosen.get(pair) or reasons.get(pair) or _why_not(pair, promise, counts, degree)
+            reason = chosen.get(pair) or reasons.get(pair) or _why_not(pair, little, counts, degree)
             edges.append(Edge(*pair, kept=pair in chosen, reason=reason, angle_deg=angle, shared=shared))
     kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
     full = {view: _left_out(view, candidates, chosen) for view in candidates if counts[view] >= MOST_AT_A_CAMERA}
@@ -115,9 +116,9 @@ def select_pairs(
     return PairGraph(kept, tuple(edges), _groups(overlap.cameras, kept), unseen + len(evidence) - len(edges), crowded)
 
 
-def _why_not(pair: Pair, promise: float, counts: Mapping[str, int], degree: int) -> str:
+def _why_not(pair: Pair, little: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
     """Why a pair that is fit is not matched."""
-    if adds_little(pair, promise):
+    if pair in little:
         return "other views of their cameras share more"
     if crowded := next((view for view in pair if counts[view] >= MOST_AT_A_CAMERA), None):
         return f"{crowded} has {MOST_AT_A_CAMERA} better pairs, and no view takes more"

@@ -121,3 +121,22 @@ def test_views_of_one_camera_are_never_a_pair_and_their_camera_is_named_in_pairs
     reasons = {(e.left, e.right): e.reason for e in select_pairs(evidence, degree=1, include=[["roof", "gate"]]).edges}
     assert reasons["gate@2", "roof"] == "included by the site file"
     assert reasons["gate@1", "roof"] != "included by the site file"
+
+
+def test_wide_views_that_look_a_little_alike_are_matched_though_pairs_of_posed_views_that_share_so_little_are_not() -> None:
+    """Looks of a few hundredths are what right pairs of wide views have: the second best views of two cameras close triangles."""
+    cameras, views = ("a", "b", "c", "d", "e"), 3
+    names = tuple(f"{camera}@{k}" for camera in cameras for k in range(1, views + 1))
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if i // views != j // views]
+    first = [i % views == 0 and j % views == 0 for i, j in pairs]
+    shared = np.where(first, 0.035, 0.01)
+
+    def cameras_paired(angle: float) -> list[frozenset[str]]:
+        evidence = Overlap(names, np.array(pairs, np.int32), np.full(len(pairs), angle), shared, "appearance")
+        chosen = select_pairs(evidence, degree=4).pairs
+        assert all(left.endswith("@1") and right.endswith("@1") for left, right in chosen), "others of theirs look far less alike"
+        return [frozenset(view.split("@")[0] for view in pair) for pair in chosen]
+
+    alike = cameras_paired(math.nan)
+    assert len(alike) == len(set(alike)) == 10, "every two cameras, once each"
+    assert len(cameras_paired(20.0)) < 8, "a tree and what covers its cuts"
