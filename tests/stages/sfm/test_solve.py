@@ -244,6 +244,19 @@ def test_a_camera_without_any_geometry_costs_only_itself() -> None:
     assert poses.unsolved == {"c2": "no pair with it has a geometry"}
 
 
+def test_a_weak_pair_that_no_third_camera_confirms_is_not_said_to_contradict_any() -> None:
+    site = make_pair_site(5)
+    pairs = {pair: g for pair, g in site.geometries.items() if "c2" not in pair or pair == ("c1", "c2")}
+    weak = replace(pairs["c1", "c2"], score=-0.4)
+    poses = solve(replace(site, geometries=pairs | {("c1", "c2"): weak}))
+    assert poses.unsolved.keys() == {"c2"} and "not believed" in poses.unsolved["c2"]
+    against = turned_wrong(site, ("c1", "c2"), seed=1)
+    others = {pair: g for pair, g in site.geometries.items() if "c2" not in pair}
+    two = {("c1", "c2"): against, ("c2", "c3"): turned_wrong(site, ("c2", "c3"), seed=2)}
+    poses = solve(replace(site, geometries=others | two))
+    assert poses.unsolved == {"c2": "each of its 2 pairs contradicts the others"}
+
+
 def test_two_cameras_are_enough_and_one_is_not() -> None:
     site = make_pair_site(3)
     assert len(solve(only(site, "c0", "c1")).cameras) == 2
