@@ -18,8 +18,8 @@ MOST_AT_A_CAMERA = 32
 _LEAST_OF_VIEWS = 0.04
 """A pair with one of several views must promise so much, unless cameras hang together by it: the other views show the rest."""
 _LEAST_OF_BEST = 0.5
-"""Where only looks are known, so much of what the best views of the same two cameras promise: how alike views look is no share of
-what they see, and right pairs of wide views have a likeness of a few hundredths."""
+"""Where only looks are known, or so much of what the best views of the same two cameras do: how alike views look is no share
+of what they see, and right pairs of wide views have a likeness of a few hundredths."""
 
 
 def of_little_use(evidence: Evidence) -> set[Pair]:
@@ -31,7 +31,8 @@ def of_little_use(evidence: Evidence) -> set[Pair]:
     found = set()
     for pair, cameras in of_views.items():
         angle, _, worth = evidence[pair]
-        if worth < (_LEAST_OF_BEST * best[cameras] if math.isnan(angle) else _LEAST_OF_VIEWS):
+        least = min(_LEAST_OF_VIEWS, _LEAST_OF_BEST * best[cameras]) if math.isnan(angle) else _LEAST_OF_VIEWS
+        if worth < least:
             found.add(pair)
     return found
 
