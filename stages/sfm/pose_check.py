@@ -8,13 +8,13 @@ pose is overruled only where several partners agree on one new pose (`overruled`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from ..core.cameras import backproject, project, ray_angles, relative_pose
+from ..core.cameras import backproject, project, ray_angles, relative_pose, same_camera
 from ..core.rotations import angle_between_deg
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..twoview.pair_score import probability
@@ -153,13 +153,15 @@ def check_cameras(
         if mine:
             errors = [epipolar_error_px(cameras, pair, g) for pair, g in mine.items()]
             inliers = sum(g.inliers for g in mine.values())
-            found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=verified(name, evidence))
+            views = {n for n, other in cameras.items() if n == name or same_camera(other, cameras[name])}
+            found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=verified(views, evidence))
     return found
 
 
-def verified(name: str, evidence: list[Evidence]) -> bool:
-    """Do more of a camera's pairs, and of its trios, agree with the poses than contradict them?"""
-    mine = [e for e in evidence if name in e.cameras]
+def verified(views: Set[str], evidence: list[Evidence]) -> bool:
+    """Do more of a camera's pairs, and of its trios, agree with the poses than contradict them?  All its views have a say: they
+    move as one."""
+    mine = [e for e in evidence if not views.isdisjoint(e.cameras)]
     votes = [sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == size) for size in (2, 3)]
     return votes[0] > 0 and votes[1] >= 0
 

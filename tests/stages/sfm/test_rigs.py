@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, pair_geometry
+from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, pair_geometry, turned_wrong
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.core.rotations import rotation_matrix
@@ -70,6 +70,19 @@ def test_views_of_one_camera_are_solved_as_one(noise_px: float) -> None:
     centre, rotation = aligned_errors(poses, site.cameras)
     assert centre < (1e-6 if noise_px == 0 else 0.01)
     assert rotation < (1e-6 if noise_px == 0 else 0.005)
+
+
+def test_a_look_alike_in_one_view_is_outvoted_by_what_the_others_of_its_camera_see() -> None:
+    site = with_wide_cameras()
+    lonely = {pair: g for pair, g in site.geometries.items() if "c3@2" not in pair and "c0" not in pair}
+    wrong = {("c0", "c3@2"): turned_wrong(site, ("c0", "c3@2"), seed=1)}
+    other = {("c0", name): site.geometries["c0", name] for name in ("c1@1", "c2", "c4")}
+    placements = {name: Placement(R=camera.R, C=camera.C, metric=True) for name, camera in site.cameras.items()}
+    poses = solve(replace(site, geometries={**other, **lonely, **wrong}), placements)
+    assert not poses.doubtful and not poses.suspects and all(check.verified for check in poses.pose_checks.values())
+    alone = {pair: g for pair, g in lonely.items() if "c3@1" not in pair}
+    poses = solve(replace(site, geometries={**other, **alone, **wrong}), placements)
+    assert not poses.pose_checks["c3@2"].verified, "nothing else of this camera says anything"
 
 
 def test_a_view_that_nothing_matches_is_where_its_camera_is() -> None:
