@@ -3,7 +3,7 @@
     scripts/bench_pipeline.py plan [--cameras 100 300 1000]       poses known, nothing but the pair graph and the plan
     scripts/bench_pipeline.py overlap [--cameras 100 300 1000]    no poses: made-up keypoints
     scripts/bench_pipeline.py growth [--width 640] [--until STAGE]  the yard with 8 and with 64 cameras, poses withheld
-    scripts/bench_pipeline.py first [--jobs 1 2]                  the first run without compiled kernels, and the second
+    scripts/bench_pipeline.py first --site DIR [--jobs 1 2]       the first run without compiled kernels, and the second
 
 CPU seconds of the whole process tree; `--json FILE` writes rows.
 """
@@ -167,6 +167,8 @@ def main() -> None:
     parser.add_argument("--site", type=Path, help="a rendered site, for `first`: wbflow demo DIR --small")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
+    if asked.what == "first" and not asked.site:
+        parser.error("first needs --site DIR, of wbflow demo DIR --small")
     rows: list[Row] = []
     made: dict[str, Callable[[], Iterable[Row]]] = {
         "plan": lambda: (row for count in asked.cameras for row in plan(count)),
