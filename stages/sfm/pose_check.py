@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..core.cameras import backproject, project, ray_angles, relative_pose, same_camera
+from ..core.cameras import backproject, camera_id, project, ray_angles, relative_pose
 from ..core.rotations import angle_between_deg
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from ..twoview.pair_score import probability
@@ -147,14 +147,17 @@ def check_cameras(
 ) -> dict[str, PoseCheck]:
     """The figures of each camera that some pair with another of them can check."""
     found: dict[str, PoseCheck] = {}
-    for name in cameras:
+    views: dict[str, set[str]] = {}
+    for name, camera in cameras.items():
+        views.setdefault(camera_id(name, camera), set()).add(name)
+    for name, camera in cameras.items():
         mine = {pair: g for pair, g in geometries.items() if name in pair and set(pair) <= set(cameras)}
         mine = {pair: g for pair, g in mine.items() if g.good_probability >= BELIEVED}
         if mine:
             errors = [epipolar_error_px(cameras, pair, g) for pair, g in mine.items()]
             inliers = sum(g.inliers for g in mine.values())
-            views = {n for n, other in cameras.items() if n == name or same_camera(other, cameras[name])}
-            found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=verified(views, evidence))
+            sure = verified(views[camera_id(name, camera)], evidence)
+            found[name] = PoseCheck(len(mine), inliers, float(np.median(errors)), verified=sure)
     return found
 
 

@@ -37,7 +37,7 @@ def of_little_use(evidence: Evidence) -> set[Pair]:
     return found
 
 
-def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collection[Pair] = ()) -> dict[Pair, str]:
+def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collection[Pair]) -> dict[Pair, str]:
     """Reasons by chosen pair: forced ones, the spanning tree, cover for weak cuts, then the best up to `degree`.
 
     Parameters

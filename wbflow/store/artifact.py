@@ -162,15 +162,15 @@ def figures(value: Any) -> dict[str, Any]:
     return found
 
 
-def _kept(value: Any) -> list[str]:
+def _kept(value: Any) -> tuple[str, ...]:
     """Names of a dataclass's fields, without those marked `transient`: they are found again where they are missing."""
     kind: Any = type(value)
     return _kept_of(kind)
 
 
 @functools.lru_cache
-def _kept_of(kind: Any) -> list[str]:
-    return [f.name for f in dataclasses.fields(kind) if not f.metadata.get("transient")]
+def _kept_of(kind: Any) -> tuple[str, ...]:
+    return tuple(f.name for f in dataclasses.fields(kind) if not f.metadata.get("transient"))
 
 
 @functools.lru_cache
