@@ -240,9 +240,10 @@ WALLS = (
 
 def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
+    from wbflow_stages.synthetic.atlas import build_atlas
     from wbflow_stages.synthetic.cameras import choose_mounts, look_at
     from wbflow_stages.synthetic.layout import static_yard, yard_light
-    from wbflow_stages.synthetic.renderer import PreparedScene, build_atlas
+    from wbflow_stages.synthetic.prepared import PreparedScene
     from wbflow_stages.synthetic.sensor import develop, sensor_of
     from wbflow_stages.synthetic.shooting import render_view, true_depth
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from . import ground
 from . import textures as paint
+from .atlas import build_atlas
 from .cameras import Viewpoint
 from .lighting import overcast_of
 from .paving import ashlar, lawn
+from .prepared import OPEN_SKY, PreparedScene, SkyGrid, spiral
 from .random_fields import Rng
-from .renderer import OPEN_SKY, PreparedScene, SkyGrid, build_atlas, spiral
 from .scene import STATIC, Scene, SceneBuilder
 from .shooting import DemoSite, Night, photograph
 from .shots import Shots

@@ -7,9 +7,9 @@ import numpy as np
 from . import ground, weak
 from . import textures as paint
 from .cameras import CENTRE, Mount, position
+from .light import Light
 from .lighting import light_of
 from .random_fields import Rng
-from .renderer import Light
 from .scene import GLOWING, STATIC, WATER, Scene, SceneBuilder
 from .structures import UP, Box, Opening, barrels, container, crane, crates, facade, heap, lamp_post
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from .renderer import Lamp, Light
+from .light import Lamp, Light
 
 SUN = (-0.547, -0.526, 0.652)
 """Towards the afternoon's sun: in the south-west, 40 degrees up."""

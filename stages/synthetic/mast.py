@@ -11,8 +11,8 @@ from . import textures as paint
 from .cameras import Viewpoint
 from .lighting import light_of
 from .paint import Texture, encode, mix, shape_of, weather
+from .prepared import OPEN_SKY
 from .random_fields import Rng, fractal_noise, smoothstep
-from .renderer import OPEN_SKY
 from .scene import STATIC, Scene, SceneBuilder
 from .shooting import DemoSite, Night, photograph
 from .shots import Shots

@@ -14,13 +14,14 @@ import cv2
 import numpy as np
 
 from ..types import Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
+from .atlas import build_atlas
 from .cameras import MOUNTS, Viewpoint, camera_at, choose_mounts, viewpoint_of
 from .depot import containers
 from .encode import jpeg
 from .layout import static_yard
 from .movers import movers
+from .prepared import PreparedScene, Seen
 from .reference import reference_cloud
-from .renderer import PreparedScene, Seen, build_atlas
 from .scene import Scene, joined
 from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turn_of, weather_of
 from .sensor import burn_clock, clock_mask, develop, sensor_of

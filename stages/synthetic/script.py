@@ -11,8 +11,8 @@ import numpy as np
 
 from ..types import Float64s
 from .layout import LAMPS
+from .light import Light
 from .lighting import light_of, overcast_of
-from .renderer import Light
 
 FIRST_NIGHT = date(2026, 11, 10)
 BETWEEN_FRAMES = timedelta(seconds=97)

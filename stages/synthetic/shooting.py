@@ -17,9 +17,12 @@ from ..capture.wide import views_of_lens
 from ..core.cameras import project
 from ..core.lenses import lens_pixels
 from ..types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
+from .atlas import build_atlas
 from .cameras import Viewpoint, camera_at, distort, pixel_rays
+from .light import Light
+from .prepared import PreparedScene, Seen, SkyGrid
 from .reference import reference_cloud
-from .renderer import Light, PreparedScene, Seen, SkyGrid, build_atlas, look, shade
+from .renderer import look, shade
 from .scene import WATER, Scene, joined
 from .sensor import burn_clock, clock_mask, colourless, develop, seen_as, sensor_of
 from .shots import Daytime, Shots

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..types import Float32s
-
-if TYPE_CHECKING:
-    from .renderer import Light, PreparedScene, Seen
+from .light import Light
+from .prepared import PreparedScene, Seen
 
 _HEAD_ON = 0.02
 """What water mirrors of light that falls straight on it."""

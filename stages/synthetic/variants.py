@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import Literal
 
 from .cameras import Viewpoint
-from .renderer import Lamp, Light, PreparedScene
+from .light import Lamp, Light
+from .prepared import PreparedScene
 
 VARIANTS = {
     "standard": "as the scene has them",

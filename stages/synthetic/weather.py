@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ..types import Float32s
-from .renderer import Light
+from .light import Light
 
 VEIL = 0.12
 """Share of the light that falling water replaces by that of the sky."""

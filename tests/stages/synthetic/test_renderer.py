@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbflow_stages.synthetic.atlas import build_atlas
 from wbflow_stages.synthetic.cameras import MOUNTS, camera_of, look_at
 from wbflow_stages.synthetic.layout import static_yard, yard_light
+from wbflow_stages.synthetic.light import Light
 from wbflow_stages.synthetic.movers import movers
 from wbflow_stages.synthetic.paint import Texture, encode
-from wbflow_stages.synthetic.renderer import Light, PreparedScene, build_atlas
+from wbflow_stages.synthetic.prepared import PreparedScene
 from wbflow_stages.synthetic.scene import SceneBuilder, joined
 from wbflow_stages.synthetic.shooting import render_pixels, render_view, touched, true_depth
 from wbflow_stages.synthetic.shots import Daytime

@@ -10,10 +10,11 @@ import pytest
 
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.synthetic import hall, mast, square
+from wbflow_stages.synthetic.atlas import build_atlas
 from wbflow_stages.synthetic.cameras import Viewpoint, camera_at
 from wbflow_stages.synthetic.lighting import light_of, overcast_of
 from wbflow_stages.synthetic.paving import repeating_tiles
-from wbflow_stages.synthetic.renderer import OPEN_SKY, PreparedScene, build_atlas
+from wbflow_stages.synthetic.prepared import OPEN_SKY, PreparedScene
 from wbflow_stages.synthetic.scene import SceneBuilder
 from wbflow_stages.synthetic.scenes import SCENES, render
 from wbflow_stages.synthetic.shooting import DemoSite, render_view, true_depth

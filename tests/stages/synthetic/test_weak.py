@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbflow_stages.synthetic.atlas import build_atlas
 from wbflow_stages.synthetic.ground import cobbles
 from wbflow_stages.synthetic.lighting import light_of
-from wbflow_stages.synthetic.renderer import PreparedScene, build_atlas, look, shade
+from wbflow_stages.synthetic.prepared import PreparedScene
+from wbflow_stages.synthetic.renderer import look, shade
 from wbflow_stages.synthetic.scene import SceneBuilder
 from wbflow_stages.synthetic.scenes import render
 from wbflow_stages.synthetic.weak import snow, wet_asphalt, white_plaster
