@@ -5,13 +5,16 @@ With poses, rays of each view are followed into the others (`twoview.shared_grou
 Without, the descriptors of each view's *largest* keypoints are compared: a few hundred of them rank the pairs better than twice
 as many of the strongest, since what is large survives a change of viewpoint (rank correlation with the angle between views on two
 photographed sites: .98 and .91 against .91 and .89).  What counts is not how many resemble each other, since some always do, but
-how many of those resemblances are mutual and distinctive.  Of many views only those are compared that look most alike as wholes
+how many of those resemblances are mutual and distinctive.  What is large in a picture of a long lens is small in one of a short
+lens: of two such views the largest are taken of those keypoints that both may have, by the angle that they take up, and of the
+wider view as many more as it sees more.  Of many views only those are compared that look most alike as wholes
 (`matching.likeness`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -19,10 +22,14 @@ import numpy as np
 from .core.cameras import camera_id
 from .matching.likeness import most_alike
 from .twoview.shared_ground import shared_ground
-from .types import Bools, Camera, Features, Float32s, Int32s, Int64s, Overlap, Placement, View
+from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
 
 _FEW = 32
 """Up to so many views all pairs are compared."""
+_UNEQUAL = 2.0
+"""Of two views one of which sees so many times the area of the other, keypoints are compared that both may have."""
+_LARGEST = 0.98
+"""Share of a view's keypoints that are no larger than what it is said to see at most: a few are as large as the picture."""
 
 
 def estimate_overlap(
@@ -63,10 +70,10 @@ def estimate_overlap(
     pairs, angle, shared = shared_ground(list(cameras.values()))
     by_pose = _different(views, posed[pairs])
     pairs, angle, shared = posed[pairs][by_pose], angle[by_pose], shared[by_pose]
-    seen = {i: _largest(features[name], descriptors) for i, name in enumerate(names) if name in features}
-    alike = _to_compare(seen, cameras, candidates)
+    seen = {i: _Seen.of(features[name], view) for i, (name, view) in enumerate(views.items()) if name in features}
+    alike = _to_compare({i: view.largest(descriptors) for i, view in seen.items()}, cameras, candidates)
     alike = alike[_different(views, alike)]
-    likeness = np.array([_resemblance(seen[i], seen[j], ratio) for i, j in alike.tolist()], np.float64)
+    likeness = np.array([_likeness(seen[i], seen[j], descriptors, ratio) for i, j in alike.tolist()], np.float64)
     source = "mixed" if len(pairs) and len(alike) else "poses" if len(pairs) else "appearance"
     every = np.concatenate([pairs, alike])
     order = np.lexsort(every.T[::-1])
@@ -98,12 +105,38 @@ def _camera(view: View, placement: Placement | None) -> Camera | None:
     return Camera(view.K, placement.R, placement.C, view.width, view.height)
 
 
-def _largest(features: Features, count: int) -> Float32s:
-    """(m, d) descriptors of the largest keypoints of the untilted view."""
-    plain = np.flatnonzero(features.tilts == 0)
-    area = np.abs(np.linalg.det(features.frames[plain]))
-    best = plain[np.argsort(-area, kind="stable")[:count]]
-    return features.descriptors[best]
+@dataclass(frozen=True)
+class _Seen:
+    """The keypoints of an untilted view, the largest first."""
+
+    descriptors: Float32s
+    """(n, d)"""
+    size: Float64s
+    """(n,) tangent of the angle that each takes up; where the lens is not known, as if views were as wide as they are far."""
+    field: float
+    """Area of the whole view, one unit away."""
+
+    @classmethod
+    def of(cls, features: Features, view: View) -> _Seen:
+        plain = np.flatnonzero(features.tilts == 0)
+        area = np.abs(np.linalg.det(features.frames[plain]))
+        order = np.argsort(-area, kind="stable")
+        pixel = 1 / max(view.width, view.height) if view.K is None else 1 / float(view.K[0, 0])
+        return cls(features.descriptors[plain[order]], np.sqrt(area[order]) * pixel, view.width * view.height * pixel**2)
+
+    def largest(self, count: float, below: float = np.inf) -> Float32s:
+        """(m, d) descriptors of the largest of those that are smaller than `below`."""
+        first = int(np.searchsorted(-self.size, -below))
+        return self.descriptors[first : first + round(count)]
+
+
+def _likeness(left: _Seen, right: _Seen, count: int, ratio: float) -> float:
+    """Share of what the two may both see that resembles each other, 0 to 1."""
+    more = left.field / right.field
+    if 1 / _UNEQUAL < more < _UNEQUAL or not min(len(left.size), len(right.size)):
+        return _resemblance(left.largest(count), right.largest(count), ratio)
+    below = min(float(np.quantile(view.size, _LARGEST)) for view in (left, right))
+    return _resemblance(left.largest(count * max(more, 1), below), right.largest(count * max(1 / more, 1), below), ratio)
 
 
 def _resemblance(left: Float32s, right: Float32s, ratio: float) -> float:

@@ -120,7 +120,7 @@ def pair_evidence(
     distinct = (rivalry < DISTINCT_FROM_RIVALS) & (likeness < DISTINCT_FROM_LOOKALIKES)
     return PairEvidence(
         inliers=len(i1),
-        distinct_cells=min(_cells(x1[distinct], left.view), _cells(x2[distinct], right.view)),
+        distinct_cells=_distinct_cells(x1[distinct], x2[distinct], left.view, right.view),
         distinct_share=float((likeness < DISTINCT_FROM_LOOKALIKES).mean()),
         agreement=_agreement(pairs, found.F),
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
@@ -152,7 +152,7 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
     distance = symmetric_epipolar_distance(found.F, before.x1[clear], before.x2[clear])
     return PairEvidence(
         inliers=len(x1),
-        distinct_cells=min(_cells(x1[distinct], inliers.view1), _cells(x2[distinct], inliers.view2)),
+        distinct_cells=_distinct_cells(x1[distinct], x2[distinct], inliers.view1, inliers.view2),
         distinct_share=float(distinct.mean()),
         agreement=_share_near(distance),
         half_rotation_deg=_half_rotation_deg(x1, x2, inliers.view1, inliers.view2, seed),
@@ -214,11 +214,26 @@ def probability(score: float) -> float:
     return 1 / (1 + exp(-max(min(score, 30.0), -30.0)))
 
 
-def _cells(x: Float64s, view: View) -> int:
-    """How many cells of the grid hold a point."""
-    column = (x[:, 0] * GRID_COLUMNS / view.width).astype(np.int64)
-    row = (x[:, 1] * GRID_ROWS / view.height).astype(np.int64)
-    return len(np.unique(column * 1000 + row))
+def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int:
+    """How many cells hold a point, in the image where they are fewer.
+
+    A wide view has as many more cells as it sees more than a narrow one: a long lens sees a few cells of it, and all of its own.
+    """
+    more = _field(view1) / _field(view2)
+    return min(_cells(x1, view1, max(more, 1.0)), _cells(x2, view2, max(1 / more, 1.0)))
+
+
+def _field(view: View) -> float:
+    """Area of a view, one unit away; of any lens the same where none is known."""
+    return 1.0 if view.K is None else view.width * view.height / float(view.K[0, 0] * view.K[1, 1])
+
+
+def _cells(x: Float64s, view: View, more: float) -> int:
+    """How many cells hold a point, of a grid with `more` times as many cells as that of an equal view."""
+    finer = np.sqrt(more)
+    column = (x[:, 0] * GRID_COLUMNS * finer / view.width).astype(np.int64)
+    row = (x[:, 1] * GRID_ROWS * finer / view.height).astype(np.int64)
+    return len(np.unique(column * 100_000 + row))
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -99,6 +100,25 @@ def test_without_poses_appearance_ranks_the_pairs() -> None:
     shared = [of(overlap, "c0", f"c{k}")[1] for k in range(1, 5)]
     assert shared[0] == pytest.approx(350 / 500, abs=0.05) and shared[1] == pytest.approx(200 / 500, abs=0.05)
     assert shared[3] < 0.02  # nothing in common
+
+
+def test_a_long_lens_is_like_the_short_one_that_sees_the_same_and_not_like_another_long_one() -> None:
+    """Three times the focal length: what it sees is a ninth of the other picture, and what is fine there is large here."""
+    rng = np.random.default_rng(4)
+    short, long = View(1536, 1024, K * [[1.5], [1.5], [1]]), View(512, 341, K * [[1.5], [1.5], [1]])
+    size = 1.7 * rng.pareto(1.2, 8000) + 1.7  # of the keypoints that the short lens has
+    world = rng.normal(size=(8000, 128))
+
+    def seen(rows: npt.NDArray[np.int64], times: float, view: View) -> Features:
+        plain = features(world[rows] + 0.3 * rng.normal(size=(len(rows), 128)))
+        return replace(plain, frames=plain.frames * (times * size[rows])[:, None, None], view=view)
+
+    middle, elsewhere = np.arange(0, 900), np.arange(900, 1800)
+    views = {"short": short, "long": long, "other": long}
+    found = {"short": seen(np.arange(8000), 1.0, short), "long": seen(middle, 3.0, long), "other": seen(elsewhere, 3.0, long)}
+    overlap = estimate_overlap(views, {}, found)
+    assert of(overlap, "short", "long")[1] > 0.5 and of(overlap, "short", "other")[1] > 0.5
+    assert of(overlap, "long", "other")[1] < 0.05
 
 
 def test_a_camera_without_a_pose_joins_by_its_looks() -> None:

@@ -66,6 +66,23 @@ def test_distinctive_matches_are_believed_more_than_twins() -> None:
     assert scores[0] > scores[1] + 0.5
 
 
+def test_a_long_lens_beside_a_short_one_has_its_evidence_counted_by_what_it_sees() -> None:
+    """A ninth of the other picture holds all that both see: at most 20 of the cells that are right for two equal lenses."""
+    left, right = solid_pair(1, lookalikes=False)
+    x, y, width, height = 333, 222, 334, 223
+    inside = ((right.xy > [x, y]) & (right.xy < [x + width, y + height])).all(axis=1)
+    lens = K - [[0, 0, x], [0, 0, y], [0, 0, 0]]
+    cut = Features(
+        right.xy[inside] - [x, y], right.frames[inside], right.descriptors[inside], right.responses[inside], right.tilts[inside],
+        View(width, height, lens),
+    )  # fmt: skip
+    for one, other in ((left, cut), (cut, left)):
+        matches = match(one, other)
+        assert isinstance(matches, Matches)
+        found = estimate_geometry(matches, one, other, min_score=-30.0)
+        assert isinstance(found, Geometry) and found.distinct_cells > 25
+
+
 def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None:
     left, right = solid_pair(2, lookalikes=True)
     matches = match(left, right)
