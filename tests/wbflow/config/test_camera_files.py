@@ -126,6 +126,60 @@ def test_kalibr(tmp_path: Path) -> None:
     assert cameras["cam2"].R is None
 
 
+def unprojected(model: str, shape: list[float], m: Float64s) -> Float64s:
+    """Rays (n, 3) of points m (n, 2) one unit before a lens, in closed form as published: nan where it images nothing.
+
+    omni: Mei & Rives, ICRA 2007; eucm: Khomutenko, Garcia & Martinet, RA-L 2016; ds: Usenko, Demmel & Cremers, 3DV 2018.
+    """
+    r2 = (m**2).sum(axis=1)
+    one = np.ones_like(r2)
+    with np.errstate(invalid="ignore"):
+        if model == "omni":
+            (xi,) = shape
+            length = (xi + np.sqrt(1 + (1 - xi * xi) * r2)) / (1 + r2)
+            return np.column_stack([length[:, None] * m, length - xi])
+        if model == "eucm":
+            alpha, beta = shape
+            z = (1 - beta * alpha**2 * r2) / (alpha * np.sqrt(1 - (2 * alpha - 1) * beta * r2) + (1 - alpha) * one)
+            return np.column_stack([m, z])
+        xi, alpha = shape
+        z = (1 - alpha**2 * r2) / (alpha * np.sqrt(1 - (2 * alpha - 1) * r2) + (1 - alpha) * one)
+        length = (z * xi + np.sqrt(z * z + (1 - xi * xi) * r2)) / (z * z + r2)
+        return np.column_stack([length[:, None] * m, length * z - xi])
+
+
+@pytest.mark.parametrize(
+    ("model", "shape", "bent"),
+    [
+        ("omni", [(0.3, 2.2)], "none"),
+        ("omni", [(0.3, 2.2)], "radtan"),
+        ("eucm", [(0.05, 0.95), (0.6, 1.6)], "none"),
+        ("ds", [(-0.3, 0.3), (0.3, 0.7)], "none"),
+    ],
+)
+def test_drawn_lenses_of_kalibr(tmp_path: Path, model: str, shape: list[tuple[float, float]], bent: str) -> None:
+    rng = np.random.default_rng(len(model) + len(bent))
+    for _ in range(12):
+        drawn = [float(rng.uniform(*ends)) for ends in shape]
+        coefficients = [float(rng.uniform(-most, most)) for most in (0.1, 0.02, 0.002, 0.002)] if bent == "radtan" else []
+        focal = float(rng.uniform(500, 900))
+        entry = {"camera_model": model, "intrinsics": [*drawn, focal, 0.99 * focal, 318.2, 243.7], "resolution": [WIDTH, HEIGHT]}
+        entry |= {"distortion_model": bent, "distortion_coeffs": coefficients}
+        (tmp_path / "camchain.yaml").write_text(json.dumps({"cam0": entry}))
+        camera = read_calibration(tmp_path / "camchain.yaml")["cam0"]
+        m = (GRID - [318.2, 243.7]) / [focal, 0.99 * focal]
+        rays = unprojected(model, drawn, m)
+        before, nothing = np.column_stack([m, np.ones(len(m))]), np.zeros(3)
+        there = cv2.projectPoints(before, nothing, nothing, np.array(camera.K), np.array(coefficients or [0.0] * 4))[0][:, 0]
+        lens = Lens(np.array(camera.K), np.array(camera.distortion), None, WIDTH, HEIGHT, camera.model)
+        seen = np.isfinite(rays).all(axis=1)
+        assert seen.mean() > 0.5
+        assert np.abs(lens_pixels(lens, rays[seen]) - there[seen]).max() < ALMOST
+        found = lens_rays(lens, np.asarray(there[seen], dtype=np.float64))
+        straight = rays[seen] / np.linalg.norm(rays[seen], axis=1, keepdims=True)
+        assert np.abs(found / np.linalg.norm(found, axis=1, keepdims=True) - straight).max() < ALMOST
+
+
 COLMAP = {
     "SIMPLE_PINHOLE": [402.5],
     "PINHOLE": [402.5, 399.1],
