@@ -19,7 +19,7 @@ BENT_PX = 1.0
 
 
 def without_distortion(camera: Camera, x: Float64s) -> Float64s:
-    """(n, 2) pixels of the frame, moved to where a pinhole would have them."""
+    """(n, 2) pixels of the frame, moved to where a pinhole would have them; none beyond where the lens folds over."""
     if not any(camera.radial):
         return x
     centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
@@ -27,11 +27,21 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     radius = np.linalg.norm(distorted, axis=1)
     straight = radius.copy()
     k1, k2 = camera.radial
-    for _ in range(20):  # Newton; the slope is bounded, since the model folds over far outside the image
+    fold = _fold(k1, k2)
+    for _ in range(
+        20
+    ):  # Newton; the slope is bounded, since the model folds over outside the image, or in it if it is a wild guess
         square = straight**2
         slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
-        straight -= (straight * (1 + k1 * square + k2 * square**2) - radius) / slope
+        straight = np.clip(straight - (straight * (1 + k1 * square + k2 * square**2) - radius) / slope, 0, fold)
     return np.asarray(centre + f * distorted * (straight / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
+
+
+def _fold(k1: float, k2: float) -> float:
+    """The distance from the axis from which on what lies farther out is imaged farther in; infinity where there is none."""
+    squares = np.roots([5 * k2, 3 * k1, 1.0])  # of the distances where the slope of the image is 0
+    ahead = [square.real for square in squares if square.imag == 0 and square.real > 0]
+    return float(np.sqrt(min(ahead))) if ahead else np.inf
 
 
 def bent_px(camera: Camera) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wbflow_stages.core.bending import bend_of, bent_pixels, straight_frame, straight_frames, without_distortion
+from wbflow_stages.core.bending import bend_of, bent_pixels, bent_px, straight_frame, straight_frames, without_distortion
 from wbflow_stages.rectification.warping import warp, warp_mask
 from wbflow_stages.types import Bools, Camera, Float64s, Frame, Rectification, Uint8s, View
 
@@ -72,3 +72,13 @@ def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
     assert inside.mean() > 0.6
     assert worst(warp(bent, 1, bent_frame().image), warp(known, 1, painted(x, y)), inside) <= 3
     assert worst(warp(bent, 2, painted(x, y)), warp(known, 2, painted(x, y)), inside) == 0
+
+
+@pytest.mark.parametrize("radial", [(2.9, -18.5), (-3.0, 0.0), (0.2, 4.0), (-0.5, 0.05)])
+def test_a_wild_lens_moves_pixels_nowhere_that_is_none(radial: tuple[float, float]) -> None:
+    """As an adjustment may guess it from a few points: it folds over within its frame."""
+    camera = Camera(np.array([[600.0, 0, 239.5], [0, 600, 134.5], [0, 0, 1]]), np.eye(3), np.zeros(3), 480, 270, radial)
+    corners = np.array([[0.0, 0], [479, 0], [0, 269], [479, 269], [239.5, 134.5]])
+    straight = without_distortion(camera, corners)
+    assert np.isfinite(straight).all() and np.allclose(straight[4], corners[4])
+    assert np.isfinite(bent_px(camera))
