@@ -29,7 +29,10 @@ from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
-_LEAST_COMPANY = 0.2
+_AMONG_VOUCHED = 0.1
+"""A depth that nothing else vouches for lies on one surface with so much of its surroundings that is vouched for."""
+
+_LEAST_COMPANY = 0.4
 """What a single pair shows must lie on one surface with so much of its surroundings."""
 
 _GOOD_COMPANY, _SHALLOW = 0.4, 0.3
@@ -135,10 +138,12 @@ def _samples(
     """The points of one view that its own and the other views' evidence leaves standing.
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
-    several views put elsewhere, though near, is left to them.  What refinement put there on the word of a single pair is
-    nobody's: where one pattern repeats, both its views agree on a wrong one.
+    several views put elsewhere, though near, is left to them.  What refinement put there on the word of a single pair counts
+    where it continues what is vouched for, and is nobody's elsewhere: where one pattern repeats, both views agree on a wrong one.
     """
-    supported = frame.mask & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
+    vouched = depth.sure | ((check.agreeing > 0) & (check.pairs > 1))
+    vouched |= company(depth, frame.mask & ~vouched, frame.mask & vouched) >= _AMONG_VOUCHED
+    supported = frame.mask & vouched
     if min_pairs > 1:
         supported &= check.agreeing >= min_pairs
     supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)

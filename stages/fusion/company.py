@@ -11,23 +11,26 @@ _REACH, _STRIDE = 6, 2
 """How far away, in pixels of an image 768 wide, and how densely neighbours are asked; as far in larger ones."""
 
 
-def company(depth: DepthMap, usable: Bools) -> Float32s:
-    """(h, w) share of the neighbours of each usable pixel that are usable, too, and lie on its plane; 0 elsewhere.
+def company(depth: DepthMap, usable: Bools, among: Bools | None = None) -> Float32s:
+    """(h, w) share of the neighbours of each usable pixel that are `among` those asked (None: usable, too), and lie on its plane;
+    0 elsewhere.
 
     On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
     """
     spacing = max(1, round(max(usable.shape) / 768))
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
+    asked = inverse if among is None else np.where(among, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
     share = np.zeros(usable.shape, np.float32)
-    _count(inverse, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
+    _count(inverse, asked, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
     return share
 
 
 @kernel
 def _count(
-    inverse: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int, share: Float32s
-) -> None:
+    inverse: Float32s, others: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int,
+    share: Float32s,
+) -> None:  # fmt: skip
     h, w = inverse.shape
     asked = np.float32((2 * (reach // stride) + 1) ** 2 - 1)
     for y in range(h):
@@ -38,7 +41,7 @@ def _count(
                 if dx == 0 and dy == 0:
                     continue
                 first, last = max(0, -dx), min(w, w - dx)
-                there = inverse[y + dy, first + dx :]
+                there = others[y + dy, first + dx :]
                 here, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
                 sigma, count = relative[y, first:], share[y, first:]
                 fx, fy = np.float32(dx), np.float32(dy)

@@ -225,6 +225,21 @@ def test_what_refinement_adds_on_the_word_of_one_pair_is_not_believed() -> None:
     assert isinstance(fuse(three.frames, three.cameras, three.depths(), exactly_refined(three, 0b11, sure=False)), Cloud)
 
 
+def test_what_refinement_adds_is_believed_where_it_continues_what_is_vouched_for() -> None:
+    """Stripes of four pixels that no one vouches for: filled in as the surface goes on, and left open where they leave it."""
+    two, filled = make_yard((-10, 10)), {}
+    for farther in (1.0, 1.05):
+        refined = exactly_refined(two, 0b01, sure=True)
+        for view in refined.values():
+            view.sure[:, ::8] = view.sure[:, 1::8] = view.sure[:, 2::8] = view.sure[:, 3::8] = False
+            view.depth[~view.sure] *= np.float32(farther)
+        cloud = fuse(two.frames, two.cameras, two.depths(), refined)
+        assert isinstance(cloud, Cloud)
+        assert np.percentile(two.distance(cloud.points), 99) < 0.01
+        filled[farther] = sum(cloud.given.values())
+    assert filled[1.0] > 1.5 * filled[1.05]
+
+
 def test_a_pair_does_not_show_what_stands_behind_something_in_its_other_view() -> None:
     yard = make_yard((-10, 10))
     refined = exactly_refined(yard, 0b01, sure=True)

@@ -15,11 +15,14 @@ def slope() -> Float32s:
     return np.repeat(1 / np.linspace(0.1, 0.05, 80)[:, None], 120, axis=1).astype(np.float32)
 
 
-def company_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
-    shape = depth.shape
+def depth_map(depth: Float32s) -> DepthMap:
     slopes = inverse_depth_slopes(slope(), 100.0)
-    found = DepthMap(depth, 0.0005 * depth, *slopes, np.ones(shape, np.uint32), ("other",), np.ones(shape, np.bool_))
-    return company(found, np.isfinite(depth) if usable is None else usable)
+    shape = depth.shape
+    return DepthMap(depth, 0.0005 * depth, *slopes, np.ones(shape, np.uint32), ("other",), np.ones(shape, np.bool_))
+
+
+def company_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
+    return company(depth_map(depth), np.isfinite(depth) if usable is None else usable)
 
 
 def test_a_slope_is_in_company_and_a_pixel_off_it_is_not() -> None:
@@ -35,3 +38,14 @@ def test_sparse_specks_have_as_much_company_as_there_are_of_them(kept: float) ->
     share = company_of(slope(), known)
     assert share[known].mean() == pytest.approx(kept, rel=0.25)
     assert (share[~known] == 0).all()
+
+
+def test_who_asks_others_is_in_their_company_only() -> None:
+    """A pixel in the middle of a hole has none, one at its rim has some, and those that are asked are no matter of the answer."""
+    asked = np.ones(slope().shape, np.bool_)
+    asked[20:60, 40:80] = False
+    share = company(depth_map(slope()), ~asked, asked)
+    assert share[40, 60] == 0 and share[40, 40] > 0.3 and (share[asked] == 0).all()
+    off = slope()
+    off[~asked] *= 1.05
+    assert (company(depth_map(off), ~asked, asked) == 0).all()
