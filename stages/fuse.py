@@ -154,8 +154,9 @@ def _samples(
     y, x = np.nonzero(supported)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
-    footprint, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
-    spacing = footprint / np.maximum(_cosines(camera, points, normals), _GRAZING)
+    pixel, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
+    footprint = np.maximum(pixel, sigma).astype(np.float32)
+    spacing = pixel / np.maximum(_cosines(camera, points, normals), _GRAZING)
     accompanied = (spacing >= grid.reach(footprint)) & (variance < (_SHALLOW * spacing) ** 2) & (share[y, x] >= _GOOD_COMPANY)
     return Samples(
         points,

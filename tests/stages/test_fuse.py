@@ -225,6 +225,18 @@ def test_what_refinement_adds_on_the_word_of_one_pair_is_not_believed() -> None:
     assert isinstance(fuse(three.frames, three.cameras, three.depths(), exactly_refined(three, 0b11, sure=False)), Cloud)
 
 
+def test_what_is_known_roughly_is_averaged_over_as_much_as_it_is_rough() -> None:
+    yard, points = make_yard(), []
+    for sigma in (0.001, 0.03):
+        refined = exactly_refined(yard, 0b01, sure=True)
+        for view in refined.values():
+            view.sigma[:] = sigma * view.depth
+        cloud = fuse(yard.frames, yard.cameras, yard.depths(), refined, voxel_m=0.05)
+        assert isinstance(cloud, Cloud)
+        points.append(len(cloud.points))
+    assert 1000 < points[1] < 0.3 * points[0]
+
+
 def test_what_refinement_adds_is_believed_where_it_continues_what_is_vouched_for() -> None:
     """Stripes of four pixels that no one vouches for: filled in as the surface goes on, and left open where they leave it."""
     two, filled = make_yard((-10, 10)), {}
