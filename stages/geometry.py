@@ -248,10 +248,13 @@ def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_are
 def _solve(matches: Matches, size: Float64s, how: _How) -> TwoView | None:
     """F and, where both K are known, E; the better supported by `ESSENTIAL_SUPPORT`.  size: (n,) of the matched keypoints."""
     x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
-    bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
     if not (how.use_intrinsics and _known(view1) and _known(view2)):
+        bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
         return None if bare is None else _plausible(matches, bare, size, how)
     calibrated = estimate_essential(x1, x2, view1, view2, how.threshold_px, how.seed)
+    if calibrated is not None and calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * len(x1):
+        return calibrated  # no F can have more than all of them
+    bare = estimate_fundamental(x1, x2, how.threshold_px, how.seed)
     if bare is None or calibrated is None:
         return calibrated or bare
     return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * bare.inliers.sum() else bare
