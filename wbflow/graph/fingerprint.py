@@ -12,11 +12,12 @@ import ast
 import functools
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from ..lean import dataclass
-from .modules import Modules, imported, origin_of, statements
+from .modules import Modules, imported, origin_of
 
 FOLLOWED = ("wbflow_stages",)
 """Packages whose modules are followed whoever imports them."""
@@ -44,7 +45,7 @@ class ModuleCode:
 
 def module_code(modules: Modules, module: str, path: Path) -> ModuleCode:
     """Read one module."""
-    tree = modules.parse(path)
+    tree = modules.tree(path, keep=False)
     names = list(imported(tree, module, path))
     followed = [
         name
@@ -52,8 +53,8 @@ def module_code(modules: Modules, module: str, path: Path) -> ModuleCode:
         if name != module and _is_followed(modules, name, module) and (certain or modules.file(name) is not None)
     ]
     libraries = {name.partition(".")[0] for name, _ in names} & set(LIBRARIES)
-    digest = _digest(ast.dump(_bare(tree, modules, module, path)))
-    return ModuleCode(digest, tuple(dict.fromkeys(followed)), tuple(sorted(libraries)))
+    told = modules.told.get((module, path)) or _told(tree, modules, module, path)
+    return ModuleCode(_digest(_joined(told)), tuple(dict.fromkeys(followed)), tuple(sorted(libraries)))
 
 
 def function_digest(modules: Modules, module: str, path: Path, name: str, table: str = "") -> str:
@@ -72,14 +73,16 @@ def function_digest(modules: Modules, module: str, path: Path, name: str, table:
     table : str
         Name of a dictionary of methods in the same module, which is left out; the chosen method has its own fingerprint.
     """
-    tree = _bare(modules.parse(path), modules, module, path)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef) and node.name == name and node in tree.body:
-            node.name = "<this function>"
-        elif isinstance(node, ast.Name) and node.id == name:
-            node.id = "<this function>"
-    tree.body = [node for node in tree.body if not (table and table in _assigned(node))]
-    return _digest(ast.dump(tree))
+    tree = modules.tree(path)
+    if (module, path) not in modules.told:
+        modules.told[module, path] = _told(tree, modules, module, path)
+    nameless, found = "<this function>", []
+    for node, text in zip(_not_texts(tree.body), modules.told[module, path], strict=True):
+        if not (table and table in _assigned(node)):
+            head = f"FunctionDef(name={name!r}" if isinstance(node, ast.FunctionDef) and node.name == name else ""
+            own = f"FunctionDef(name={nameless!r}{text.removeprefix(head)}" if head else text
+            found.append(own.replace(f"Name(id={name!r}", f"Name(id={nameless!r}"))
+    return _digest(_joined(found))
 
 
 def fingerprint(own: str, module: str, codes: Mapping[str, ModuleCode]) -> str:
@@ -116,17 +119,48 @@ def _is_followed(modules: Modules, name: str, module: str) -> bool:
     return top == module.partition(".")[0] or top in FOLLOWED or modules.beside(name)
 
 
-def _bare(tree: ast.Module, modules: Modules, module: str, path: Path) -> ast.Module:
-    """The tree of a module, stripped of docstrings and of the names of modules that are followed."""
-    for node in statements(tree):
-        for block in ("body", "orelse", "finalbody"):
-            if block in node._fields:
-                setattr(node, block, [s for s in getattr(node, block) if not _is_text(s)])
-        if isinstance(node, ast.ImportFrom):
-            origin = origin_of(node, module, path)
-            if _is_followed(modules, origin, module):
-                node.module, node.level = "", 0
-    return tree
+def _joined(statements: Iterable[str]) -> str:
+    """A module of the statements at its top."""
+    return f"Module(body=[{', '.join(statements)}], type_ignores=[])"
+
+
+def _told(tree: ast.Module, modules: Modules, module: str, path: Path) -> list[str]:
+    """The statements at the top of a module as `ast.dump` writes them (in half its time), without docstrings and the names of
+    modules that are followed."""
+
+    def told(node: ast.AST) -> str:
+        kind: Any = type(node)
+        if isinstance(node, ast.ImportFrom) and _is_followed(modules, origin_of(node, module, path), module):
+            return f"ImportFrom(module='', names={listed(node.names)}, level=0)"
+        texts = []
+        for name, lead, optional in _fields_of(kind):
+            value = getattr(node, name, None)
+            if isinstance(value, ast.AST):
+                texts.append(lead + told(value))
+            elif value.__class__ is list:
+                texts.append(lead + listed(_not_texts(value) if name in _STATEMENTS else value))
+            elif value is not None or not optional:
+                texts.append(lead + repr(value))
+        return f"{kind.__name__}({', '.join(texts)})"
+
+    def listed(values: list[Any]) -> str:
+        return f"[{', '.join([told(value) if isinstance(value, ast.AST) else repr(value) for value in values])}]"
+
+    return [told(node) for node in _not_texts(tree.body)]
+
+
+@functools.cache
+def _fields_of(kind: Any) -> tuple[tuple[str, str, bool], ...]:
+    """Of a kind of node: name, what is written before the value, and whether there may be none."""
+    return tuple((name, f"{name}=", getattr(kind, name, ...) is None) for name in kind._fields)
+
+
+_STATEMENTS = frozenset({"body", "orelse", "finalbody"})
+"""Where docstrings may stand."""
+
+
+def _not_texts(nodes: list[Any]) -> list[Any]:
+    return [node for node in nodes if not _is_text(node)]
 
 
 def _is_text(node: ast.AST) -> bool:

@@ -7,6 +7,7 @@ import importlib.util
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import field
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 from ..errors import ExitCode, WbflowError
@@ -60,7 +61,11 @@ class Modules:
 
     folder: Path | None = None
     """Beside the site file; what Python finds elsewhere comes first."""
+    told: dict[tuple[str, Path], list[str]] = field(default_factory=dict)
+    """Statements of modules in which functions were looked up, as text (see `fingerprint`)."""
     _files: dict[str, Path | None] = field(default_factory=dict)
+    _tops: dict[str, ModuleSpec | None] = field(default_factory=dict)
+    """What Python finds by the first word of a module's name."""
     _trees: dict[Path, ast.Module] = field(default_factory=dict)
     _names: dict[Path, Names] = field(default_factory=dict)
 
@@ -75,14 +80,18 @@ class Modules:
         path = self.file(module)
         return bool(path and self.folder and path.is_relative_to(self.folder))
 
-    def tree(self, path: Path) -> ast.Module:
-        """Syntax tree of a source file; nobody may change it."""
-        if path not in self._trees:
-            self._trees[path] = self.parse(path)
-        return self._trees[path]
+    def tree(self, path: Path, keep: bool = True) -> ast.Module:
+        """Syntax tree of a source file; nobody may change it.
 
-    def parse(self, path: Path) -> ast.Module:
-        """Syntax tree of a source file, the caller's own.  Raises FunctionError where it is not Python."""
+        keep: it will be asked for again.  Raises FunctionError where the file is not Python.
+        """
+        tree = self._trees.get(path) or self._parsed(path)
+        if keep:
+            self._trees[path] = tree
+        return tree
+
+    @staticmethod
+    def _parsed(path: Path) -> ast.Module:
         try:
             return ast.parse(path.read_bytes(), filename=str(path))
         except SyntaxError as error:
@@ -117,10 +126,12 @@ class Modules:
 
     def _find(self, module: str) -> Path | None:
         top, *rest = module.split(".")
-        try:
-            spec = importlib.util.find_spec(top)
-        except (ImportError, ValueError):
-            spec = None
+        if top not in self._tops:
+            try:
+                self._tops[top] = importlib.util.find_spec(top)
+            except (ImportError, ValueError):
+                self._tops[top] = None
+        spec = self._tops[top]
         if spec is None or was_offered(spec.origin or "/"):
             return self._below([str(self.folder)], [top, *rest]) if self.folder else None
         if not rest:
