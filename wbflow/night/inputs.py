@@ -33,8 +33,8 @@ class Inputs:
     named: dict[str, CaptureFile]
     expectations: dict[str, str]
     subjects: Subjects
-    stages: Collection[Stage]
-    """Those that take part tonight."""
+    stages: Collection[str]
+    """Names of those that take part tonight."""
     states: dict[Task, State]
     """Settled tasks: the plan's own, which it changes."""
     pinned: Pinned
@@ -114,7 +114,7 @@ class Inputs:
             if not isinstance(need, FromStage) or self._needless(need):
                 continue
             origin = stage_named(need.stage)
-            if need.optional and origin not in self.stages:
+            if need.optional and need.stage not in self.stages:
                 continue
             if need.which in _MANY and origin.scope != "site":
                 found += self.subjects.joined(origin, need, task)
@@ -129,7 +129,7 @@ class Inputs:
     def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
         if upstream in among:
             return Stored(upstream, part)
-        if need.optional and stage_named(upstream.stage) not in self.stages:
+        if need.optional and upstream.stage not in self.stages:
             return Absent()
         state = self.states.get(upstream)
         if state is None:
@@ -152,7 +152,7 @@ class Inputs:
         return known[1]
 
     def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
-        if origin not in self.stages and need.optional:
+        if need.optional and need.stage not in self.stages:
             return Joined({})
         if self.subjects.pairs() is None and (origin.scope == "pair" or need.which in {Which.AROUND, Which.NEAR}):
             raise Waiting(None)

@@ -87,7 +87,8 @@ class Plan:
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
         known = self.site, self.captures, self.named, self.expectations
-        self._from = Inputs(*known, self._subjects, self._stages, self.states, self._pinned)
+        taking_part = frozenset(stage.name for stage in self._stages)
+        self._from = Inputs(*known, self._subjects, taking_part, self.states, self._pinned)
 
     def refresh(self) -> None:
         """Settle what the cache has, and find what is ready.  Only what may have changed since the last time is looked at."""
