@@ -190,7 +190,7 @@ def pair_pictures(sources: Sources, album: Album) -> list[tuple[str, list[Shown]
     """Pictures of each pair that has any."""
     found = []
     for pair in sources.record.pairs:
-        tasks = (Task(stage.name, (pair.left, pair.right)) for stage in STAGES if stage.scope == "pair")
+        tasks = (Task(stage.name, (pair.left, pair.right)) for stage in STAGES if stage.scope == "pair" and stage.picture)
         pictures = [picture for task in tasks if (picture := album.of_task(task, str(task)))]
         if pictures:
             found.append((pair.name, pictures))
