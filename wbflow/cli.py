@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
 
@@ -58,6 +59,7 @@ def main() -> None:
     wbflow run photographs                 the night's work
     """
     gc.set_threshold(250_000, 20, 20)  # a plan is a hundred thousand objects that stay: not to be looked through again and again
+    atexit.register(gc.freeze)  # nor in the end, when Python collects once more what the system takes back anyway
 
 
 for _command in (
