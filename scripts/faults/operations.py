@@ -50,8 +50,16 @@ def arm(counter: Path, at: int, kind: str) -> None:
             count()
         return opened(file, mode, *rest, **named)
 
+    descriptor_of = os.open
+
+    def descriptor_counted(path: Any, flags: int, *rest: Any, **named: Any) -> int:
+        if flags & os.O_TRUNC:
+            count()
+        return descriptor_of(path, flags, *rest, **named)
+
     io.open = open_counted
     builtins.open = open_counted
+    os.open = descriptor_counted
 
 
 def _counted(operation: Callable[..., Any], count: Callable[[bool], None], frees: bool) -> Callable[..., Any]:
