@@ -24,7 +24,7 @@ from .core.bending import straight_frame, straight_frames
 from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
-from .mvs.flats import lay_on_flats
+from .mvs.flats import Flats, lay_on_flats
 from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
@@ -195,13 +195,13 @@ def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tupl
     return z.astype(np.float32), sigma.astype(np.float32)
 
 
-def _flattened(rough: DepthMap, q: Float32s, sigma: Float32s) -> DepthMap:
-    """Depth with even surfaces on their planes.  q, sigma: (h, w) inverse depths, and the deviation of those, nan elsewhere."""
-    flat = np.isfinite(sigma)
+def _flattened(rough: DepthMap, q: Float32s, flats: Flats) -> DepthMap:
+    """Depth with even surfaces on their planes, and without what was found by chance.  q: (h, w) inverse depths."""
+    flat, nan = np.isfinite(flats.sigma), np.float32(np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        z = np.where(flat, 1.0 / q, rough.depth)
-    floor = np.float32(NoiseModel.floor)
-    return replace(rough, depth=z, sigma=np.where(flat, z * np.hypot(z * sigma, floor), rough.sigma), sure=rough.sure | flat)
+        z = np.where(flat, 1.0 / q, np.where(flats.chance, nan, rough.depth))
+    around = np.where(flat, z * np.hypot(z * flats.sigma, np.float32(NoiseModel.floor)), np.where(flats.chance, nan, rough.sigma))
+    return replace(rough, depth=z, sigma=around, sure=(rough.sure & ~flats.chance) | flat)
 
 
 def _sources(

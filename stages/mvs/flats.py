@@ -13,13 +13,15 @@ Stereo, CVPR 2023 (APD).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Frame, Uint32s
-from .even import CORRELATED, NEAR_PX, RegionPlane, even_regions, from_middle, planes_of_regions
+from .by_sight import NOISY_PX, SURE_PX, planes_by_sight
+from .even import CORRELATED, NEAR_PX, EvenRegions, RegionPlane, even_regions, from_middle, planes_of_regions
 from .propagation import Propagation, Support
 
 _AROUND = 25
@@ -31,9 +33,6 @@ _HELD, _FEWEST, _AGREED = 0.05, 20, 0.6
 _OFF_SIGMAS, _OFF_PX, _OFF_AT_MOST = 1.5, 0.15, 0.8
 """Their mean may be off by what noise explains, and between these pixels of a source: more is relief."""
 
-_SURE_PX = 0.5
-"""Standard deviation of a plane where it is taken, at most."""
-
 _SHARED_PX = 0.2
 """What all depths of a plane err alike."""
 
@@ -42,6 +41,10 @@ _STRONG = 4.0
 
 _YIELDS = 0.198
 """...and a plane yields if its cost squared is so much more: where exp(-c^2 / .18) (1 + .5) falls below exp(-c^2 / .18) .5."""
+
+_RELIEF = 0.045
+"""Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the even
+ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
 
 _SOURCES = 2.0
 """So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
@@ -61,12 +64,24 @@ class _Laid:
     """Their standard deviation."""
     anchors: Bools
     """Depths that speak for the plane of their region."""
+    noisy: Bools
+    """Single depths err by more than one source does as a whole."""
+
+
+@dataclass(frozen=True)
+class Flats:
+    """What became of even surfaces, (h, w) each."""
+
+    sigma: Float32s
+    """Standard deviation of the inverse depths that were put on planes, nan elsewhere."""
+    chance: Bools
+    """Depths that were found by chance, on no plane, and lie off the surface for it."""
 
 
 def lay_on_flats(
     frame: Frame, grey: Float32s, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
     scale: np.float32, max_cost: float,
-) -> Float32s:  # fmt: skip
+) -> Flats:  # fmt: skip
     """Put even surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
 
     Parameters
@@ -81,38 +96,62 @@ def lay_on_flats(
         Pixels in a source for a unit of inverse depth.
     max_cost
         A source sees a plane that costs less.
-
-    Returns
-    -------
-    (h, w) float32, standard deviation of the inverse depths that were put there, nan elsewhere.
     """
     spacing = max(1, round(max(grey.shape) / 768))
-    laid = _laid(frame, np.where(sure, scale * planes[0], np.float32(np.nan)), spacing)
+    regions = even_regions(frame.image, frame.mask, spacing)
+    known = np.where(sure, scale * planes[0], np.float32(np.nan))
+    found = planes_of_regions(regions, known, spacing)
+    laid = _laid(regions, found, known, spacing)
+    sighted = planes_by_sight(regions, found, propagation, support, sure, scale, max_cost, spacing)
+    _add(laid, sighted.planes, sighted.sigma)
+    strong = _strong(grey, 6 * spacing + 1)
     take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
     if take.any():
         trial = np.where(take, laid.planes / scale, np.float32(np.nan))
         shown = propagation.support(trial, max_cost)
         with np.errstate(invalid="ignore"):
             dearer = shown.first**2 - support.first**2 > _YIELDS
-        take &= ~(sure & dearer & _strong(grey, 6 * spacing + 1))
         sources, seen = _sources_around(laid.anchors, support.sources, len(propagation.M), spacing)
-        take &= ~sure | (seen >= _SOURCES)
+        take &= ~sure | (~_relief(shown, support, take & sure, spacing) & ~(dearer & strong))  # gaps are filled
+        take &= ~sure | (seen >= _SOURCES) | laid.noisy
         planes[:, take] = trial[:, take]
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
-    return np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
+    sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
+    steep = scale * np.hypot(planes[1], planes[2]) > NOISY_PX  # the error leaves it on the surface, a pixel or less aside
+    return Flats(sigma, sighted.doubted & ~take & ~strong & ~steep)
 
 
-def _laid(frame: Frame, known: Float32s, spacing: int) -> _Laid:
+def _laid(regions: EvenRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
     """The planes of a view's even regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
     nan = np.full((4, *known.shape), np.nan, np.float32)
-    laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool))
-    regions = even_regions(frame.image, frame.mask, spacing)
-    for plane in planes_of_regions(regions, known, spacing):
+    laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, bool))
+    for plane in found:
         lies = np.isin(regions.number, plane.regions)
         y, x = np.nonzero(lies)
         rows, columns = slice(y.min(), y.max() + 1), slice(x.min(), x.max() + 1)
         _lay(laid, plane, (rows, columns), lies[rows, columns], known[rows, columns], spacing)
     return laid
+
+
+def _add(laid: _Laid, planes: Float32s, sigma: Float32s) -> None:
+    """Planes (3, h, w) that regions have by sight, with their sigma (h, w), where no depths have told one."""
+    take = np.isfinite(sigma) & np.isnan(laid.sigma)
+    laid.planes[:, take] = planes[:, take]
+    laid.sigma[take] = np.hypot(sigma[take], np.float32(_SHARED_PX))
+    laid.noisy[take] = True
+
+
+def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:
+    """(h, w): do planes cost more than the depths around that they would replace, in the best source and in the second, too?
+    One source is fitted by chance; what no second one sees is judged by the first."""
+    first, second = (
+        np.minimum(of_plane, 1) - np.minimum(found, 1)
+        for of_plane, found in ((shown.first, support.first), (shown.second, support.second))
+    )
+    alone = np.minimum(shown.second, support.second) >= 1
+    least = _RELIEF * _around(both, spacing)
+    means = (_around(np.where(both, more, np.float32(0)), spacing) for more in (first, np.where(alone, first, second)))
+    return np.asarray(np.minimum(*means) > least)
 
 
 def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s, spacing: int) -> None:
@@ -129,11 +168,12 @@ def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bool
     allowed = _OFF_SIGMAS * plane.spread * np.sqrt(alike / np.maximum(near_around, 1))
     sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
     take = lies & (known_around >= np.maximum(_HELD * all_around, _FEWEST * spacing**2)) & (near_around >= _AGREED * known_around)
-    take &= (np.abs(mean) <= np.clip(allowed, _OFF_PX, _OFF_AT_MOST)) & (sigma <= np.hypot(_SURE_PX, _SHARED_PX))
+    take &= (np.abs(mean) <= np.clip(allowed, _OFF_PX, _OFF_AT_MOST)) & (sigma <= np.hypot(SURE_PX, _SHARED_PX))
     take &= ~(laid.sigma[where] <= sigma)
     for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
         layer[where] = np.where(take, values, layer[where])
     laid.sigma[where] = np.where(take, sigma, laid.sigma[where])
+    laid.noisy[where] = np.where(take, plane.spread > NOISY_PX, laid.noisy[where])
     laid.anchors[where] |= take & near
 
 

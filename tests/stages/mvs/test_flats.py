@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tests.helpers.exact_scene import make_yard, true_depth
+from tests.helpers.weak_wall import Relief, make_wall
 from wbflow_stages.mvs.even import RegionPlane, even_regions, planes_of_regions
 from wbflow_stages.refine import refine
 from wbflow_stages.types import DepthMap, Float32s, Uint8s
@@ -93,6 +95,23 @@ def test_ground_of_which_single_patches_show_next_to_nothing_is_known_by_its_pla
     error = np.abs(after.depth / true_depth(camera) - 1)[after.sure]
     assert after.sure.mean() > 0.4
     assert np.median(error) < 0.003
+
+
+@pytest.mark.parametrize(
+    ("relief", "within"),
+    [
+        pytest.param(lambda x, z: 0.1 * np.sin(2 * np.pi * x), 0.97, id="waves of 10 cm"),
+        pytest.param(lambda x, z: 1 - np.sqrt(np.maximum(4 - x * x, 0)) * (np.abs(x) < 2), 0.95, id="tank"),
+    ],
+)
+def test_painted_surfaces_with_relief_are_not_laid_on_planes(relief: Relief, within: float) -> None:
+    """Planes that depths alone allow put .42 of the waves within 5 cm."""
+    wall = make_wall(relief)
+    others = {name: camera for name, camera in wall.cameras.items() if name != wall.name}
+    after = refine(wall.frames[wall.name], wall.cameras[wall.name], wall.start(), wall.frames, others)
+    assert isinstance(after, DepthMap)
+    assert after.sure.mean() > 0.9
+    assert (np.abs(after.depth - wall.truth)[after.sure] < 0.05).mean() > within
 
 
 def faint(image: Uint8s, rng: np.random.Generator) -> Uint8s:
