@@ -210,9 +210,9 @@ def _of_lenses(record: RunRecord) -> Iterator[Finding]:
         return
     unsure = record.poses.unsure_lenses
     focal, border = (max(sigma[name] for sigma in unsure.values()) for name in ("focal", "border_px"))
-    text = f"the lens was not stated, and tonight's pictures do not determine it: {shortened(', '.join(unsure))}; the noise alone"
-    text += f" leaves {100 * focal:.1f} % of its focal length open and {border:.1f} px at the border (standard deviations), wrong"
-    text += " matches several times as much: cloud and poses may be bent or stretched, though they fit the pictures"
+    text = f"the lens was not stated, and tonight's pictures do not determine it: {shortened(', '.join(unsure))}; noise and what"
+    text += f" is wrong in matches leave {100 * focal:.1f} % of its focal length open and {border:.1f} px at the border (standard"
+    text += " deviations), often several times as much: cloud and poses may be bent or stretched, though they fit the pictures"
     remedy = "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside"
     yield Finding("lens-undetermined", tuple(unsure), text, {"focal": focal, "border_px": border}, remedy=remedy)
 

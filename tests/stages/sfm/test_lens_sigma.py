@@ -76,3 +76,21 @@ def test_of_very_many_cameras_and_of_known_lenses_nothing_is_asked() -> None:
     assert not lens_sigmas(replace(model, lenses={}))
     camera = model.cameras[0]
     assert not lens_sigmas(replace(model, cameras=dict.fromkeys(range(MOST_VIEWS + 1), camera)))
+
+
+def test_what_is_wrong_in_many_at_once_leaves_more_open_than_as_much_in_each_alone() -> None:
+    """As the mirrored sky on wet ground: two quarters of the scene are seen a pixel lower by every second camera."""
+    model = adjusted(make_pair_site(6, know="hfov", noise_px=0.2, focal=FOCAL, points=1200))
+    tracks, rng = model.tracks, np.random.default_rng(0)
+    X = model.X[tracks.track]
+    second = np.flatnonzero(tracks.view % 2 == 1)
+    right, upper = (X[second, axis] > np.nanmedian(X[:, axis]) for axis in (0, 1))
+    together = right ^ upper
+    alone = rng.permutation(together)
+    open_px = []
+    for lower in (together, alone):
+        xy = tracks.xy.copy()
+        xy[second[lower], 1] += 1.0
+        wrong = refine(replace(model, tracks=replace(tracks, xy=xy)), rounds=3)
+        open_px.append(np.median([sigma.border_px for sigma in lens_sigmas(wrong).values()]))
+    assert open_px[0] > 1.2 * open_px[1]
