@@ -77,7 +77,7 @@ def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
 @pytest.mark.parametrize("radial", [(2.9, -18.5), (-3.0, 0.0), (0.2, 4.0), (-0.5, 0.05)])
 def test_a_wild_lens_moves_pixels_nowhere_that_is_none(radial: tuple[float, float]) -> None:
     """As an adjustment may guess it from a few points: it folds over within its frame."""
-    camera = Camera(np.array([[600.0, 0, 239.5], [0, 600, 134.5], [0, 0, 1]]), np.eye(3), np.zeros(3), 480, 270, radial)
+    camera = Camera(np.array([[600.0, 0, 239.5], [0, 600, 134.5], [0, 0, 1]]), np.eye(3), np.zeros(3), 480, 270, radial=radial)
     corners = np.array([[0.0, 0], [479, 0], [0, 269], [479, 269], [239.5, 134.5]])
     straight = without_distortion(camera, corners)
     assert np.isfinite(straight).all() and np.allclose(straight[4], corners[4])
