@@ -76,6 +76,7 @@ class ToySite:
         stages: dict[str, Any] = {
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
+        stages["shared"] = False
         stages["scene"] = stages["refine"] = stages["coverage"] = stages["changes"] = False
         stages["health"] = {"use": "toy_stages:examine"} if self.watched else False
         site = {

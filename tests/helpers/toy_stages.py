@@ -75,12 +75,25 @@ def detect(frame: Frame, *, offset: float = 0.0) -> Features:
     return Features(xy, np.eye(2)[None], np.ones((1, 4), np.float32), ones, np.zeros(1, np.uint8), frame.view)
 
 
-def estimate_overlap(views: Mapping[str, View], placements: Mapping[str, Placement], features: Mapping[str, Features]) -> Overlap:
-    """Every camera shares something with every other."""
+def estimate_overlap(
+    views: Mapping[str, View], placements: Mapping[str, Placement], features: Mapping[str, Features], *, chain: bool = False
+) -> Overlap:
+    """Every camera shares something with every other, or with the next one only."""
     _trouble("overlap")
     names = tuple(views)
     pairs = np.array([(i, j) for i in range(len(names)) for j in range(i + 1, len(names))], np.int32).reshape(-1, 2)
-    return Overlap(names, pairs, np.full(len(pairs), np.nan), np.ones(len(pairs)), "appearance")
+    shared = (np.diff(pairs, axis=1)[:, 0] == 1).astype(float) if chain else np.ones(len(pairs))
+    return Overlap(names, pairs, np.full(len(pairs), np.nan), shared, "appearance")
+
+
+def share(poses: Poses, *, reject: bool = False) -> Overlap | Rejected:
+    """Every placed camera sees what every other does."""
+    _trouble("shared")
+    if reject:
+        return Rejected("nobody knows")
+    names = tuple(poses.cameras)
+    pairs = np.array([(i, j) for i in range(len(names)) for j in range(i + 1, len(names))], np.int32).reshape(-1, 2)
+    return Overlap(names, pairs, np.full(len(pairs), 20.0), np.ones(len(pairs)), "poses")
 
 
 def match(left: Features, right: Features, *, shift: float = 1.0, reject: str = "") -> Matches | Rejected:

@@ -50,6 +50,7 @@ MEANINGS: Mapping[str, Meaning] = {
     "probability": Meaning("probability", "that this pair's geometry is right, from how matches are spread and agree", 0.9, 0.5),
     "poses_px": Meaning("placed px", "the same distance, once all cameras are placed together", 0.8, 2.0),
     "known": Meaning("known", "where the relative position is from: stated by the site file, or solved"),
+    "dense": Meaning("dense", "whether it is among the pairs that are made dense, which are chosen once the cameras are placed"),
     "vertical_px": Meaning(
         "vertical px", "how far matches lie from their common row in the rectified pictures, median", 0.6, 1.5
     ),

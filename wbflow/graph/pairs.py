@@ -113,7 +113,7 @@ def select_pairs(
     kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
     full = {view: _left_out(view, candidates, chosen) for view in candidates if counts[view] >= MOST_AT_A_CAMERA}
     crowded = {view: note for view, note in full.items() if note}
-    return PairGraph(kept, tuple(edges), _groups(overlap.cameras, kept), unseen + len(evidence) - len(edges), crowded)
+    return PairGraph(kept, tuple(edges), groups(overlap.cameras, kept), unseen + len(evidence) - len(edges), crowded)
 
 
 def _why_not(pair: Pair, little: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
@@ -135,7 +135,7 @@ def _left_out(view: str, candidates: nx.Graph, chosen: Collection[Pair]) -> str:
     return f"it has {MOST_AT_A_CAMERA} pairs, and no view takes more; left out: those with {named}"
 
 
-def _groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
+def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
     """Cameras that pairs connect, largest group first."""
     import networkx as nx
 

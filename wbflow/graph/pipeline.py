@@ -33,17 +33,6 @@ from .rows import (
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
 
-SITE_TYPES = {
-    SiteValue.CAPTURES: "wbflow_stages.types:Capture",
-    SiteValue.MASK: "wbflow_stages.types:Capture",
-    SiteValue.PRIVACY: "wbflow_stages.types:Privacy",
-    SiteValue.LENS: "wbflow_stages.types:Lens",
-    SiteValue.PLACEMENT: "wbflow_stages.types:Placement",
-    SiteValue.SURVEY: "wbflow_stages.types:Survey",
-    SiteValue.FILE: "wbflow_stages.types:Capture",
-}
-"""The type that a value of the site is handed over as."""
-
 _OF_A_FRAME = (
     "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "cast", "colour", "noise", "frames_used",
     "doubtful", "unchanged", "taken_first", "taken_last", "taken_in_order",
@@ -66,12 +55,9 @@ _SURFACE: dict[str, Need] = {
     "refined": FromStage("refine", Which.ALL, optional=True),
     "scene": FromStage("scene", optional=True),
 }
+_THEN = {"poses": "poses", "cloud": "fuse", "frames": "frames", "depths": "depth", "refined": "refine"}
 _SURFACE_THEN: dict[str, Need] = {
-    "then_poses": FromReference("poses"),
-    "then_cloud": FromReference("fuse"),
-    "then_frames": FromReference("frames", Which.ALL),
-    "then_depths": FromReference("depth", Which.ALL),
-    "then_refined": FromReference("refine", Which.ALL),
+    f"then_{name}": FromReference(stage, Which.SAME if name in {"poses", "cloud"} else Which.ALL) for name, stage in _THEN.items()
 }
 
 
@@ -80,6 +66,9 @@ def _told(*figures: str) -> Reports:
     return Reports({name: name for name in figures})
 
 
+_OF_GEOMETRY = {
+    "inliers": "x1_count", "angle_deg": "angle_deg", "epipolar_px": "epipolar_px", "probability": "good_probability",
+}  # fmt: skip
 _STILL = Held(nudged="kept", moved="kept")
 """Of results that do not depend on where single cameras look."""
 
@@ -188,15 +177,7 @@ STAGES: tuple[Stage, ...] = (
         role=Role.GEOMETRY,
         picture=Picture("wbflow_stages.exports.previews:matches_preview", _FRAMES),
         marks="wbflow_stages.exports.marks:inlier_marks",
-        reports=Reports(
-            {
-                "inliers": "x1_count",
-                "angle_deg": "angle_deg",
-                "epipolar_px": "epipolar_px",
-                "probability": "good_probability",
-            },
-            rejected={"inliers": "inliers"},
-        ),
+        reports=Reports(_OF_GEOMETRY, rejected={"inliers": "inliers"}),
         held=Held(Rework("wbflow_stages.held:turn_geometry", {"pinned": FromReference("geometry"), **_HEALTHS}), moved="anew"),
     ),
     Stage(
@@ -237,8 +218,30 @@ STAGES: tuple[Stage, ...] = (
         held=_STILL,
     ),
     Stage(
+        "shared",
+        scope="site",
+        function="wbflow_stages.shared:find_shared",
+        needs={"poses": FromStage("poses")},
+        optional=True,
+        unless_posed=True,
+        held=_STILL,
+    ),
+    Stage(
+        "dense_pairs",
+        scope="site",
+        function="wbflow.graph.dense:select_dense_pairs",
+        needs={"shared": FromStage("shared"), "pairs": FromStage("pairs")},
+        role=Role.DENSE_PAIRS,
+        optional=True,
+        unless_posed=True,
+        section="pairs",
+        lists="pairs",
+        held=_STILL,
+    ),
+    Stage(
         "rectify",
         scope="pair",
+        dense=True,
         function="wbflow_stages.rectify:rectify",
         needs={
             "geometry": FromStage("geometry", unless=("left", "right")),
@@ -258,6 +261,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         "disparity",
         scope="pair",
+        dense=True,
         function="wbflow_stages.disparity:match_dense",
         needs={
             **_FRAMES,
@@ -359,6 +363,7 @@ STAGES: tuple[Stage, ...] = (
 ROUGH_SECONDS = {
     "frames": (0.2, 0.1), "health": (0.1, 0.1), "features": (0.4, 0.95, 1.0), "overlap": (0.1, 0.0), "pairs": (0.2, 0.0),
     "matches": (0.5, 0.0, 21.0), "geometry": (0.5, 0.0, 1.3), "poses": (0.5, 0.0), "scene": (5.0, 0.0, 6.0),
+    "shared": (0.2, 0.0), "dense_pairs": (0.2, 0.0),
     "rectify": (0.1, 0.0, 4.3), "disparity": (0.5, 2.5, 20.0), "depth": (0.1, 0.3, 3.6), "refine": (0.4, 6.0, 11.0),
     "fuse": (0.3, 1.2, 6.0), "coverage": (0.5, 0.1, 1.0), "changes": (0.5, 0.1),
 }  # fmt: skip
@@ -388,7 +393,7 @@ def ancestors(name: str) -> set[str]:
             found.add(stage.name)
             waiting += [need.stage for need in stage.needs.values() if isinstance(need, FromStage)]
             if stage.scope == "pair":
-                waiting.append(stage_with(Role.PAIR_GRAPH).name)
+                waiting += [stage_with(Role.DENSE_PAIRS if stage.dense else Role.PAIR_GRAPH).name]
             if stage.held:
                 waiting.append(stage_with(Role.HEALTH).name)
     return found

@@ -19,6 +19,8 @@ class Role(Enum):
     """The night's view of a camera: without it the camera is lost."""
     PAIR_GRAPH = auto()
     """Says which pairs of cameras are matched."""
+    DENSE_PAIRS = auto()
+    """Says which are made dense, once the cameras are placed; where it takes no part those that are matched."""
     MATCHES = auto()
     """Corresponding points of a pair."""
     GEOMETRY = auto()
@@ -51,7 +53,7 @@ class Which(Enum):
     ALL = auto()
     """Of all subjects that have it, as a mapping."""
     AROUND = auto()
-    """Of the cameras that the one in question makes pairs with, and of these pairs, as a mapping."""
+    """Of the cameras that the one in question makes dense pairs with, and of these pairs, as a mapping."""
     NEAR = auto()
     """Of these cameras and a few that make pairs with them (see `Subjects.near`), as a mapping."""
 
@@ -303,6 +305,10 @@ class Stage:
     role: Role | None = None
     optional: bool = False
     """The site file may switch it off."""
+    unless_posed: bool = False
+    """Has nothing to do where the site file gives every camera's intrinsics and pose."""
+    dense: bool = False
+    """Of pairs: works on the dense ones, rather than on those that are matched."""
     missing: Literal["failed", "skipped"] = "skipped"
     """What a task becomes when a needed input will not come."""
     method: Method | None = None
@@ -313,7 +319,7 @@ class Stage:
     component_parameter: str = ""
     """Done once for each component of cameras; this parameter says which."""
     lists: str = ""
-    """Figure of its result that lists the pairs (of the pair graph) or the components (of the world)."""
+    """Figure of its result that lists the pairs (of the pair graph, the dense ones) or the components (of the world)."""
     table: PointTable | None = None
     picture: Picture | None = None
     reports: Reports | None = None

@@ -11,7 +11,7 @@ from ..graph.rows import Role
 from ..lean import dataclass
 from ..task import Task
 
-_DECIDE = frozenset(Task(stage_with(role).name) for role in (Role.PAIR_GRAPH, Role.WORLD))
+_DECIDE = frozenset(Task(stage_with(role).name) for role in (Role.PAIR_GRAPH, Role.WORLD, Role.DENSE_PAIRS))
 """What these come to decides which tasks there are."""
 
 

@@ -7,8 +7,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import field
 
 from ..config.site import Site, SiteCamera
-from ..graph.pipeline import SITE_TYPES, stage_named, stage_with
+from ..graph.pipeline import stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
+from ..graph.site_types import SITE_TYPES
 from ..lean import dataclass
 from ..store.cache import Receipt
 from ..task import Subject, Task
@@ -133,7 +134,11 @@ class Inputs:
             return Absent()
         state = self.states.get(upstream)
         if state is None:
-            raise Waiting(upstream)
+            if not self.subjects.unmatched(upstream):
+                raise Waiting(upstream)
+            if need.optional:
+                return Absent()
+            raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
         if not state.usable or state.receipt is None:
             if need.optional:
                 return Absent()
@@ -154,7 +159,8 @@ class Inputs:
     def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
         if need.optional and need.stage not in self.stages:
             return Joined({})
-        if self.subjects.pairs() is None and (origin.scope == "pair" or need.which in {Which.AROUND, Which.NEAR}):
+        of_pairs = origin.scope == "pair" or need.which in {Which.AROUND, Which.NEAR}
+        if of_pairs and self.subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
         if origin.scope == "site":
             return self._entries(origin, need, task)

@@ -23,14 +23,13 @@ def outlook(plan: Plan, past: Past) -> tuple[StageOutlook, ...]:
         What tasks took before.
     """
     found = []
-    pairs = plan.likely_pairs()
     for stage in plan.stages():
         tasks = plan.tasks(stage)
         settled = sum(task in plan.states for task in tasks)
         known = stage.name in past.stages
         walls = [past.expected(stage.name, str(task)) for task in tasks if task not in plan.states] if known else []
         seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, _rough(plan, stage))
-        count = pairs if stage.scope == "pair" and pairs else len(tasks)
+        count = (plan.likely_pairs(stage.dense) if stage.scope == "pair" else None) or len(tasks)
         compiles = 0.0 if known else sum(ROUGH_SECONDS[stage.name][2:])
         found.append(StageOutlook(stage.name, count, settled, seconds, known, compiles))
     return tuple(found)

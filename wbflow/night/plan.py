@@ -74,9 +74,11 @@ class Plan:
         self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
         self._folder = self.site.file.resolve().parent
         off = {name for name, stage in settings.items() if not stage.enabled}
-        off |= {stage.name for stage in STAGES if stage.optional and off & stage.needed()}
+        off |= {stage.name for stage in STAGES if stage.unless_posed and self.site.posed}
+        for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
+            off |= {stage.name} if stage.optional and off & stage.needed() else set()
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
-        self._subjects = Subjects(self.site, self.states)
+        self._subjects = Subjects(self.site, self.states, any(stage.role is Role.DENSE_PAIRS for stage in self._stages))
         if self.reference:
             self.misfit = misfit(
                 self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache, self.named
@@ -159,9 +161,9 @@ class Plan:
         if not self.ready:
             yield from ([spec] for spec in self.undrawn.values())
 
-    def pairs_known(self) -> bool:
-        """Is the pair graph there (so that every pair's tasks are listed)?"""
-        return self._subjects.pairs() is not None
+    def pairs_known(self, stage: Stage | None = None) -> bool:
+        """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
+        return all(self._subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
 
     def tasks(self, stage: Stage) -> list[Task]:
         """The tasks of a stage, as far as they are listed yet."""
@@ -179,10 +181,12 @@ class Plan:
         instead = self._pinned.instead(stage, task)
         return self._spec(stage, task, rework=None if isinstance(instead, Receipt) else instead)
 
-    def likely_pairs(self) -> int | None:
-        """About how many pairs the pair graph will have; None where it is there."""
-        if self.pairs_known():
+    def likely_pairs(self, dense: bool = False) -> int | None:
+        """About how many pairs will be matched, or made dense; None where that is known."""
+        if self._subjects.pairs(dense) is not None:
             return None
+        if (matched := self._subjects.pairs()) is not None:
+            return len(matched)
         stage = stage_with(Role.PAIR_GRAPH)
         count = len(self.site.views)
         wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")

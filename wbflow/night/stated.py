@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..config.site import Site, SiteCamera, plain
-from ..graph.pipeline import SITE_TYPES
 from ..graph.rows import FromReference, FromStage, SiteValue, Stage, Which
+from ..graph.site_types import SITE_TYPES
 from ..task import Subject, Task
 from .spec import Joined, Value
 

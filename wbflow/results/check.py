@@ -13,8 +13,8 @@ from typing import Literal
 from ..config.site import Site, SiteCamera
 from ..errors import ExitCode, printable
 from ..graph.exports import DECODE
-from ..graph.pipeline import SITE_TYPES
 from ..graph.rows import SiteValue
+from ..graph.site_types import SITE_TYPES
 from ..lean import dataclass
 from ..night.captures import CaptureFile, expected, pattern_of
 from ..night.night import Night, open_night

@@ -106,8 +106,9 @@ def _otherwise(state: State | None) -> str:
 
 def _spec(plan: Plan, task: Task) -> TaskSpec:
     known = [*plan.states, *plan.ready, *plan.waiting]
-    if stage_named(task.stage).scope == "pair" and not plan.pairs_known():
-        raise _waits(plan, task, Task(stage_with(Role.PAIR_GRAPH).name))
+    if stage_named(task.stage).scope == "pair" and not plan.pairs_known(stage_named(task.stage)):
+        role = Role.DENSE_PAIRS if plan.pairs_known(stage_with(Role.PAIR_GRAPH)) else Role.PAIR_GRAPH
+        raise _waits(plan, task, Task(stage_with(role).name))
     if task not in known:
         of_stage = [str(t) for t in known if t.stage == task.stage]
         close = difflib.get_close_matches(str(task), of_stage, 1)

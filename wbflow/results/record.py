@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import functools
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -42,7 +42,8 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         Memory of its largest worker.
     """
     worlds = _worlds(plan)
-    pairs = tuple(_pair(plan, pair, worlds) for pair in _pairs(plan))
+    dense = set(_listed(plan, Role.DENSE_PAIRS))
+    pairs = tuple(_pair(plan, pair, worlds, dense) for pair in _pairs(plan))
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
         views.setdefault(view.camera, []).append(_camera(plan, view.id, worlds))
@@ -146,7 +147,7 @@ def _camera(plan: Plan, camera: str, worlds: _Worlds) -> CameraRecord:
     return record
 
 
-def _pair(plan: Plan, pair: tuple[str, str], worlds: _Worlds) -> PairRecord:
+def _pair(plan: Plan, pair: tuple[str, str], worlds: _Worlds, dense: Collection[tuple[str, str]]) -> PairRecord:
     record = PairRecord(*pair, "ok", figures=dict.fromkeys(reported("pair")))
     for stage, reports in _reporting("pair"):
         state = plan.states.get(Task(stage.name, pair))
@@ -158,7 +159,8 @@ def _pair(plan: Plan, pair: tuple[str, str], worlds: _Worlds) -> PairRecord:
         elif not state.usable and (record.ok or state.outcome != "skipped"):
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
     found = plan.states.get(Task(stage_with(Role.GEOMETRY).name, pair))
-    record = replace(record, figures={**record.figures, "matched": found.usable if found else None})
+    figures = {"matched": found.usable if found else None, "dense": pair in dense if dense else None}
+    record = replace(record, figures={**record.figures, **figures})
     for solved, world in worlds:
         told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
         record = replace(record, figures={**record.figures, **told})
@@ -194,9 +196,16 @@ def _entry(figures: Mapping[str, Any], figure: str, subject: str, name: str) -> 
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
-    graph = stage_with(Role.PAIR_GRAPH)
-    state = plan.states.get(Task(graph.name))
-    return [tuple(pair) for pair in _figures(state).get(graph.lists, [])] if state and state.usable else []
+    """Those that are matched or made dense, in the order of the site file where the latter were chosen anew."""
+    matched, dense = _listed(plan, Role.PAIR_GRAPH), _listed(plan, Role.DENSE_PAIRS)
+    place = {view.id: k for k, view in enumerate(plan.site.views)}
+    return sorted({*matched, *dense}, key=lambda pair: [place[view] for view in pair]) if dense else matched
+
+
+def _listed(plan: Plan, role: Role) -> list[tuple[str, str]]:
+    stage = stage_with(role)
+    state = plan.states.get(Task(stage.name))
+    return [tuple(pair) for pair in _figures(state).get(stage.lists, [])] if state and state.usable else []
 
 
 def _cloud(task: Task, state: State) -> CloudRecord | None:

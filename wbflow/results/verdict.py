@@ -169,7 +169,7 @@ def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
     if record.pairs and not pairs:
         text = "no other camera seems to see enough of what it sees: it is in no pair"
         return Finding("camera-alone", subject, text, remedy="look at where it points, and at `pairs:` in the site file")
-    tried = [pair for pair in pairs if pair.outcome != "skipped"]
+    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.figures.get("dense") is not False]
     if tried and not any(pair.ok for pair in tried):
         which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
         text = f"{which} be used: {_most_common(tried)}"
