@@ -27,8 +27,6 @@ import numpy as np
 from bench_files import write_rows
 
 KEYS = ("system", "cameras", "what", "tasks", "cpu_s", "wall_s")
-ALIKE = 0.1
-"""A pair is good that shares so much, by the truth, at 8 to 50 degrees."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +121,11 @@ def growth(width: int, until: str, memory: str) -> Iterator[Row]:
                 yield Row(64 // every, stage, seconds["tasks"], seconds["cpu"], seconds["wall"])
             _wbflow("run", posed, "--until", "pairs")
             known = json.loads((folder / ".wbflow" / "posed" / "runs" / "latest" / "run.json").read_bytes())
-            chosen, right = ({(p["left"], p["right"]) for p in told["pairs"]} for told in (record, known))
-            print(f"{64 // every} cameras: {len(chosen)} pairs, {len(right)} by poses, {len(chosen & right)} of them the same")
+            right = {(p["left"], p["right"]) for p in known["pairs"]}
+            for what, figure, without in (("matched", "matched", None), ("made dense", "dense", False)):
+                chosen = {(p["left"], p["right"]) for p in record["pairs"] if p.get(figure) not in {None, without}}
+                same = f"{len(chosen & right)} of the {len(right)} that are chosen from the true poses"
+                print(f"{64 // every} cameras: {len(chosen)} pairs {what}, among them {same}")
 
 
 def first(jobs: int, site: Path) -> Iterator[Row]:
