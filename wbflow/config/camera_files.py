@@ -4,8 +4,8 @@ The files are YAML or JSON; what kind one is of, its keys tell.  Pixel centres a
 
 References
 ----------
-OpenCV: samples/cpp/tutorial_code/calib3d/camera_calibration; cv::FileStorage
-ROS: sensor_msgs/CameraInfo, camera_calibration_parsers
+OpenCV: samples/cpp/tutorial_code/calib3d/camera_calibration; cv::FileStorage; opencv_contrib, ccalib/samples/omni_calibration
+ROS: sensor_msgs/CameraInfo, camera_calibration_parsers; REP 104 (regions of interest)
 Kalibr: github.com/ethz-asl/kalibr/wiki/yaml-formats, wiki/supported-models
 """
 
@@ -26,6 +26,7 @@ _WIDTH = ("image_width", "image_Width", "width")
 _HEIGHT = ("image_height", "image_Height", "height")
 _SIZE = ("image_size", "imageSize", "resolution")
 _MODEL = ("distortion_model", "camera_model", "model")
+_XI = ("xi", "Xi")
 
 _NAMES = {
     "plumb_bob": "brown",
@@ -67,6 +68,7 @@ def document_of(path: Path, text: str) -> Document:
         raise CalibrationError("is XML, which is not read", where=str(path), remedy="save it as .yaml or .json")
     text = re.sub(r"\A%YAML[:\s]\s*1\.[0-9]+[^\n]*", "# YAML", text)  # the line stays, for the places of errors
     text = re.sub(r"!!opencv-[\w-]+", "", text)
+    text = re.sub(r"\n---\s*\Z", "\n", text)  # `ros2 topic echo` ends each message with it
     try:
         return parse_yaml(text, path)
     except SiteError as error:
@@ -113,9 +115,28 @@ def _single(data: dict[str, Any]) -> Calibrated:
         raise _Faulty(f"lacks the distortion ({', '.join(_D[:3])} or D)", (), "add it; zeros where there is none")
     distortion = _numbers(data[found], found)
     model = _model(data, len(distortion))
-    if model == "brown" and len(distortion) in {0, 1, 2, 3, 4}:
+    if (key := _key(data, _XI)) is not None:  # as cv2.omnidir's files have it, beside k1 k2 p1 p2
+        model, distortion = "omni", _numbers(data[key], key) + distortion
+    elif model == "brown" and len(distortion) in {0, 1, 2, 3, 4}:
         distortion += [0.0] * (5 - len(distortion))
+    width, height = _cut(data, K, width, height)
     return _checked(K, width, height, distortion, model, found)
+
+
+def _cut(data: dict[str, Any], K: Matrix, width: int, height: int) -> tuple[int, int]:
+    """The size of pictures that are a part of the sensor (ROS's region of interest), to whose corner K is moved."""
+    roi = data.get("roi")
+    names = ("x_offset", "y_offset", "width", "height")
+    if not isinstance(roi, dict) or not any(roi.get(name) for name in names):
+        return width, height  # all zero: the whole sensor
+    x, y, across, down = (roi.get(name, 0) for name in names)
+    if not (is_size(across) and is_size(down) and all(v == 0 or is_size(v) for v in (x, y))):
+        raise _Faulty("roi must be a part of the picture, in whole pixels", ("roi",))
+    if x + across > width or y + down > height:
+        raise _Faulty(f"roi reaches beyond the {width}x{height} pixels of the camera", ("roi",))
+    K[0][2] -= x
+    K[1][2] -= y
+    return across, down
 
 
 def _model(data: dict[str, Any], count: int) -> str:

@@ -62,6 +62,16 @@ def test_opencv(tmp_path: Path, suffix: str, coefficients: list[float], model: s
     assert np.abs(opencv_pixels(rays_of(camera), coefficients, fisheye) - GRID).max() < ALMOST
 
 
+@pytest.mark.parametrize("written", ["0.7", "!!opencv-matrix {rows: 1, cols: 1, dt: d, data: [1.2]}"])
+def test_opencvs_omnidir(tmp_path: Path, written: str) -> None:
+    path = file_storage(tmp_path / "gate.yaml", BROWN[:4])
+    path.write_text(path.read_text() + f"xi: {written}\n")
+    camera = read_calibration(path)["gate"]
+    assert camera.model == "omni" and camera.distortion is not None
+    sphere = rays_of(camera) + np.array([0, 0, camera.distortion[0]])  # what a camera in the sphere's own depth sees of it
+    assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
+
+
 def test_json_as_people_dump_it(tmp_path: Path) -> None:
     data = {"mtx": K.tolist(), "dist": [BROWN], "image_size": [WIDTH, HEIGHT]}
     (tmp_path / "gate.json").write_text(json.dumps(data))
@@ -88,6 +98,34 @@ def test_ros(tmp_path: Path, model: str, coefficients: list[float]) -> None:
     (tmp_path / "ost.yaml").write_text(text)
     camera = read_calibration(tmp_path / "ost.yaml")["narrow"]
     assert np.abs(opencv_pixels(rays_of(camera), coefficients, model == "equidistant") - GRID).max() < ALMOST
+
+
+ECHO = """
+header: {{stamp: {{sec: 1, nanosec: 2}}, frame_id: gate}}
+height: 600
+width: 800
+distortion_model: plumb_bob
+d: {D}
+k: {K}
+binning_x: 0
+binning_y: 0
+roi: {{x_offset: {x}, y_offset: {y}, height: {height}, width: {width}, do_rectify: false}}
+---
+"""
+
+
+@pytest.mark.parametrize("said", ["", "roi reaches beyond"])
+def test_a_message_that_ros_echoes_with_a_part_of_the_sensor(tmp_path: Path, said: str) -> None:
+    whole = np.add(K, [[0, 0, 100], [0, 0, 50], [0, 0, 0]]).ravel().tolist()
+    text = ECHO.format(D=BROWN, K=whole, x=200 if said else 100, y=50, width=WIDTH, height=HEIGHT)
+    (tmp_path / "gate.yaml").write_text(text)
+    if said:
+        with pytest.raises(CalibrationError, match=said):
+            read_calibration(tmp_path / "gate.yaml")
+        return
+    camera = read_calibration(tmp_path / "gate.yaml")["gate"]
+    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    assert np.abs(opencv_pixels(rays_of(camera), BROWN) - GRID).max() < ALMOST, "pixels are counted from the region's corner"
 
 
 KALIBR = """
