@@ -19,7 +19,7 @@ from itertools import combinations
 
 import numpy as np
 
-from .core.cameras import camera_id
+from .core.cameras import camera_id, field_ratio
 from .matching.likeness import most_alike
 from .twoview.shared_ground import shared_ground
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
@@ -112,17 +112,16 @@ class _Seen:
     descriptors: Float32s
     """(n, d)"""
     size: Float64s
-    """(n,) tangent of the angle that each takes up; where the lens is not known, as if views were as wide as they are far."""
-    field: float
-    """Area of the whole view, one unit away."""
+    """(n,) tangent of the angle that each takes up, pixels where the lens is not known."""
+    view: View
 
     @classmethod
     def of(cls, features: Features, view: View) -> _Seen:
         plain = np.flatnonzero(features.tilts == 0)
         area = np.abs(np.linalg.det(features.frames[plain]))
         order = np.argsort(-area, kind="stable")
-        pixel = 1 / max(view.width, view.height) if view.K is None else 1 / float(view.K[0, 0])
-        return cls(features.descriptors[plain[order]], np.sqrt(area[order]) * pixel, view.width * view.height * pixel**2)
+        pixel = 1.0 if view.K is None else 1 / float(view.K[0, 0])
+        return cls(features.descriptors[plain[order]], np.sqrt(area[order]) * pixel, view)
 
     def largest(self, count: float, below: float = np.inf) -> Float32s:
         """(m, d) descriptors of the largest of those that are smaller than `below`."""
@@ -132,10 +131,10 @@ class _Seen:
 
 def _likeness(left: _Seen, right: _Seen, count: int, ratio: float) -> float:
     """Share of what the two may both see that resembles each other, 0 to 1."""
-    more = left.field / right.field
+    more = field_ratio(left.view, right.view)
     if 1 / _UNEQUAL < more < _UNEQUAL or not min(len(left.size), len(right.size)):
         return _resemblance(left.largest(count), right.largest(count), ratio)
-    below = min(float(np.quantile(view.size, _LARGEST)) for view in (left, right))
+    below = min(float(np.quantile(seen.size, _LARGEST)) for seen in (left, right))
     return _resemblance(left.largest(count * max(more, 1), below), right.largest(count * max(1 / more, 1), below), ratio)
 
 

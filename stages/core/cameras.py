@@ -13,6 +13,14 @@ def scaled_intrinsics(K: Float64s, sx: float, sy: float) -> Float64s:
     return S @ K
 
 
+def field_ratio(view1: View, view2: View) -> float:
+    """How many times the area of view 2 view 1 sees, at one distance; 1 where a lens is not known."""
+    if view1.K is None or view2.K is None:
+        return 1.0
+    area1, area2 = (view.width * view.height / float(K[0, 0] * K[1, 1]) for view, K in ((view1, view1.K), (view2, view2.K)))
+    return area1 / area2
+
+
 def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
     """The camera of a view.
 

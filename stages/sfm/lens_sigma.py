@@ -129,13 +129,12 @@ def _covariances(model: Model, centre_sigma: float) -> tuple[Float64s, Float64s,
     free = np.flatnonzero(np.isfinite(known))
     H[free, free] += known[free]
     scale = 1 / np.sqrt(np.maximum(np.diag(H)[free], 1e-300))
-    by_noise, by_parts = np.zeros((2, size, size))
+    by_noise = np.zeros((size, size))
     by_noise[np.ix_(free, free)] = np.linalg.inv(H[np.ix_(free, free)] * scale[:, None] * scale) * scale[:, None] * scale
     pulls = _pulls(J, P, r, inverse, at[of], point, _parts(model.X[points]), size)
     between = pulls.T @ pulls * len(pulls) / (len(pulls) - 1)
     between[free, free] += known[free]
-    by_parts[:] = by_noise @ between @ by_noise
-    return by_noise, by_parts, {name: at[k, _POSE:].tolist() for k, name in enumerate(names)}
+    return by_noise, by_noise @ between @ by_noise, {name: at[k, _POSE:].tolist() for k, name in enumerate(names)}
 
 
 def _parts(X: Float64s) -> Int64s:

@@ -15,6 +15,7 @@ from math import exp, isfinite, log
 
 import numpy as np
 
+from ..core.cameras import field_ratio
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
@@ -219,13 +220,8 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
 
     A wide view has as many more cells as it sees more than a narrow one: a long lens sees a few cells of it, and all of its own.
     """
-    more = _field(view1) / _field(view2)
+    more = field_ratio(view1, view2)
     return min(_cells(x1, view1, max(more, 1.0)), _cells(x2, view2, max(1 / more, 1.0)))
-
-
-def _field(view: View) -> float:
-    """Area of a view, one unit away; of any lens the same where none is known."""
-    return 1.0 if view.K is None else view.width * view.height / float(view.K[0, 0] * view.K[1, 1])
 
 
 def _cells(x: Float64s, view: View, more: float) -> int:
