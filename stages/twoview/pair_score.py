@@ -22,10 +22,10 @@ from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
 from ..matching.neighbours import nearest_elsewhere
 from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches, View
 from .epipolar import homogeneous, symmetric_epipolar_distance
+from .places import places
 from .rivals import Rival, find_rival
 from .robust import TwoView, estimate_essential
 
-GRID_COLUMNS, GRID_ROWS = 12, 8
 DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95
 """A match is distinctive where its descriptor distance is below this share of the nearest rival's and look-alike's."""
 CLEAR_RATIO, CLEAR_PX = 0.9, 2.0
@@ -221,15 +221,7 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
     A wide view has as many more cells as it sees more than a narrow one: a long lens sees a few cells of it, and all of its own.
     """
     more = field_ratio(view1, view2)
-    return min(_cells(x1, view1, max(more, 1.0)), _cells(x2, view2, max(1 / more, 1.0)))
-
-
-def _cells(x: Float64s, view: View, more: float) -> int:
-    """How many cells hold a point, of a grid with `more` times as many cells as that of an equal view."""
-    finer = np.sqrt(more)
-    column = (x[:, 0] * GRID_COLUMNS * finer / view.width).astype(np.int64)
-    row = (x[:, 1] * GRID_ROWS * finer / view.height).astype(np.int64)
-    return len(np.unique(column * 100_000 + row))
+    return min(places(x1, view1, max(more, 1.0)), places(x2, view2, max(1 / more, 1.0)))
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:

@@ -20,6 +20,7 @@ from ..matching.initial import Correspondences, confirmations
 from ..matching.structural import solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .epipolar import symmetric_epipolar_distance
+from .places import places
 from .robust import TwoView, estimate_essential
 
 EXPLAINED_PX = 12.0
@@ -29,6 +30,8 @@ CONFIRMED = 2
 DOMINANCE, ROUNDS = 0.8, 3
 """Of the matcher's rounds."""
 FEWEST = 8
+FREEDOMS = 5
+"""Of E.  Matches of one place agree with many poses and tell one thing at most; in so few places any pattern fits some pose."""
 OFF_LINES_PX = 3.0
 MUCH = 0.25
 """Share of the accepted inliers that makes any other pose a rival..."""
@@ -112,6 +115,8 @@ def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s,
         return _Pose()
     pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
     if pose is None or pose.R is None or pose.t is None:
+        return _Pose()
+    if min(places(x1[pose.inliers], view1), places(x2[pose.inliers], view2)) <= FREEDOMS:
         return _Pose()
     step = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
     return _Pose(int(pose.inliers.sum()), angle_between_deg(pose.R, R), float(step))

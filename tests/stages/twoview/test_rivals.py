@@ -65,6 +65,36 @@ def test_the_next_house_of_a_row_is_another_pose_though_it_lies_on_the_lines() -
     assert rival.ambiguous(len(same))
 
 
+def two_of_a_kind(size_m: float) -> tuple[Features, Features]:
+    """Two views from 3 m apart of ground that does not repeat, 240 points, and of a thing that stands there twice, 60 each."""
+    rng = np.random.default_rng(8)
+    ground = np.column_stack([rng.uniform(-9, 9, 240), rng.uniform(-5, 5, 240), rng.uniform(13, 20, 240)])
+    thing = rng.uniform(-0.5, 0.5, (60, 3)) * [size_m, size_m, 1.0]
+    X = np.concatenate([ground, thing + np.array([-5.0, 1.0, 15.0]), thing + np.array([4.0, -1.0, 17.0])])
+    descriptors = rng.random((300, 128)).astype(np.float32) ** 3
+    descriptors = np.concatenate([descriptors, descriptors[240:]])
+    views = []
+    for x in (-1.5, 1.5):
+        image = (X - [x, 0, 0]) @ K.T
+        seen = np.abs(descriptors + rng.normal(0, 0.02, descriptors.shape).astype(np.float32))
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        xy = image[:, :2] / image[:, 2:] + rng.normal(0, 0.3, (len(X), 2))
+        frames = np.repeat(np.eye(2)[None] * 4, len(X), axis=0)
+        views.append(Features(xy, frames, seen, np.ones(len(X), np.float32), np.zeros(len(X), np.uint8), VIEW))
+    return views[0], views[1]
+
+
+@pytest.mark.parametrize(("size_m", "rivals"), [(0.9, False), (2.5, True)])
+def test_a_thing_that_stands_there_twice_is_no_rival_where_it_is_small(size_m: float, rivals: bool) -> None:
+    left, right = two_of_a_kind(size_m)
+    same = np.arange(360, dtype=np.int32)
+    F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
+    accepted = TwoView(F / np.linalg.norm(F), np.ones(360, bool), np.eye(3), np.array([-1.0, 0, 0]))
+    rival = find_rival(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
+    assert rival.ambiguous(len(same)) == rivals
+    assert (rival.inliers > 60) == rivals
+
+
 def found(left: Features, right: Features) -> Geometry:
     matches = match(left, right)
     assert isinstance(matches, Matches)
