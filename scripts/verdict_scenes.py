@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SETS = (
     "fountain-768", "entry-768", "nothing", "yard-day", "yard-night", "square-day", "square-night",
-    "hall-day", "hall-2-day", "hall-4-day", "houses-day", "carpark-day", "containers-day",
+    "hall-day", "hall-2-day", "hall-4-day", "houses-day", "carpark-day", "containers-day", "apron-day", "stadium-day",
 )  # fmt: skip
 """Photographs by scene and width, demo scenes by name and light; nothing: views of fountain with views of entry."""
 TURNS = {"hall": 4, "hall-2": 2, "hall-4": 4}

@@ -43,6 +43,8 @@ SCENES = {
     "houses": SceneRow(f"{_HERE}.houses:houses", "a row of identical houses along a street", (0, 60)),
     "carpark": SceneRow(f"{_HERE}.carpark:carpark", "a car park with rows of the same car", (4, 70)),
     "containers": SceneRow(f"{_HERE}.depot:containers", "stacks of one and the same container", (4, 70)),
+    "apron": SceneRow(f"{_HERE}.apron:apron", "an airport apron with three aircraft of one type", (4, 80), 8, 3),
+    "stadium": SceneRow(f"{_HERE}.stadium:stadium", "a stadium with stands of identical seats", (4, 80), 10, 3),
     "mast": SceneRow(f"{_HERE}.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
 }
 
