@@ -6,7 +6,7 @@ import numpy as np
 
 from . import ground
 from . import textures as paint
-from .cameras import Viewpoint
+from .cameras import Viewpoint, off_middle
 from .lighting import light_of
 from .paving import lawn, with_lines
 from .random_fields import Rng
@@ -52,7 +52,7 @@ def viewpoints() -> list[Viewpoint]:
     """Cameras on the terminal's roof and on light masts, looking over the stands."""
     found = []
     for k, centre in enumerate(MASTS):
-        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        shift = off_middle(k)
         bend = (-0.15 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
         target = (0.2 * centre[0], -2.0 + 0.05 * centre[1], 1.0)
         found.append(Viewpoint(f"apron-{k + 1}", centre, target, 72.0, bend, 0.8 * shift[0], shift))

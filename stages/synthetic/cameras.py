@@ -43,6 +43,11 @@ class Viewpoint:
         return round(self.scale * size[0]), round(self.scale * size[1])
 
 
+def off_middle(k: int) -> tuple[float, float]:
+    """The `shift` of a scene's k-th camera: principal points lie a little off the middle, as in real cameras."""
+    return float(np.sin(k + 0.5)), float(np.cos(1.7 * k))
+
+
 @dataclass(frozen=True)
 class Mount:
     """A camera's place."""

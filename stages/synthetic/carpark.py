@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import textures as paint
-from .cameras import Viewpoint
+from .cameras import Viewpoint, off_middle
 from .lighting import light_of
 from .paving import asphalt, lawn, with_lines
 from .random_fields import Rng
@@ -53,7 +53,7 @@ def viewpoints() -> list[Viewpoint]:
     """Cameras on posts at the edge, looking over the bays."""
     found = []
     for k, centre in enumerate(MASTS):
-        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        shift = off_middle(k)
         bend = (-0.15 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
         target = (0.25 * centre[0], 0.5 + 0.1 * centre[1], 0.8)
         found.append(Viewpoint(f"post-{k + 1}", centre, target, 68.0, bend, 0.8 * shift[0], shift))

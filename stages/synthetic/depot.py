@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from . import ground
 from . import textures as paint
-from .cameras import Viewpoint
+from .cameras import Viewpoint, off_middle
 from .lighting import light_of
 from .random_fields import Rng
 from .scene import STATIC, Scene, SceneBuilder
@@ -52,7 +50,7 @@ def viewpoints() -> list[Viewpoint]:
     """Cameras on masts in the south and at the corners, looking over the stacks."""
     found = []
     for k, centre in enumerate(MASTS):
-        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        shift = off_middle(k)
         bend = (-0.14 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
         target = (0.22 * centre[0], -4.0 + 0.05 * centre[1], 2.5)
         found.append(Viewpoint(f"mast-{k + 1}", centre, target, 64.0, bend, 0.8 * shift[0], shift))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..types import Float64s
 from . import textures as paint
-from .cameras import Viewpoint
+from .cameras import Viewpoint, off_middle
 from .lighting import light_of
 from .paint import Texture, encode, mix, shape_of, weather
 from .prepared import OPEN_SKY
@@ -50,7 +50,7 @@ def viewpoints() -> list[Viewpoint]:
     """All on one mast, heading a few degrees apart."""
     found = []
     for k, centre in enumerate(CENTRES):
-        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        shift = off_middle(k)
         heading, bend = np.deg2rad(4.0 * float(np.sin(2.1 * k))), (-0.10 - 0.01 * (k % 3), 0.02, 0.0002, 0.0003, 0.0)
         target = (500.0 * float(np.sin(heading)), 500.0 * float(np.cos(heading)), 8.0)
         found.append(Viewpoint(f"arm-{k + 1}", centre, target, 42.0 + 2.0 * (k % 2), bend, 0.6 * shift[0], shift))

@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 
 from . import textures as paint
-from .cameras import Viewpoint
+from .cameras import Viewpoint, off_middle
 from .lighting import light_of
 from .paint import Colour
 from .paving import ashlar, asphalt, repeating_tiles
@@ -78,7 +78,7 @@ def viewpoints() -> list[Viewpoint]:
         centre = (distance * float(np.sin(bearing)), -distance * float(np.cos(bearing)), 2.5)
         target = (0.6 * float(np.sin(5.1 * k)), 0.6 * float(np.cos(4.3 * k)), -1.6)
         bend = -0.14 - 0.02 * (k % 3)
-        shift = (float(np.sin(k + 0.5)), float(np.cos(1.7 * k)))
+        shift = off_middle(k)
         found.append(
             Viewpoint(
                 f"pole-{k + 1}", centre, target, 74.0 + 2.0 * (k % 2), (bend, 0.03, 0.0003, -0.0002, 0.0), 0.8 * shift[1], shift

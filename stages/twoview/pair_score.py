@@ -221,7 +221,8 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
     A wide view has as many more cells as it sees more than a narrow one: a long lens sees a few cells of it, and all of its own.
     """
     more = field_ratio(view1, view2)
-    return min(places(x1, view1, max(more, 1.0)), places(x2, view2, max(1 / more, 1.0)))
+    size1, size2 = (view1.width, view1.height), (view2.width, view2.height)
+    return min(places(x1, size1, max(more, 1.0)), places(x2, size2, max(1 / more, 1.0)))
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..types import Float64s, View
+from ..types import Float64s
 
 GRID_COLUMNS, GRID_ROWS = 12, 8
 
 
-def places(x: Float64s, view: View, more: float = 1.0) -> int:
+def places(x: Float64s, size: tuple[int, int], more: float = 1.0) -> int:
     """How many cells hold a point.
 
     Parameters
     ----------
     x : ndarray
         (n, 2) pixels.
-    view : View
-        Its size counts.
+    size : tuple of int
+        Width and height of the image, pixels.
     more : float
         The grid has so many times the cells of `GRID_COLUMNS` x `GRID_ROWS`.
     """
     finer = np.sqrt(more)
-    column = (x[:, 0] * GRID_COLUMNS * finer / view.width).astype(np.int64)
-    row = (x[:, 1] * GRID_ROWS * finer / view.height).astype(np.int64)
+    column = (x[:, 0] * GRID_COLUMNS * finer / size[0]).astype(np.int64)
+    row = (x[:, 1] * GRID_ROWS * finer / size[1]).astype(np.int64)
     return len(np.unique(column * 100_000 + row))

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..types import Bools, Float32s, Float64s, Int64s, Uint8s
+from ..types import Bools, Float32s, Float64s, Uint8s
+from .places import GRID_COLUMNS, GRID_ROWS, places
 
 REACH_PX = 40
 """Patches are searched so far from their old places."""
 
-_COLUMNS, _ROWS = 12, 8
-"""Cells over which patches are spread..."""
 _PER_CELL = 4
-"""...so many in each."""
+"""So many patches in each cell of the grid over which they are spread."""
 _LEAST_CORRELATION = 0.6
 """Below this a patch was not found."""
 _LEAST_STD = 2.0
@@ -91,10 +90,10 @@ def corners(image: Uint8s, mask: Bools) -> Float64s:
     strength = np.asarray(cv2.cornerMinEigenVal(cv2.GaussianBlur(image, (0, 0), 1.0), 5), dtype=np.float32)
     strength[usable == 0] = 0
     found = []
-    for row in range(_ROWS):
-        for column in range(_COLUMNS):
-            y0, y1 = h * row // _ROWS, h * (row + 1) // _ROWS
-            x0, x1 = w * column // _COLUMNS, w * (column + 1) // _COLUMNS
+    for row in range(GRID_ROWS):
+        for column in range(GRID_COLUMNS):
+            y0, y1 = h * row // GRID_ROWS, h * (row + 1) // GRID_ROWS
+            x0, x1 = w * column // GRID_COLUMNS, w * (column + 1) // GRID_COLUMNS
             cell = strength[y0:y1, x0:x1].copy()
             apart = max(min(cell.shape) // 5, 2)
             for _ in range(_PER_CELL):
@@ -147,7 +146,7 @@ def _search(
     """Best place (n, 2) and its correlation (n,) of each patch within `reach` of `near`; nan and -1 where there is none."""
     image1, pad1 = first
     image2, pad2 = second
-    places, scores = np.full(points.shape, np.nan), np.full(len(points), -1.0)
+    at_best, scores = np.full(points.shape, np.nan), np.full(len(points), -1.0)
     for k, (point, centre) in enumerate(zip(points, near, strict=True)):
         if not np.isfinite(centre).all():
             continue
@@ -162,9 +161,9 @@ def _search(
         row, column = np.unravel_index(int(surface.argmax()), surface.shape)
         at = np.array([_peak(surface[row], column), _peak(surface[:, column], row)])
         corner = np.array([max(u - size, 0), max(v - size, 0)])
-        places[k] = corner + radius + at - pad2 + (point - np.rint(point))
+        at_best[k] = corner + radius + at - pad2 + (point - np.rint(point))
         scores[k] = surface[row, column]
-    return places, scores
+    return at_best, scores
 
 
 def _peak(values: Float32s, at: np.intp) -> float:
@@ -205,7 +204,7 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float
         parameters = parameters + step
         residual = _residuals(parameters, rays, found.x2, K)[0]
         inliers = np.linalg.norm(residual, axis=1) <= agree_px
-    if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or len(_cells(found.x1[inliers], width, height)) < _FEWEST_CELLS:
+    if inliers.sum() < max(_FEWEST, _SHARE * len(inliers)) or places(found.x1[inliers], (width, height)) < _FEWEST_CELLS:
         return None
     return _turn(parameters, _residuals(parameters, rays[inliers], found.x2[inliers], K), inliers, found, K, (width, height))
 
@@ -247,7 +246,7 @@ def _turn(
 ) -> Turn:
     residual, jacobian = fit
     width, height = size
-    cells = len(_cells(found.x1[inliers], width, height))
+    cells = places(found.x1[inliers], size)
     # patches of one cell err alike (a shadow, one thing that moved): they count as one
     variance = float(np.mean(residual**2)) * max(len(residual) / cells, 1.0)
     covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
@@ -277,9 +276,3 @@ def _turn(
         inliers,
         float(np.median(np.linalg.norm(residual, axis=1))),
     )
-
-
-def _cells(points: Float64s, width: int, height: int) -> Int64s:
-    """The cells that points lie in."""
-    columns = (points[:, 0] * _COLUMNS / width).astype(np.int64)
-    return np.unique((points[:, 1] * _ROWS / height).astype(np.int64) * _COLUMNS + columns)

@@ -116,7 +116,8 @@ def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s,
     pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
     if pose is None or pose.R is None or pose.t is None:
         return _Pose()
-    if min(places(x1[pose.inliers], view1), places(x2[pose.inliers], view2)) <= FREEDOMS:
+    sides = ((x1, view1), (x2, view2))
+    if min(places(x[pose.inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
         return _Pose()
     step = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
     return _Pose(int(pose.inliers.sum()), angle_between_deg(pose.R, R), float(step))
