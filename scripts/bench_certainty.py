@@ -1,13 +1,17 @@
 """How right `sigma_mm` of a cloud is: errors on exact truth over sigma, in every tenth of the points by sigma.
 
     scripts/bench_certainty.py CLOUD.ply TRUTH
-    scripts/bench_certainty.py CLOUD.ply --then CLOUD.ply --camera X Y Z
+    scripts/bench_certainty.py CLOUD.ply --then CLOUD.ply ... [--days D ...] --camera X Y Z
 
 TRUTH holds `cameras.json` and `depth/<camera>.npz`, as `wbflow demo` writes them.  A point's error is along the ray of the
 nearest camera that sees it in truth, where that surface is smooth.  The robust spread (1.4826 MAD) is 1 where sigma is right.
 
 With --then it is the difference of two dates, over both points' sigmas: along the normal to the nearest point of the other date,
-turned into the ray's direction, less what moved as a whole (the median of a block of 20 m).
+turned into the ray's direction, less what moved as a whole (the median of a block of 20 m).  What moves within a block is in it,
+and grows with the days between: from several dates follows what is left of two with none between them.
+
+The score is the mean negative log-likelihood of errors, in millimetres, those beyond three sigmas cut off there: of two sigmas of
+the same points the lower one tells more of the errors.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +30,9 @@ from wbflow_stages.core.cameras import project
 from wbflow_stages.types import Camera, Float64s
 
 Columns = dict[str, np.ndarray]
+
+FAR = 3.0
+"""Errors of more sigmas count as so many in the score."""
 
 SMOOTH, SAME = 0.03, 0.02
 """Of the depth: how much four neighbouring pixels of the truth may differ, and how far a point may be off."""
@@ -88,25 +96,59 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cloud", type=Path)
     parser.add_argument("truth", type=Path, nargs="?")
-    parser.add_argument("--then", type=Path, metavar="CLOUD")
-    parser.add_argument("--camera", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where both were seen from")
+    parser.add_argument("--then", type=Path, nargs="+", metavar="CLOUD")
+    parser.add_argument("--days", type=float, nargs="+", metavar="D", help="from the first date to each of the others")
+    parser.add_argument("--camera", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where all were seen from")
     options = parser.parse_args()
     if (options.truth is None) == (options.then is None) or (options.then is not None and options.camera is None):
         parser.error("either TRUTH, or --then and --camera")
-    table = read_ply(options.cloud)
-    sigma = columns(table, "sigma_mm")[:, 0] / 1000.0
+    if options.days is not None and (options.then is None or len(options.days) != len(options.then)):
+        parser.error("--days: a number for each cloud of --then")
     if options.then is not None:
-        error, sigma = differences_of_dates([table, read_ply(options.then)], np.array(options.camera))
-    else:
-        error = errors_along_rays(columns(table, "x", "y", "z"), options.truth)
+        of_dates([options.cloud, *options.then], options.days, np.array(options.camera))
+        return
+    table = read_ply(options.cloud)
+    error, sigma = errors_along_rays(columns(table, "x", "y", "z"), options.truth), columns(table, "sigma_mm")[:, 0] / 1000.0
     known = np.isfinite(error)
-    error, sigma = error[known], sigma[known]
-    order = np.argsort(sigma, kind="stable")
-    print(f"{len(error):,} of {len(known):,} points;  sigma, median error, robust spread of error over sigma")
-    for rows in np.array_split(order, 10):
-        off, ratio = 1000 * np.median(np.abs(error[rows])), error[rows] / sigma[rows]
-        spread = 1.4826 * np.median(np.abs(ratio - np.median(ratio)))
-        print(f"{1000 * np.median(sigma[rows]):8.2f} mm {off:8.2f} mm {spread:6.2f}")
+    show(f"{known.sum():,} of {len(known):,} points", error[known], sigma[known], tenths(sigma[known]))
+
+
+def of_dates(clouds: Sequence[Path], days: Sequence[float] | None, centre: Float64s) -> None:
+    """Of each two dates; with their days, of none between them, too."""
+    tables = [read_ply(cloud) for cloud in clouds]
+    found = {}
+    for i, j in combinations(range(len(clouds)), 2):
+        difference, sigma = differences_of_dates([tables[i], tables[j]], centre)
+        known = np.isfinite(difference)
+        found[i, j] = difference[known], sigma[known]
+    limits = tenths(np.concatenate([sigma for _, sigma in found.values()]))
+    since = [0.0, *(days or [])]
+    squares = []
+    for (i, j), (difference, sigma) in found.items():
+        title = f"{clouds[i].name} to {clouds[j].name}" + (f", {abs(since[j] - since[i]):g} days" if days else "")
+        squares.append(show(title, difference, sigma, limits) ** 2)
+    if days is not None and len(found) > 2 and np.isfinite(squares).all():
+        apart = np.array([(since[j] - since[i]) ** 2 for i, j in found])
+        at_once = np.linalg.lstsq(np.column_stack([np.ones(len(apart)), apart]), np.array(squares), rcond=None)[0][0]
+        print("no days apart, where what moves does so evenly:", *(f"{np.sqrt(max(square, 0.0)):.2f}" for square in at_once))
+
+
+def tenths(sigma: Float64s) -> Float64s:
+    """(11,) limits of the tenths of the points."""
+    return np.asarray(np.quantile(sigma, np.linspace(0.0, 1.0, 11)))
+
+
+def show(title: str, error: Float64s, sigma: Float64s, limits: Float64s) -> Float64s:
+    """Prints a row for each tenth; (10,) robust spreads of error over sigma."""
+    score = np.mean(np.log(1000 * sigma) + 0.5 * np.minimum((error / sigma) ** 2, FAR**2))
+    print(f"{title};  score {score:.3f};  sigma, median error, robust spread of error over sigma")
+    row, spreads = np.searchsorted(limits[1:-1], sigma, side="right"), np.full(10, np.nan)
+    for k in range(10):
+        off, ratio = error[row == k], error[row == k] / sigma[row == k]
+        if len(off):
+            spreads[k] = 1.4826 * np.median(np.abs(ratio - np.median(ratio)))
+            print(f"{1000 * np.median(sigma[row == k]):8.2f} mm {1000 * np.median(np.abs(off)):8.2f} mm {spreads[k]:6.2f}")
+    return spreads
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import numpy as np
 from .core.bending import straight_frames
 from .core.cameras import backproject
 from .core.side_by_side import side_by_side
-from .fusion.certainty import depth_variance
+from .fusion.certainty import along_nearest_rays, depth_variance
 from .fusion.company import company
 from .fusion.exposure import exposure_gains
 from .fusion.pair_depth import world_normals
@@ -35,7 +35,7 @@ _AMONG_VOUCHED = 0.1
 _LEAST_COMPANY = 0.4
 """What a single pair shows must lie on one surface with so much of its surroundings."""
 
-_GOOD_COMPANY, _SHALLOW = 0.4, 0.3
+_GOOD_COMPANY, _SHALLOW = 0.4, 0.4
 """Where pixels lie further apart on a slanted surface than voxels look for others, a point is kept that has so much of its
 surroundings on its plane, and a standard deviation below this share of the way to the next pixel (chosen on the demo yard)."""
 
@@ -108,7 +108,8 @@ def fuse(
 
     def standing(name: str, grid: VoxelGrid) -> Samples:
         check = cross_check(name, near[name], cameras, depth_of)
-        return _samples(frames[name], cameras[name], depth_of(name), check, gains[name], min_consistent_pairs, grid)
+        others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
+        return _samples(frames[name], cameras[name], depth_of(name), check, others, gains[name], min_consistent_pairs, grid)
 
     given = _collected(grid, list(cameras), standing)
     loaded.cache_clear()
@@ -133,8 +134,9 @@ def _collected(grid: VoxelGrid, names: Sequence[str], standing: Callable[[str, V
 
 
 def _samples(
-    frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, gains: Float64s, min_pairs: int, grid: VoxelGrid
-) -> Samples:
+    frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, others: Float64s, gains: Float64s, min_pairs: int,
+    grid: VoxelGrid,
+) -> Samples:  # fmt: skip
     """The points of one view that its own and the other views' evidence leaves standing.
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
@@ -166,7 +168,7 @@ def _samples(
         _confidence(check, depth, y, x),
         check.cameras[y, x].astype(np.float32),
         footprint,
-        variance.astype(np.float32),
+        along_nearest_rays(variance, camera, others, check.nearest[y, x], points, normals).astype(np.float32),
         accompanied,
     )
 

@@ -29,10 +29,11 @@ class CrossCheck:
     """Those among them whose own depth agrees..."""
     violating: Uint8s
     """...or lies behind, so that they look through the point."""
-    compared: Uint8s
-    """Other views with a depth of the same surface, within `_SAME_SURFACE`..."""
-    scatter: Float32s
-    """...and the sum of the squares of their differences from this view's, as shares of the depth."""
+    apart: Float32s
+    """Over those that agree, the sum of logarithms of how far off they put the surface on this view's ray, each over the standard
+    deviation that the sigmas of both depths let expect."""
+    nearest: Uint8s
+    """The nearest camera among those that agree and this view: its place among the others, `ITSELF` for this view."""
     shift: Float32s
     """Where the median of this view and of those that agree puts the surface: farther by this share of the depth."""
 
@@ -41,6 +42,9 @@ _UNCOUNTED = 255
 """The number of pairs that go uncounted."""
 _SAME_SURFACE = 0.016
 """Depths that differ by no more than this share are of one surface: beyond it nothing agrees."""
+ITSELF = 255
+_LEAST_APART = 0.1
+"""Where two views put the surface, as a share of what is expected: nearer to each other is by chance."""
 _HEARD = 8
 """So many of the views that agree have a say in where the surface is."""
 _UNIT, _MOST_UNITS = 1e-6, 32000.0
@@ -74,10 +78,11 @@ def cross_check(
     h, w = own.depth.shape
     numbers = _PairNumbers()
     pairs = _own_pairs(own.support, numbers.of(name, own))
-    visible, agreeing, violating, compared = (np.zeros((h, w), np.uint8) for _ in range(4))
-    scatter = np.zeros((h, w), np.float32)
+    visible, agreeing, violating = (np.zeros((h, w), np.uint8) for _ in range(3))
+    apart, reach = np.zeros((h, w), np.float32), np.zeros((h, w), np.float32)
+    nearest = np.full((h, w), ITSELF, np.uint8)
     offsets = np.zeros((min(len(others), _HEARD), h, w), np.int16)
-    for other in others:
+    for place, other in enumerate(others):
         M, b = transfer(cameras[name], cameras[other])
         seen = depth_of(other)
         theirs = numbers.of(other, seen)
@@ -85,11 +90,18 @@ def cross_check(
             pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
         _compare(
             *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
-            *(theirs, numbers.of_pair(name, other), visible, agreeing, violating, compared, scatter, offsets, pairs),
+            *(theirs, numbers.of_pair(name, other), visible, agreeing, violating, offsets, pairs),
+            *(min(place, ITSELF), _farther_by(cameras[name], cameras[other]), apart, nearest, reach),
         )
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
-    return CrossCheck(count, seen_by, visible, agreeing, violating, compared, scatter, _median(offsets, agreeing))
+    return CrossCheck(count, seen_by, visible, agreeing, violating, apart, nearest, _median(offsets, agreeing))
+
+
+def _farther_by(camera: Camera, other: Camera) -> Float64s:
+    """(4,) g and s: the square of a point's distance from another camera, less that from its own, is s - depth g (x, y, 1)."""
+    c = camera.R @ (other.C - camera.C)
+    return np.append(2.0 * np.linalg.solve(camera.K.T, c), c @ c)
 
 
 class _PairNumbers:
@@ -158,19 +170,21 @@ def _compare(
     visible: Uint8s,
     agreeing: Uint8s,
     violating: Uint8s,
-    compared: Uint8s,
-    scatter: Float32s,
     offsets: Int16s,
     pairs: Uint64s,
+    place: int,
+    farther_by: Float64s,
+    apart: Float32s,
+    nearest: Uint8s,
+    reach: Float32s,
 ) -> None:
     h, w = depth.shape
     other_h, other_w = other_depth.shape
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
     b0, b1, b2 = b
     last = min(64 * len(pairs), _UNCOUNTED)
-    common, common_word = np.uint64(0), 0
-    if number < last:
-        common, common_word = np.uint64(1) << np.uint64(number % 64), number // 64
+    common = np.uint64(1) << np.uint64(number % 64) if number < last else np.uint64(0)
+    common_word = number // 64 if number < last else 0
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
@@ -188,22 +202,23 @@ def _compare(
                 visible[y, x] += 1
                 continue
             there = 1.0 / (1.0 / other_depth[j, i] + slope_x[j, i] * (u - i) + slope_y[j, i] * (v - j))
-            s = np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2)
-            tolerance = min(3.0 * s + 0.002 * z, _SAME_SURFACE * z)
-            if abs(there - z) <= _SAME_SURFACE * z:
-                compared[y, x] += 1
-                scatter[y, x] += np.float32((there / z - 1.0) ** 2)
+            tolerance = min(3.0 * np.sqrt(sigma[y, x] ** 2 + other_sigma[j, i] ** 2) + 0.002 * z, _SAME_SURFACE * z)
             if there < z - tolerance:  # hidden: then that view cannot have seen it
                 pairs[common_word, y, x] &= ~common
                 continue
             visible[y, x] += 1
             if there <= z + tolerance:
-                if agreeing[y, x] < len(offsets):  # its plane, linear in places as that camera sees them, on this pixel's ray
-                    n0, n1 = slope_x[j, i], slope_y[j, i]
-                    n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j
-                    along = n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22)
-                    farther = ((1.0 - n0 * b0 - n1 * b1 - n2 * b2) / (along * own) - 1.0) / _UNIT
-                    offsets[agreeing[y, x], y, x] = np.int16(min(max(farther, -_MOST_UNITS), _MOST_UNITS))
+                n0, n1 = slope_x[j, i], slope_y[j, i]  # its plane, linear in places as that camera sees them, on this pixel's ray
+                n2 = 1.0 / other_depth[j, i] - n0 * i - n1 * j
+                along = own * (n0 * (m00 * x + m01 * y + m02) + n1 * (m10 * x + m11 * y + m12) + n2 * (m20 * x + m21 * y + m22))
+                units = min(max(((1.0 - n0 * b0 - n1 * b1 - n2 * b2) / along - 1.0) / _UNIT, -_MOST_UNITS), _MOST_UNITS)
+                if agreeing[y, x] < len(offsets):
+                    offsets[agreeing[y, x], y, x] = np.int16(units)
+                expected = np.sqrt((sigma[y, x] / own) ** 2 + (other_sigma[j, i] / (z * along)) ** 2)
+                apart[y, x] += np.float32(np.log(max(_UNIT * abs(units) / expected, _LEAST_APART)))
+                beyond = farther_by[3] - own * (farther_by[0] * x + farther_by[1] * y + farther_by[2])
+                if beyond < reach[y, x]:
+                    reach[y, x], nearest[y, x] = beyond, place
                 agreeing[y, x] += 1
                 for k in range(len(bits)):
                     if (other_support[j, i] >> np.uint32(k)) & np.uint32(1) and bits[k] < last:

@@ -26,17 +26,19 @@ _LEVELS = 8
 _BLOCK = 1 << 18
 _NEAR = 3
 """Others are looked for within so many edges."""
-_COLUMNS, _BEST = 16, 13
-"""Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, variance; from
-`_BEST` on the largest values: confidence, cameras, accompanied."""
+_COLUMNS, _BEST = 17, 14
+"""Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, standard deviation
+by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras, accompanied."""
+_IN_COMMON = 0.25
+"""Correlation of the errors of a voxel's samples: views share pairs, pixels their patches (fitted as in `fusion.certainty`)."""
 
 
 @dataclass(frozen=True)
 class Samples:
     """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2, confidence 0 to 1,
     number of cameras, edge in world lengths of what it stands for (its pixel's footprint, or its sigma if that is more), squared
-    standard deviation along the ray as other views show it (the weight is what it was expected to be), and whether a sample need
-    not be near others (see `VoxelGrid.reach`)."""
+    standard deviation along the nearest camera's ray as images show it (the weight is what it was expected to be), and whether a
+    sample need not be near others (see `VoxelGrid.reach`)."""
 
     points: Float64s
     normals: Float32s
@@ -50,7 +52,7 @@ class Samples:
 
 
 class VoxelGrid:
-    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 72 bytes for each."""
+    """Collects samples view by view.  Memory follows the number of occupied voxels, not of samples: 76 bytes for each."""
 
     def __init__(self, edge: float, origin: Float64s) -> None:
         self.edge = edge
@@ -88,25 +90,26 @@ class VoxelGrid:
         """One sample for each voxel that has at least so many occupied ones within three edges of it, or a sample that need not,
         some at a time.
 
-        Position and normal are means by weight, the colour by confidence; `weight` and `variance` are the samples' means, not
-        what would follow if their errors were independent: views share pairs; confidence and cameras are the best sample's.
+        Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, `variance` that of the
+        position, whose samples have errors `_IN_COMMON`; confidence and cameras are the best sample's.
         """
-        kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 15] > 0))
+        kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 16] > 0))
         for first in range(0, len(kept), _BLOCK):
             rows = kept[first : first + _BLOCK]
             keys, sums = self._keys[rows], self._sums[rows]
             w, c, n = (sums[:, k, None] for k in (9, 10, 11))
+            together, alone = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
             length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
             yield Samples(
                 self._centres(keys) + sums[:, 0:3] / w,
                 np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
                 sums[:, 6:9] / c,
                 (w / n)[:, 0],
-                sums[:, 13].copy(),  # a view would keep all the block's sums alive
-                sums[:, 14].copy(),
+                sums[:, 14].copy(),  # a view would keep all the block's sums alive
+                sums[:, 15].copy(),
                 (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
-                sums[:, 12] / sums[:, 11],
-                sums[:, 15] > 0,
+                _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
+                sums[:, 16] > 0,
             )
 
     def _merge(self, keys: Int64s, sums: Float32s) -> None:
@@ -166,10 +169,11 @@ def _sum(
             row[9] += w
             row[10] += c
             row[11] += 1
-            row[12] += variance[s]
-            row[13] = max(row[13], c)
-            row[14] = max(row[14], cameras[s])
-            row[15] = max(row[15], np.float32(accompanied[s]))
+            row[12] += w * np.sqrt(variance[s])
+            row[13] += w * w * variance[s]
+            row[14] = max(row[14], c)
+            row[15] = max(row[15], cameras[s])
+            row[16] = max(row[16], np.float32(accompanied[s]))
 
 
 @kernel

@@ -163,6 +163,6 @@ class Cloud:
     views: Uint16s
     """(n,) cameras that support the point."""
     sigma_mm: Float32s
-    """(n,) standard deviation along the ray, millimetres."""
+    """(n,) standard deviation along the ray of the nearest camera that has the point, millimetres."""
     given: Mapping[str, int] = field(default_factory=dict)
     """Samples that each camera's view has given, before they were merged; empty of a cloud that was read from its file."""
