@@ -14,16 +14,16 @@ Surface Normal Diffusion, ICCV 2015.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from .core.bending import straight_frame, straight_frames
-from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
+from .core.cameras import backproject, project, ray_angles, transfer
 from .core.luminance import luminance
 from .fusion.pair_depth import NoiseModel
+from .mvs.coarser import filled, reduced, reduced_view
 from .mvs.flats import Flats, lay_on_flats
 from .mvs.ground import ground_planes
 from .mvs.propagation import Propagation
@@ -48,6 +48,9 @@ _STEPS, _STEPS_AGAIN = 3, 2
 
 _UNLIKE = 2.0
 """Two cameras of which one sees the surface so many times finer meet where they see equally fine."""
+
+_SOURCES = 32
+"""At most: `DepthMap.support` has a bit for each."""
 
 _SAME_SIGMAS, _SAME_SHARE, _SAME_AT_MOST = 3.0, 0.002, 0.016
 """A depth is that of the pairs if it is so many sigmas and this share of itself from it, and never more than the last share."""
@@ -94,42 +97,80 @@ def refine(
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}
-    finer = _as_fine(camera, others, depth, _sources(camera, others, depth, min_angle_deg, max_angle_deg))
+    finer = {name: _finer(camera, others[name], depth) for name in _sources(camera, others, depth, min_angle_deg, max_angle_deg)}
     if not finer:
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
-    around = list(finer)[: min(max_sources, 32)]
-    reduced = [_reduced(frames[other].image, cameras[other], finer[other]) for other in around]
-    image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in reduced])
-    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in reduced), strict=True))
+    ground = scene.ground if scene is not None else None
+    limits = _Limits(radius, sweeps, min(max_sources, _SOURCES), max_cost, noise_px)
+    if not _stands(camera, then_camera, depth, then_depth):
+        then_depth = None
+    return _refined(frame, camera, depth, frames, others, finer, ground, then_depth, limits)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Parameters of `refine`."""
+
+    radius: int
+    sweeps: int
+    sources: int
+    cost: float
+    noise_px: float
+
+
+def _refined(
+    frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
+    finer: Mapping[str, float], ground: Float64s | None, then_depth: DepthMap | None, limits: _Limits,
+) -> DepthMap:  # fmt: skip
+    """Depth from the views that see as finely as this one, then as coarsely as the finest of the others do from these, too.
+
+    finer: how much finer each useful view sees than this one, the nearest in angle first.  What a view shows that sees much less
+    fits at many depths: it is not asked beside others that see more.
+    """
+    fine = {name: times for name, times in finer.items() if times * _UNLIKE >= 1}
+    found = _compared(frame, camera, depth, frames, cameras, fine or finer, ground, then_depth, limits)
+    if not fine or len(fine) == len(finer):
+        return found
+    times = 1 / max(finer[name] for name in finer if name not in fine)
+    again = {name: share * times for name, share in finer.items()}
+    small = reduced_view(frame, camera, depth, times)
+    if not np.isfinite(small[2].depth).any():
+        return found
+    return filled(found, _refined(*small, frames, cameras, again, ground, None, limits))
+
+
+def _compared(
+    frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
+    finer: Mapping[str, float], ground: Float64s | None, then_depth: DepthMap | None, limits: _Limits,
+) -> DepthMap:  # fmt: skip
+    """Depth from all of these views at once; the finer ones are looked at as coarsely as this one sees."""
+    around, max_cost = list(finer)[: limits.sources], limits.cost
+    small = [_as_coarse(frames[other].image, cameras[other], finer[other]) for other in around]
+    image, sources = luminance(frame.image), _stack([luminance(picture) for picture, _ in small])
+    M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in small), strict=True))
     spacing, least = _spacings_px(max(image.shape), [finer[other] for other in around])
     far = max(2, round(5 * max(image.shape) / 768))
-    then_depth = then_depth if _stands(camera, then_camera, depth, then_depth) else None
     planes = _first_planes(depth, then_depth)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
-    propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(radius))
-    cost = propagation.improve(planes, sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then_depth is not None)
-    ground = ground_planes(camera, scene.ground) if scene is not None and scene.ground is not None else None
-    if ground is not None:
-        _lean_on_ground(planes, cost, propagation, ground, max_cost)
+    propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
+    cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then_depth is not None)
+    level = ground_planes(camera, ground) if ground is not None else None
+    if level is not None:
+        _lean_on_ground(planes, cost, propagation, level, max_cost)
     scale = _pixels_per_inverse_depth(M, b, planes[0])
-    planes = _settled(planes, cost, propagation, image, scale, max_cost, radius, spacing, least)
+    planes = _settled(planes, cost, propagation, image, scale, max_cost, limits.radius, spacing, least)
     support = propagation.support(planes, max_cost)
     kept = frame.mask & (support.first < max_cost)
-    z, sigma = _depth_and_sigma(np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=noise_px))
+    z, sigma = _depth_and_sigma(
+        np.where(kept, planes[0], np.float32(np.nan)), support.parallax, NoiseModel(noise_px=limits.noise_px)
+    )
     sure = _as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
-    if ground is not None:
-        sure |= _on_ground(planes, ground)
+    if level is not None:
+        sure |= _on_ground(planes, level)
     if then_depth is not None:
         sure |= (support.second < max_cost) & then_depth.sure & _as_before(z, sigma, then_depth)
     rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
     return _flattened(rough, planes[0], lay_on_flats(frame, image, propagation, planes, support, rough.sure, scale, max_cost))
-
-
-def _as_fine(camera: Camera, others: Mapping[str, Camera], depth: DepthMap, useful: Sequence[str]) -> dict[str, float]:
-    """How much finer useful views see than the camera.  What a view shows that sees much less fits at many depths: it is asked
-    only where there is no other."""
-    finer = {name: _finer(camera, others[name], depth) for name in useful}
-    return {name: times for name, times in finer.items() if times * _UNLIKE >= 1} or finer
 
 
 def _planes_of(depth: DepthMap) -> Float32s:
@@ -236,14 +277,9 @@ def _finer(camera: Camera, other: Camera, start: DepthMap) -> float:
     return float(np.median(z[seen] / there[seen]) * other.K[0, 0] / camera.K[0, 0]) if seen.any() else 1.0
 
 
-def _reduced(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camera]:
+def _as_coarse(image: Uint8s, camera: Camera, finer: float) -> tuple[Uint8s, Camera]:
     """The picture (h, w, 3) of a camera that sees much finer than another one, as coarse as the other's."""
-    if finer <= _UNLIKE:
-        return image, camera
-    width, height = (max(8, round(side / finer)) for side in (camera.width, camera.height))
-    K = scaled_intrinsics(camera.K, width / camera.width, height / camera.height)
-    small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    return small, replace(camera, K=K, width=width, height=height)
+    return (image, camera) if finer <= _UNLIKE else reduced(image, camera, finer)
 
 
 def _pixels_per_inverse_depth(M: Float64s, b: Float64s, q: Float32s) -> np.float32:

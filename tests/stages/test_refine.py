@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from tests.helpers.exact_scene import Yard, make_yard, true_depth
+from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.fuse import fuse
+from wbflow_stages.mvs.coarser import reduced
 from wbflow_stages.refine import refine
 from wbflow_stages.types import INVALID, Camera, Cloud, DepthMap, Frame, Rejected
 
@@ -178,3 +180,36 @@ def test_the_reference_of_a_camera_that_has_turned_is_not_looked_at(noisy: Yard)
     found = refine(frame, camera, depth, frames, cameras, None, turned, refined(noisy, name))
     assert isinstance(found, DepthMap)
     assert np.array_equal(found.depth, refined(noisy, name).depth, equal_nan=True)
+
+
+def test_what_only_a_far_coarser_camera_shows_is_found_on_a_reduced_picture() -> None:
+    """Two views see as finely as this one, but not its left half: something stands before them.  A third has a third of the
+    pixels along each side; there is no depth from pairs on the left to start from."""
+    yard = make_yard((-24, -8, 8, 24), noise_px=0.2)
+    coarse, name, *fine = yard.cameras
+    frame, camera, depth, frames, cameras = inputs(yard, name)
+    left = np.arange(camera.width) < camera.width // 2
+    start = replace(depth, depth=np.where(left, np.float32(np.nan), depth.depth))
+    for other in fine:
+        noise = np.random.default_rng(len(other)).integers(0, 255, frames[other].image.shape, np.uint8)
+        shown = true_points_right_of(yard, other, camera, camera.width // 2)
+        frames[other] = replace(frames[other], image=np.where(shown[..., None], frames[other].image, noise))
+    image, cameras[coarse] = reduced(frames[coarse].image, cameras[coarse], 3.0)
+    frames[coarse] = replace(frames[coarse], image=image, mask=np.ones(image.shape[:2], bool))
+    after = refine(frame, camera, start, frames, cameras)
+    assert isinstance(after, DepthMap)
+    without = refine(frame, camera, start, {n: frames[n] for n in fine}, cameras)
+    assert isinstance(without, DepthMap)
+    found, before = (errors(yard, name, seen.depth)[:, left] < 0.01 for seen in (after, without))
+    assert found.mean() > 0.35
+    assert before.mean() < 0.1
+    kept = without.sure & np.isfinite(without.depth)
+    np.testing.assert_array_equal(after.depth[kept], without.depth[kept], "what fine views show stays")
+
+
+def true_points_right_of(yard: Yard, other: str, camera: Camera, column: int) -> np.ndarray:
+    """(h, w) bool: pixels of another camera whose surface a camera sees at this column or to the right of it."""
+    seen = yard.cameras[other]
+    v, u = np.mgrid[0 : seen.height, 0 : seen.width].reshape(2, -1)
+    x, _ = project(camera, backproject(seen, np.column_stack([u, v]).astype(float), true_depth(seen).ravel()))
+    return np.asarray((x[:, 0] >= column).reshape(seen.height, seen.width))

@@ -1,0 +1,92 @@
+"""A view looked at as coarsely as others that see much less, where nothing that sees as finely shows its surface.
+
+Compared with a far coarser picture, a fine one fits at many depths; reduced to the other's pixels it fits at one.  So depth that
+fine views have not given is taken from a second, small picture of the view, which costs a fraction of the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ..core.cameras import scaled_intrinsics
+from ..types import Camera, DepthMap, Frame, Int64s, Uint8s, Uint32s
+
+_PARTNERS = 32
+"""Bits of `DepthMap.support`."""
+
+
+def reduced(image: Uint8s, camera: Camera, times: float) -> tuple[Uint8s, Camera]:
+    """The picture (h, w, 3) or (h, w) of a camera and the camera, with pixels so many times as large."""
+    width, height = (max(8, round(side / times)) for side in (camera.width, camera.height))
+    K = scaled_intrinsics(camera.K, width / camera.width, height / camera.height)
+    small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return small, replace(camera, K=K, width=width, height=height)
+
+
+def reduced_view(frame: Frame, camera: Camera, depth: DepthMap, times: float) -> tuple[Frame, Camera, DepthMap]:
+    """The same with pixels so many times as large.
+
+    Parameters
+    ----------
+    frame, camera, depth
+        Of a view.  Of the larger pixels those may be used in which all may be; depth is that of their middles.
+    times
+        How large, in pixels of the view.
+    """
+    image, small = reduced(frame.image, camera, times)
+    usable = reduced(np.where(frame.mask, np.uint8(255), np.uint8(0)), camera, times)[0] == 255
+    at = np.ix_(_middles(small.height, camera.height), _middles(small.width, camera.width))
+    coarse = replace(
+        depth,
+        depth=depth.depth[at],
+        sigma=depth.sigma[at],
+        slope_x=depth.slope_x[at] * np.float32(camera.width / small.width),
+        slope_y=depth.slope_y[at] * np.float32(camera.height / small.height),
+        support=depth.support[at],
+        sure=depth.sure[at],
+    )
+    return replace(frame, image=image, mask=usable), small, coarse
+
+
+def filled(depth: DepthMap, coarse: DepthMap) -> DepthMap:
+    """Depth of a view with what its reduced picture has shown where it lacks, or where only the reduced one's can be believed."""
+    h, w = depth.depth.shape
+    rows, columns = _middles(h, coarse.depth.shape[0]), _middles(w, coarse.depth.shape[1])
+    at = np.ix_(rows, columns)
+    step_x, step_y = np.float32(w / coarse.depth.shape[1]), np.float32(h / coarse.depth.shape[0])
+    right = ((np.arange(w, dtype=np.float32) + np.float32(0.5)) / step_x - np.float32(0.5) - columns)[None].astype(np.float32)
+    down = ((np.arange(h, dtype=np.float32) + np.float32(0.5)) / step_y - np.float32(0.5) - rows)[:, None].astype(np.float32)
+    q = 1.0 / coarse.depth[at] + coarse.slope_x[at] * right + coarse.slope_y[at] * down
+    taken = (q > 0) & ~depth.sure & (coarse.sure[at] | np.isnan(depth.depth))
+    partners = tuple(dict.fromkeys((*depth.partners, *coarse.partners)))[:_PARTNERS]
+    with np.errstate(divide="ignore"):
+        z = np.where(taken, 1.0 / q, depth.depth)
+    return replace(
+        depth,
+        depth=z,
+        sigma=np.where(taken, coarse.sigma[at], depth.sigma),
+        slope_x=np.where(taken, coarse.slope_x[at] / step_x, depth.slope_x),
+        slope_y=np.where(taken, coarse.slope_y[at] / step_y, depth.slope_y),
+        support=np.where(taken, _renumbered(coarse, partners)[at], depth.support),
+        partners=partners,
+        sure=np.where(taken, coarse.sure[at], depth.sure),
+    )
+
+
+def _middles(count: int, of: int) -> Int64s:
+    """(count,) which of so many pixels lie nearest to the middles of `count` others that cover the same."""
+    return np.clip(np.round((np.arange(count) + 0.5) * of / count - 0.5), 0, of - 1).astype(np.int64)
+
+
+def _renumbered(depth: DepthMap, partners: tuple[str, ...]) -> Uint32s:
+    """(h, w) `support` with the bits of other partners; one that is not among them is left out."""
+    support = np.zeros(depth.support.shape, np.uint32)
+    place: Mapping[str, int] = {name: k for k, name in enumerate(partners)}
+    for k, name in enumerate(depth.partners):
+        if name in place:
+            support |= (depth.support >> np.uint32(k) & np.uint32(1)) << np.uint32(place[name])
+    return support
