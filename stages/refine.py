@@ -70,7 +70,7 @@ def refine(
     sweeps: int = 3,
     max_sources: int = 6,
     min_angle_deg: float = 4.0,
-    max_angle_deg: float = 65.0,
+    max_angle_deg: float = 80.0,
     max_cost: float = 0.4,
     noise_px: float = 0.35,
 ) -> DepthMap | Rejected:

@@ -91,7 +91,7 @@ class VoxelGrid:
         some at a time.
 
         Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, `variance` that of the
-        position, whose samples have errors `_IN_COMMON`; confidence and cameras are the best sample's.
+        position, as of samples whose errors correlate by `_IN_COMMON`; confidence and cameras are the best sample's.
         """
         kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 16] > 0))
         for first in range(0, len(kept), _BLOCK):

@@ -135,6 +135,22 @@ def test_what_cannot_be_refined_says_why(noisy: Yard) -> None:
     assert isinstance(alone, Rejected) and "angle" in alone.reason
 
 
+def test_a_view_seventy_degrees_aside_is_heard_where_it_alone_shows_the_surface() -> None:
+    yard = make_yard((-35, -19, 35), noise_px=0.5)
+    name, near, wide = yard.cameras
+    frame, camera, start, frames, cameras = inputs(yard, name)
+    after = refine(frame, camera, start, {wide: frames[wide]}, cameras)
+    assert isinstance(after, DepthMap) and after.partners == (wide,)
+    both = np.isfinite(start.depth) & np.isfinite(after.depth)
+    assert both.sum() > 0.8 * np.isfinite(start.depth).sum()
+    assert np.median(errors(yard, name, after.depth)[both]) < 0.3 * np.median(errors(yard, name, start.depth)[both])
+    beside = refined(yard, name)
+    assert beside.partners == (near, wide), "the nearest in angle first"
+    also = both & np.isfinite(beside.depth)
+    worst = [np.percentile(errors(yard, name, found.depth)[also], 90) for found in (beside, after)]
+    assert worst[0] < 1.2 * worst[1]
+
+
 def test_frames_of_different_sizes_work_together() -> None:
     """The left camera's picture is half as large again; the pair of the two others starts the middle one off."""
     small, large = make_yard((-12, 0, 12), noise_px=0.3), make_yard((-12, 0, 12), width=360)
