@@ -46,6 +46,9 @@ _SURE_ALONE = 0.05
 _STEPS, _STEPS_AGAIN = 3, 2
 """Of planes toward where all sources fit best: with slopes as they were found, then with those of the neighbours' depths."""
 
+_FEW, _WIDE_DEG = 2, 80.0
+"""Where fewer views see the scene from within the limits, those up to so many degrees aside make up for it."""
+
 _UNLIKE = 2.0
 """Two cameras of which one sees the surface so many times finer meet where they see equally fine."""
 
@@ -70,7 +73,7 @@ def refine(
     sweeps: int = 3,
     max_sources: int = 6,
     min_angle_deg: float = 4.0,
-    max_angle_deg: float = 80.0,
+    max_angle_deg: float = 65.0,
     max_cost: float = 0.4,
     noise_px: float = 0.35,
 ) -> DepthMap | Rejected:
@@ -91,7 +94,7 @@ def refine(
     sweeps
         Passes over the image, alternately down and up.
     max_sources, min_angle_deg, max_angle_deg
-        Compare with at most so many views, the nearest in angle, that see the scene from so many degrees aside.
+        Compare with at most so many views, the nearest in angle, that see the scene from so many degrees aside (see _FEW).
     max_cost, noise_px
         Keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels, standard deviation.
     """
@@ -257,7 +260,9 @@ def _sources(
     for name, other in others.items():
         if other.component == camera.component:
             angles.append((float(np.degrees(np.median(ray_angles(camera.C - points, other.C - points)))), name))
-    return [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
+    near = [name for angle, name in sorted(angles) if min_angle_deg <= angle <= max_angle_deg]
+    wide = [name for angle, name in sorted(angles) if max(min_angle_deg, max_angle_deg) < angle <= _WIDE_DEG]
+    return near + wide[: max(0, _FEW - len(near))]
 
 
 def _spacings_px(side: int, finer: list[float]) -> tuple[int, int]:
