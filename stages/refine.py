@@ -94,7 +94,8 @@ def refine(
     sweeps
         Passes over the image, alternately down and up.
     max_sources, min_angle_deg, max_angle_deg
-        Compare with at most so many views, the nearest in angle, that see the scene from so many degrees aside (see _FEW).
+        Compare with at most so many views, the nearest in angle, that see the scene from so many degrees aside; where fewer than
+        two do, with those up to 80 degrees aside, too.
     max_cost, noise_px
         Keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels, standard deviation.
     """
