@@ -50,6 +50,10 @@ _SOURCES = 2.0
 """So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
 included, is common to all its depths."""
 
+_CHANCE_PX = 0.42
+"""...but one does where depths scatter by more about theirs, pixels of the sources that see them: more than such a source errs as
+a whole.  One that stands near moves little with depth, and shows much scatter by little noise."""
+
 _SEES = 0.3
 """A source that sees this share of the depths around sees what lies between them."""
 
@@ -64,8 +68,8 @@ class _Laid:
     """Their standard deviation."""
     anchors: Bools
     """Depths that speak for the plane of their region."""
-    noisy: Bools
-    """Single depths err by more than one source does as a whole."""
+    spread: Float32s
+    """Of single depths about the plane; infinite where they tell none."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ def lay_on_flats(
             dearer = shown.first**2 - support.first**2 > _YIELDS
         sources, seen = _sources_around(laid.anchors, support.sources, len(propagation.M), spacing)
         take &= ~sure | (~_relief(shown, support, take & sure, spacing) & ~(dearer & strong))  # gaps are filled
-        take &= ~sure | (seen >= _SOURCES) | laid.noisy
+        take &= ~sure | (seen >= _SOURCES) | _noisy(laid, support, scale, spacing)
         planes[:, take] = trial[:, take]
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
     sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
@@ -124,7 +128,7 @@ def lay_on_flats(
 def _laid(regions: EvenRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
     """The planes of a view's even regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
     nan = np.full((4, *known.shape), np.nan, np.float32)
-    laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, bool))
+    laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, np.float32))
     for plane in found:
         lies = np.isin(regions.number, plane.regions)
         y, x = np.nonzero(lies)
@@ -138,7 +142,14 @@ def _add(laid: _Laid, planes: Float32s, sigma: Float32s) -> None:
     take = np.isfinite(sigma) & np.isnan(laid.sigma)
     laid.planes[:, take] = planes[:, take]
     laid.sigma[take] = np.hypot(sigma[take], np.float32(_SHARED_PX))
-    laid.noisy[take] = True
+    laid.spread[take] = np.inf
+
+
+def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bools:
+    """(h, w): do single depths err by more than one source does as a whole?"""
+    moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
+    moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
+    return np.isinf(laid.spread) | (np.where(np.isinf(laid.spread), 0, laid.spread) * moves > _CHANCE_PX)
 
 
 def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:
@@ -173,7 +184,7 @@ def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bool
     for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
         layer[where] = np.where(take, values, layer[where])
     laid.sigma[where] = np.where(take, sigma, laid.sigma[where])
-    laid.noisy[where] = np.where(take, plane.spread > NOISY_PX, laid.noisy[where])
+    laid.spread[where] = np.where(take, plane.spread, laid.spread[where])
     laid.anchors[where] |= take & near
 
 
