@@ -9,7 +9,9 @@ import pytest
 
 from tests.helpers.exact_scene import make_yard, true_depth
 from tests.helpers.weak_wall import Relief, make_wall
+from wbflow_stages.mvs import flats
 from wbflow_stages.mvs.even import RegionPlane, even_regions, planes_of_regions
+from wbflow_stages.mvs.propagation import Support
 from wbflow_stages.refine import refine
 from wbflow_stages.types import DepthMap, Float32s, Uint8s
 
@@ -112,6 +114,22 @@ def test_painted_surfaces_with_relief_are_not_laid_on_planes(relief: Relief, wit
     assert isinstance(after, DepthMap)
     assert after.sure.mean() > 0.9
     assert (np.abs(after.depth - wall.truth)[after.sure] < 0.05).mean() > within
+
+
+@pytest.mark.parametrize(("moves", "noisy"), [(1.0, True), (0.3, False)], ids=["far source", "near source"])
+def test_scatter_counts_in_pixels_of_the_source_that_sees_it(moves: float, noisy: bool) -> None:
+    """What scatters by .8 px in the median source is found by chance, unless seen by one that moves by .3 of that with depth."""
+    scale, ones = np.float32(5000), np.ones(SHAPE, np.float32)
+    laid = flats._Laid(plane(*WALL)[None].repeat(3, 0), ones, np.ones(SHAPE, bool), NOISE_PX * ones)
+    support = Support(ones, ones, np.ones(SHAPE, np.uint32), (moves * scale) ** 2 * ones)
+    assert (flats._noisy(laid, support, scale, 1) == noisy).all()
+
+
+def test_a_wall_whose_depths_tell_no_plane_is_noisy_whatever_sees_it() -> None:
+    ones = np.ones(SHAPE, np.float32)
+    laid = flats._Laid(plane(*WALL)[None].repeat(3, 0), ones, np.zeros(SHAPE, bool), np.float32(np.inf) * ones)
+    support = Support(ones, ones, np.zeros(SHAPE, np.uint32), 0 * ones)
+    assert flats._noisy(laid, support, np.float32(5000), 1).all()
 
 
 def faint(image: Uint8s, rng: np.random.Generator) -> Uint8s:
