@@ -17,9 +17,6 @@ from ..types import Bools, Float32s, Float64s
 from .even import EvenRegions, RegionPlane, from_middle
 from .propagation import Propagation, Support
 
-NOISY_PX = 0.7
-"""Depths that scatter by more about the plane that they tell (twice what is assumed of a match) are found by chance."""
-
 SURE_PX = 0.5
 """Standard deviation of a plane where it is taken, at most."""
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Frame, Uint32s
-from .by_sight import NOISY_PX, SURE_PX, planes_by_sight
+from .by_sight import SURE_PX, planes_by_sight
 from .even import CORRELATED, NEAR_PX, EvenRegions, RegionPlane, even_regions, from_middle, planes_of_regions
 from .propagation import Propagation, Support
 
@@ -53,6 +53,9 @@ included, is common to all its depths."""
 _CHANCE_PX = 0.42
 """...but one does where depths scatter by more about theirs, pixels of the sources that see them: more than such a source errs as
 a whole.  One that stands near moves little with depth, and shows much scatter by little noise."""
+
+_STEEP_PX = 0.7
+"""Inverse depths that change by more from a pixel to the next, pixels of a source: twice what is assumed of a match."""
 
 _SEES = 0.3
 """A source that sees this share of the depths around sees what lies between them."""
@@ -121,7 +124,7 @@ def lay_on_flats(
         planes[:, take] = trial[:, take]
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
     sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
-    steep = scale * np.hypot(planes[1], planes[2]) > NOISY_PX  # the error leaves it on the surface, a pixel or less aside
+    steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # the error leaves it on the surface, a pixel or less aside
     return Flats(sigma, sighted.doubted & ~take & ~strong & ~steep)
 
 
