@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from ..core.jit import kernel
+from ..core.side_by_side import side_by_side
 from ..types import Bools, Float32s, Float64s, Int32s
 
 Int64s = npt.NDArray[np.int64]
@@ -25,7 +27,9 @@ _HALF = 1 << 19  # cells to either side of the origin, per axis
 _LEVELS = 8
 _BLOCK = 1 << 18
 _NEAR = 3
-"""Others are looked for within so many edges."""
+"""Others are looked for within so many edges..."""
+_AROUND = (_NEAR << 40) + 1
+"""...whose keys differ by less."""
 _COLUMNS, _BEST = 17, 14
 """Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, standard deviation
 by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras, accompanied."""
@@ -94,23 +98,24 @@ class VoxelGrid:
         position, as of samples whose errors correlate by `_IN_COMMON`; confidence and cameras are the best sample's.
         """
         kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 16] > 0))
-        for first in range(0, len(kept), _BLOCK):
-            rows = kept[first : first + _BLOCK]
-            keys, sums = self._keys[rows], self._sums[rows]
-            w, c, n = (sums[:, k, None] for k in (9, 10, 11))
-            together, alone = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
-            length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
-            yield Samples(
-                self._centres(keys) + sums[:, 0:3] / w,
-                np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
-                sums[:, 6:9] / c,
-                (w / n)[:, 0],
-                sums[:, 14].copy(),  # a view would keep all the block's sums alive
-                sums[:, 15].copy(),
-                (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
-                _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
-                sums[:, 16] > 0,
-            )
+        yield from side_by_side(lambda piece: self._means(kept[piece]), _pieces(len(kept)))
+
+    def _means(self, rows: Int64s) -> Samples:
+        keys, sums = self._keys[rows], self._sums[rows]
+        w, c, n = (sums[:, k, None] for k in (9, 10, 11))
+        together, alone = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
+        length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
+        return Samples(
+            self._centres(keys) + sums[:, 0:3] / w,
+            np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
+            sums[:, 6:9] / c,
+            (w / n)[:, 0],
+            sums[:, 14].copy(),  # a view would keep all the block's sums alive
+            sums[:, 15].copy(),
+            (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
+            _IN_COMMON * together + (1.0 - _IN_COMMON) * alone,
+            sums[:, 16] > 0,
+        )
 
     def _merge(self, keys: Int64s, sums: Float32s) -> None:
         """Put the voxels of one view among those known, in place: the known ones are never held twice."""
@@ -218,7 +223,7 @@ def _merge_from_the_end(keys: Int64s, sums: Float32s, before: int, new_keys: Int
 def sociable(keys: Int64s, neighbours: int) -> Bools:
     """Which voxels (sorted keys) have at least `neighbours` others of their own or a finer level within three edges."""
     kept = np.zeros(len(keys), np.bool_)
-    bounds = np.searchsorted(keys, np.arange(_LEVELS + 1) << 60)
+    bounds = [*np.searchsorted(keys, np.arange(_LEVELS) << 60), len(keys)]
     for level in range(_LEVELS):
         members = slice(bounds[level], bounds[level + 1])
         if members.start == members.stop:
@@ -226,8 +231,21 @@ def sociable(keys: Int64s, neighbours: int) -> Bools:
         own = keys[members] & ((1 << 60) - 1)
         finer = [_coarser(keys[bounds[fine] : bounds[fine + 1]], level - fine) for fine in range(level)]
         present = _distinct(np.concatenate([own, *finer])) if sum(map(len, finer)) else own
-        kept[members] = _count_near(own, present, neighbours + 1) > neighbours
+        counts = side_by_side(partial(_counts, own, present, neighbours + 1), _pieces(len(own)))
+        kept[members] = np.concatenate(list(counts)) > neighbours
     return kept
+
+
+def _pieces(count: int) -> list[slice]:
+    """So many rows, some at a time."""
+    return [slice(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)]
+
+
+def _counts(keys: Int64s, present: Int64s, enough: int, piece: slice) -> Int32s:
+    """`_count_near` of a piece of the keys: what lies before its surroundings and behind is left out."""
+    some = keys[piece]
+    first, last = np.searchsorted(present, [some[0] - _AROUND, some[-1] + _AROUND])
+    return _count_near(some, present[first:last], enough)
 
 
 def _distinct(keys: Int64s) -> Int64s:

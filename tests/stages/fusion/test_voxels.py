@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbflow_stages.fusion import voxels
 from wbflow_stages.fusion.voxels import Samples, VoxelGrid
 
 
@@ -43,6 +44,24 @@ def test_a_point_without_neighbours_is_dropped() -> None:
     lonely = np.array([[5.05, 5.05, 5.05]])
     found = merged(samples(np.vstack([plane, lonely])), neighbours=3)
     assert len(found.points) == len(plane) and found.points.max() < 2
+
+
+def test_whole_clouds_and_pieces_of_them_lose_the_same_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pieces are only there to be worked on side by side: neighbours are looked for beyond their ends."""
+    rng = np.random.default_rng(0)
+    scattered = samples(rng.uniform(-1, 1, (3000, 3)))
+    coarse = samples(rng.uniform(-1, 1, (300, 3)), footprint=0.25)
+    whole = merged(scattered, coarse, neighbours=40)
+    monkeypatch.setattr(voxels, "_BLOCK", 7)
+    pieces = merged(scattered, coarse, neighbours=40)
+    assert 100 < len(whole.points) < 2700
+    for name, values in vars(whole).items():
+        assert np.array_equal(values, getattr(pieces, name)), name
+
+
+def test_the_coarsest_points_are_kept_where_they_have_company() -> None:
+    plane = np.stack(np.meshgrid(np.arange(0.0, 90, 12.8), np.arange(0.0, 90, 12.8), [1.0]), axis=-1).reshape(-1, 3)
+    assert len(merged(samples(plane, footprint=13.0), neighbours=3).points) == len(plane)
 
 
 def test_points_further_apart_than_voxels_reach_are_kept_where_the_picture_vouches_for_them() -> None:
