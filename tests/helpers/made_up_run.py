@@ -16,7 +16,6 @@ from wbflow.config.site import Site
 from wbflow.graph.pipeline import STAGES, stage_with
 from wbflow.graph.rows import Role
 from wbflow.results.report.page import build_report
-from wbflow.store.artifact import digest
 from wbflow.store.cache import Cache
 from wbflow.store.events import Event, TaskEvent
 from wbflow.store.layout import WorkFolder
@@ -33,6 +32,7 @@ from wbflow.store.record import (
     WorldRecord,
 )
 from wbflow.store.run_folder import UnfinishedRun
+from wbflow.store.shown import keep_shown
 from wbflow.task import Task
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud
@@ -161,7 +161,7 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
 
 def _made(described: Site, task: Task, dotted: str, data: bytes) -> list[Event]:
     """Keep what a function is said to have made of a result for the page; the result itself is not there."""
-    path = WorkFolder(described.work).view(task, KEY)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(f"{described.reader.read(dotted).code} {digest(data)}\n".encode() + data)
+    work = WorkFolder(described.work)
+    work.task(task).mkdir(parents=True, exist_ok=True)
+    keep_shown(work, task, KEY, described.reader.read(dotted).code, data)
     return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=KEY)]

@@ -29,7 +29,7 @@ from .inputs import Inputs
 from .obstacles import Impossible, Waiting
 from .past import Past
 from .pinned import Pinned
-from .spec import Absent, Input, PictureSpec, TaskSpec
+from .spec import Absent, Input, PictureSpec, TaskSpec, ViewSpec
 from .state import State, cached_state
 from .subjects import Subjects
 
@@ -256,6 +256,7 @@ class Plan:
             inputs,
             stage.table,
             self._picture(stage, task, inputs, among or set()),
+            self._view(stage),
             bool(self.force & names_of(task)) if self.force else False,
             left_to_function,
             folder=self._folder,
@@ -277,6 +278,12 @@ class Plan:
             elif name in inputs:
                 drawn[name] = inputs[name]
         return PictureSpec(info.dotted, info.code, result, drawn)
+
+    def _view(self, stage: Stage) -> ViewSpec | None:
+        if not stage.view:
+            return None
+        info = self._read(stage.view)
+        return ViewSpec(info.dotted, info.code)
 
     def _bound(self, stage: Stage, rework: Rework | None = None) -> Binding:
         name = rework.function if rework else stage.name

@@ -95,6 +95,15 @@ class PictureSpec:
 
 
 @dataclass(frozen=True)
+class ViewSpec:
+    """What makes a result's points for the report."""
+
+    function: str
+    code: str
+    """Fingerprint of the function."""
+
+
+@dataclass(frozen=True)
 class TaskSpec:
     """All that a worker needs to do a task."""
 
@@ -106,6 +115,7 @@ class TaskSpec:
     table: PointTable | None = None
     """How the result is kept, where not as an artifact of arrays."""
     picture: PictureSpec | None = None
+    view: ViewSpec | None = None
     force: bool = False
     left_to_function: dict[str, str] = field(default_factory=dict)
     """Parameters whose defaults the function works out itself: source text by name.  Not passed, but part of the key."""

@@ -7,6 +7,7 @@ import datetime
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from ..store.digests import ChangedFile
 from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.room import FULL, REMEDY
+from ..store.shown import keep_shown
 from ..task import Task
 from . import machine
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
@@ -222,6 +224,8 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
     rejected = isinstance(result, nothing)
     data = None if rejected else result_bytes(result, spec.table)
     warnings = () if rejected else _draw(spec, key, result, lane, arguments)
+    if not rejected:
+        _show(spec, key, result, lane)
     receipt = Receipt(
         task=str(spec.task),
         key=key,
@@ -285,6 +289,14 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
         return (failure,)
     write_drawing(lane.cache.work, spec.task, key, Drawing(digest), picture)
     return ()
+
+
+def _show(spec: TaskSpec, key: str, result: Any, lane: _Lane) -> None:
+    """Make and keep a result's points for the report, while it is in memory.  What cannot be made is tried again there."""
+    if spec.view is None:
+        return
+    with suppress(Exception):
+        keep_shown(lane.cache.work, spec.task, key, spec.view.code, bytes(load(spec.view.function)(result)))
 
 
 def _resolve(value: Input, lane: _Lane) -> Input:

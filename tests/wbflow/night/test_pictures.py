@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from pathlib import Path
 
@@ -144,3 +145,23 @@ def test_a_view_stays_whole_where_any_of_its_points_are_not_those_of_the_next_ni
     left = runs[0].paths.report.read_text()
     assert left.count("points-elsewhere") == (2 if same else 0)
     assert ("draw()" in left) is not same
+
+
+def test_the_points_of_the_page_are_packed_while_the_cloud_is_in_memory(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("wbflow.results.report.made.function", asked.append)  # of what is read back from the cache
+    toy.run()
+    assert "wbflow_stages.exports.view:cloud_view" not in asked
+    (kept,) = (toy.work / "cache" / "fuse").rglob("*.view")
+    _, _, stream = kept.read_bytes().partition(b"\n")
+    assert base64.b64encode(stream) in (toy.work / "runs" / "latest" / "report.html").read_bytes()
+
+
+def test_points_that_cannot_be_packed_cost_only_themselves(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(cloud: object) -> bytes:
+        raise MemoryError
+
+    monkeypatch.setattr("wbflow_stages.exports.view.cloud_view", fail)
+    assert toy.run()["cloud"]
+    assert not list((toy.work / "cache").rglob("*.view"))
+    assert "No report" not in (toy.work / "runs" / "latest" / "report.html").read_text()

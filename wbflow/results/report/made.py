@@ -9,15 +9,15 @@ from ...graph.codec import result_of
 from ...graph.functions import FunctionReader
 from ...graph.pipeline import stage_named
 from ...lean import dataclass
-from ...store.artifact import digest
-from ...store.atomic import write_atomic
 from ...store.cache import Cache
-from ...store.outside import read_outside
+from ...store.shown import keep_shown, kept_shown
 from ...task import Task
 from ..artifacts import function
 
 SMALL = 16_000
 """Bytes of a camera's or a pair's result below which making something of it anew is quicker than keeping it."""
+
+_FORESEEN = (WbflowError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError, ImportError, OSError, MemoryError)
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Maker:
     """Holds results, and what was made of them."""
     reader: FunctionReader
     """Knows whether bytes were made by the function as it is now."""
-    _codes: dict[str, bytes] = field(default_factory=dict, repr=False)
+    _codes: dict[str, str] = field(default_factory=dict, repr=False)
     """Fingerprints of functions by dotted name: one function makes something of many results."""
 
     def made(self, dotted: str, task: Task, key: str) -> bytes | None:
@@ -45,7 +45,7 @@ class Maker:
         """
         cache, receipt = self.cache, self.cache.by_key(task, key)
         small = bool(task.subject) and receipt is not None and receipt.bytes < SMALL
-        if not small and (kept := self._kept(dotted, task, key)) is not None:
+        if not small and (kept := kept_shown(cache.work, task, key, self._code(dotted))) is not None:
             return kept
         try:
             if receipt is None or receipt.file is None:
@@ -53,21 +53,12 @@ class Maker:
             result = result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
             made = bytes(function(dotted)(result))
             if not small:
-                head = b"%s %s\n" % (self._code(dotted), digest(made).encode())
-                write_atomic(cache.work.view(task, key), head + made, lasts=False, ours=True)
+                keep_shown(cache.work, task, key, self._code(dotted), made)
             return made
-        except (WbflowError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError, ImportError, OSError):
+        except _FORESEEN:
             return None  # the page does without
 
-    def _kept(self, dotted: str, task: Task, key: str) -> bytes | None:
-        """What was made by the function as it is now, if it was kept."""
-        try:
-            told, _, data = read_outside(self.cache.work.view(task, key)).partition(b"\n")
-        except OSError:
-            return None
-        return data if told == self._code(dotted) + b" " + digest(data).encode() else None
-
-    def _code(self, dotted: str) -> bytes:
+    def _code(self, dotted: str) -> str:
         if dotted not in self._codes:
-            self._codes[dotted] = self.reader.read(dotted).code.encode()
+            self._codes[dotted] = self.reader.read(dotted).code
         return self._codes[dotted]
