@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,8 @@ from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, Poses, Survey, View
-from .incremental import refine
+from .confirmed import MOST_STRAIN, strain
+from .incremental import Model, refine
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas
 from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
@@ -62,7 +63,14 @@ def solve_from_pairs(
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
     found = _collect(graph, worlds, stated, exact, metric, dropped, unsupported, max_epipolar_px, survey)
-    return replace(found, unsure_lenses=_unsure_lenses(graph, worlds))
+    strained = {graph.names[view]: much for view, much in _strained(models, believed).items()}
+    return replace(found, unsure_lenses=_unsure_lenses(graph, worlds), strained=strained)
+
+
+def _strained(models: Sequence[Model], believed: Mapping[Edge, Geometry]) -> dict[int, float]:
+    """The views of models that look-alikes have a say in, and how much of one."""
+    found = ((model, strain(model, believed)) for model in models)
+    return {view: much for model, much in found if much > MOST_STRAIN for view in model.cameras}
 
 
 def _unsure_lenses(graph: ViewGraph, worlds: list[World]) -> dict[str, LensSigma]:

@@ -105,7 +105,7 @@ def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> Ru
     record = replace(record, cameras=cameras)
     cameras = tuple(_with_down(camera, record, past) for camera in cameras)
     record = replace(record, cameras=cameras)
-    of_cameras = *_of_cameras(record), *_of_poses(record), *_of_lenses(record)
+    of_cameras = *_of_cameras(record), *_of_poses(record), *_of_solved(record), *_of_lenses(record)
     found = (*_whole(record, facts), *of_cameras, *_of_tasks(record, facts), *_of_figures(record, facts, expected))
     verdict = Verdict("good", found)
     if facts.interrupted or (facts.product and not record.cloud):
@@ -202,6 +202,20 @@ def _of_poses(record: RunRecord) -> Iterator[Finding]:
     text += f" up to {worst:.1f} px beside the row where it is looked for: depths may be of look-alikes"
     remedy = "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see"
     yield Finding("poses-uncertain", names, text, {"row_px": worst}, remedy=remedy)
+
+
+def _of_solved(record: RunRecord) -> Iterator[Finding]:
+    """Cameras that matches of look-alikes have a say in: they fit, and yet may stand elsewhere."""
+    if not record.poses or not record.poses.strained:
+        return
+    names, worst = tuple(record.poses.strained), max(record.poses.strained.values())
+    text = f"solved poses rest on matches that contradict what a third camera confirms: {shortened(', '.join(names))}; confirmed"
+    text += (
+        f" matches alone would have the cameras elsewhere, and fit {worst:.0f} times worse than noise explains: something repeats"
+    )
+    text += " in the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures"
+    remedy = "state poses and lenses that have been measured; or add a camera between those that stand far apart"
+    yield Finding("poses-strained", names, text, {"strain": worst}, remedy=remedy)
 
 
 def _of_lenses(record: RunRecord) -> Iterator[Finding]:

@@ -200,6 +200,12 @@ class WorldRecord:
         return unsure
 
     @property
+    def strained(self) -> Mapping[str, float]:
+        """Solved cameras that matches of look-alikes have a say in, and how much of one (see `stages.types.Poses`)."""
+        strained: Mapping[str, float] = self.figures.get("strained") or {}
+        return strained
+
+    @property
     def joins(self) -> tuple[str, ...]:
         """What would join the worlds that share no pair."""
         return tuple(self.figures.get("joins") or ())

@@ -277,6 +277,14 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
     assert found.remedy is not None and "wbflow calibrate" in found.remedy
 
 
+def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
+    world = WorldRecord({"strained": {"gate": 21.7, "mast": 21.7}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    found = only(record)
+    assert (found.kind, found.subject, record.exit_code) == ("poses-strained", ("gate", "mast"), ExitCode.DEGRADED)
+    assert "22 times" in found.text and found.figures == {"strain": 21.7}
+
+
 @pytest.mark.parametrize("known", ["stated", "solved"])
 def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_elsewhere(known: str) -> None:
     tried = [

@@ -119,5 +119,6 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
         return "bad"
     health = camera.health is None or camera.health.ok
     poses = record.poses
-    suspect = poses is not None and camera.id in {*poses.suspects, *poses.doubtful, *poses.uncertain, *poses.unsure_lenses}
+    doubts = (poses.suspects, poses.doubtful, poses.uncertain, poses.unsure_lenses, poses.strained) if poses else ()
+    suspect = any(camera.id in named for named in doubts)
     return "good" if health and not suspect and camera.down is None else "warn"
