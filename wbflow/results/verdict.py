@@ -23,6 +23,7 @@ from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunR
 from ..task import Task, camera_of
 from .at_fault import at_fault
 from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
+from .record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
@@ -44,6 +45,8 @@ class Facts:
     """Tasks that failed."""
     product: bool = True
     """Was a cloud asked for?"""
+    lacks: str = ""
+    """What else was asked for of the whole site and is not there, and why."""
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
     """Of tasks that were not begun since the time was over."""
@@ -55,7 +58,10 @@ class Facts:
         """Those of a plan that is settled."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
-        return Facts(failed, stage_with(Role.PRODUCT) in plan.stages(), interrupted, stopped, behind)
+        product = stage_with(Role.PRODUCT) in plan.stages()
+        asked = plan.states.get(Task(plan.until)) if plan.until and not product else None
+        lacks = f"no {plan.until}: {root_cause(plan, Task(plan.until))}" if plan.until and asked and not asked.usable else ""
+        return Facts(failed, product, lacks, interrupted, stopped, behind)
 
 
 def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool, behind: Finding | None = None) -> RunRecord:
@@ -108,7 +114,7 @@ def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> Ru
     of_cameras = *_of_cameras(record), *_of_poses(record), *_of_solved(record), *_of_lenses(record)
     found = (*_whole(record, facts), *of_cameras, *_of_tasks(record, facts), *_of_figures(record, facts, expected))
     verdict = Verdict("good", found)
-    if facts.interrupted or (facts.product and not record.cloud):
+    if facts.interrupted or facts.lacks or (facts.product and not record.cloud):
         verdict = Verdict("failed", found)
     elif any(not _tolerated(finding, record, expected) for finding in found):
         verdict = Verdict("degraded", found)
@@ -129,6 +135,8 @@ def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield Finding("stopped", (), text, {"tasks": len(facts.stopped)}, remedy=remedy)
     if facts.interrupted:
         yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
+    elif facts.lacks:
+        yield Finding("no-result", (), shortened(facts.lacks))
     elif facts.product and not record.cloud:
         yield Finding("no-cloud", (), f"no cloud: {shortened(record.reason or 'nothing says why')}")
     if facts.behind:

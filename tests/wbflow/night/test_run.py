@@ -217,6 +217,14 @@ def test_until_stops_there_without_a_cloud(toy: ToySite) -> None:
     assert {task.split()[0] for task in toy.ran()} == {"frames", "features", "overlap", "pairs", "matches", "geometry"}
 
 
+def test_until_a_stage_that_leaves_nothing_is_no_good_night(toy: ToySite) -> None:
+    for camera in toy.cameras[1:]:
+        toy.capture(camera).unlink()
+    record = toy.run("--until", "poses", code=1)
+    (found,) = [finding for finding in record["verdict"]["findings"] if finding["kind"] == "no-result"]
+    assert record["verdict"]["level"] == "failed" and found["text"].startswith("no poses: ")
+
+
 def test_dry_run_writes_nothing_and_says_why(toy: ToySite) -> None:
     assert "never run" in toy.wbflow("run", "--dry-run").stdout
     assert not toy.work.exists()

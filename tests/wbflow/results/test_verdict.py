@@ -340,6 +340,11 @@ def test_no_cloud_is_a_failure_unless_none_was_asked_for() -> None:
     assert night(points=0, facts=Facts(product=False)).exit_code == ExitCode.GOOD
 
 
+def test_what_was_asked_for_instead_of_a_cloud_and_is_not_there_is_a_failure() -> None:
+    record = night(points=0, facts=Facts(product=False, lacks="no poses: of 11 pairs none is more likely right than wrong"))
+    assert (only(record).kind, verdict_of(record).level, record.exit_code) == ("no-result", "failed", ExitCode.FAILED)
+
+
 def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
     record = night(points=0, facts=Facts(interrupted=True))
     assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
