@@ -66,8 +66,8 @@ def strain(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     return float(max(loss.sum(), 0.0)) / _freedoms(own)
 
 
-def confirmed_matches(geometries: Mapping[Edge, Geometry]) -> dict[Edge, Geometry]:
-    """Of each pair the matches that more third cameras confirm than contradict."""
+def confirmed_matches(geometries: Mapping[Edge, Geometry], fewest: int = 0) -> dict[Edge, Geometry]:
+    """Of each pair the matches that more third cameras confirm than contradict; all where these are fewer than `fewest`."""
     votes = {edge: np.zeros(len(geometry.x1), np.int64) for edge, geometry in geometries.items()}
 
     @cache
@@ -88,7 +88,8 @@ def confirmed_matches(geometries: Mapping[Edge, Geometry]) -> dict[Edge, Geometr
                 np.add.at(votes[ab], np.flatnonzero(rows), vote)
                 np.add.at(votes[bc], k[rows], vote)
                 np.add.at(votes[ac], m[rows], vote)
-    return {edge: _some(geometry, votes[edge] > 0) for edge, geometry in geometries.items()}
+    kept = {edge: vote > 0 if (vote > 0).sum() >= fewest else np.ones(len(vote), bool) for edge, vote in votes.items()}
+    return {edge: _some(geometry, kept[edge]) for edge, geometry in geometries.items()}
 
 
 def _some(geometry: Geometry, rows: Bools) -> Geometry:

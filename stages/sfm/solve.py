@@ -13,7 +13,7 @@ from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, Poses, Survey, View
-from .confirmed import MOST_STRAIN, strain
+from .confirmed import FEWEST, MOST_STRAIN, confirmed_matches, strain
 from .incremental import Model, refine
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas
 from .loops import USUAL, Habits
@@ -53,18 +53,25 @@ def solve_from_pairs(
     graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
     trusted, dropped = graph.consistent(max_rotation_error_deg, usual)
     number = {name: view for view, name in enumerate(graph.names)}
-    grown = graph.models(trusted, {number[name]: camera for name, camera in exact.items()})
+    held = {number[name]: camera for name, camera in exact.items()}
     believed = {edge: graph.geometries[edge] for edge in trusted}
-    supported = [without_unsupported(refine(model, rounds=3), believed, max_epipolar_px) for model in grown]
-    models = [model for model, _ in supported if model.use.any()]
-    unsupported = {graph.names[view] for _, out in supported for view in out}
+    models, out = _refined(graph.models(trusted, held), believed, max_epipolar_px)
+    strained = {graph.names[view]: much for view, much in _strained(models, believed).items()}
+    if strained:
+        confirmed = replace(graph, geometries={**graph.geometries, **confirmed_matches(believed, FEWEST)})
+        models, out = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
     if not models:
         return graph.why_nothing(trusted, dropped)
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
-    found = _collect(graph, worlds, stated, exact, metric, dropped, unsupported, max_epipolar_px, survey)
-    strained = {graph.names[view]: much for view, much in _strained(models, believed).items()}
+    found = _collect(graph, worlds, stated, exact, metric, dropped, {graph.names[view] for view in out}, max_epipolar_px, survey)
     return replace(found, unsure_lenses=_unsure_lenses(graph, worlds), strained=strained)
+
+
+def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
+    """The models that are left once all is adjusted, and the views that have no support."""
+    supported = [without_unsupported(refine(model, rounds=3), believed, max_epipolar_px) for model in grown]
+    return [model for model, _ in supported if model.use.any()], [view for _, out in supported for view in out]
 
 
 def _strained(models: Sequence[Model], believed: Mapping[Edge, Geometry]) -> dict[int, float]:

@@ -81,8 +81,8 @@ class Poses:
     unsure_lenses: Mapping[str, LensSigma] = field(default_factory=dict)
     """Lenses (by id of the camera) that were solved, though the images don't tell them well enough."""
     strained: Mapping[str, float] = field(default_factory=dict)
-    """Cameras (by id) that all matches place otherwise than those that a third camera confirms: what the latter lose by it, in
-    squared standard deviations for each degree of freedom of the cameras (`sfm.confirmed`)."""
+    """Cameras (by id) that all matches would place otherwise than those that a third camera confirms, and that are solved from
+    the latter alone: what these would lose, in squared standard deviations for each degree of freedom (`sfm.confirmed`)."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()

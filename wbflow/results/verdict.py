@@ -217,11 +217,11 @@ def _of_solved(record: RunRecord) -> Iterator[Finding]:
     if not record.poses or not record.poses.strained:
         return
     names, worst = tuple(record.poses.strained), max(record.poses.strained.values())
-    text = f"solved poses rest on matches that contradict what a third camera confirms: {shortened(', '.join(names))}; confirmed"
+    text = f"matches contradict each other: {shortened(', '.join(names))}; those that a third camera confirms fit other poses,"
     text += (
-        f" matches alone would have the cameras elsewhere, and fit {worst:.0f} times worse than noise explains: something repeats"
+        f" {worst:.0f} times better than noise explains, and the cameras were solved from these alone: something repeats in the"
     )
-    text += " in the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures"
+    text += " scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures"
     remedy = "state poses and lenses that have been measured; or add a camera between those that stand far apart"
     yield Finding("poses-strained", names, text, {"strain": worst}, remedy=remedy)
 

@@ -282,7 +282,7 @@ def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
     record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-strained", ("gate", "mast"), ExitCode.DEGRADED)
-    assert "22 times" in found.text and found.figures == {"strain": 21.7}
+    assert "22 times better" in found.text and found.figures == {"strain": 21.7}
 
 
 @pytest.mark.parametrize("known", ["stated", "solved"])
