@@ -1,0 +1,55 @@
+"""The points of the report's 3-D view: few enough to be turned, spread as the cloud is, where and as its own points are."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from wbflow_stages.exports.view import cloud_view
+from wbflow_stages.types import Cloud
+
+
+def bowl(count: int) -> Cloud:
+    """Points on a bowl of 20 m, redder to the east."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-10, 10, (2, count))
+    points = np.column_stack([x, y, 0.05 * (x**2 + y**2)])
+    colors = np.column_stack([12 * (x + 10), np.full((count, 2), 40)]).astype(np.uint8)
+    normals = np.tile(np.array([0, 0, 1], np.float32), (count, 1))
+    ones = np.ones(count, np.float32)
+    return Cloud(points, normals, colors, 0.5 * ones, (3 * ones).astype(np.uint16), 10 * ones)
+
+
+def unpacked(stream: bytes) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """Head, places (n, 3) and colours (n, 3) as the browser unpacks them."""
+    (length,) = struct.unpack_from("<I", stream)
+    head = json.loads(stream[4 : 4 + length])
+    planes = np.frombuffer(zlib.decompress(stream[4 + length :]), np.uint8).reshape(-1, head["n"])
+    apart = planes[0:3].astype(np.uint16) | planes[3:6].astype(np.uint16) << 8
+    places = np.cumsum(apart, axis=1, dtype=np.uint16).T * head["step"] + head["low"]
+    return head, places, planes[6:9].T
+
+
+def test_few_points_are_shown_as_they_are() -> None:
+    cloud = bowl(5000)
+    head, places, colors = unpacked(cloud_view(cloud))
+    away, nearest = cKDTree(cloud.points).query(places)
+    assert head["n"] == head["total"] == 5000 and sorted(nearest) == list(range(5000))
+    assert away.max() < head["step"] and np.array_equal(colors, cloud.colors[nearest])
+
+
+@pytest.mark.parametrize("count", [30_000, 400_000])
+def test_of_many_points_there_are_means_everywhere_and_no_more_than_asked_for(count: int) -> None:
+    cloud, most = bowl(count), 10_000
+    head, places, colors = unpacked(cloud_view(cloud, most))
+    assert 0.8 * most < head["n"] <= most and head["total"] == count
+    assert cKDTree(places).query(cloud.points)[0].max() < 3 * head["voxel"]
+    away, nearest = cKDTree(cloud.points).query(places)
+    assert away.max() < head["voxel"]
+    assert np.abs(colors[:, 0].astype(float) - cloud.colors[nearest, 0]).max() < 12 * 2 * head["voxel"] + 1
