@@ -61,6 +61,8 @@ def strain(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
         return float("nan")
     apart, together = (_errors(own, cameras) for cameras in (own.cameras, asked))
     told = np.isfinite(apart) & np.isfinite(together)
+    if not told.any():
+        return float("nan")
     scale = OUTLIER * max(float(np.median(apart[told])) / 1.1774, LEAST_PX)  # Rayleigh
     loss = 2 * OUTLIER**2 * (np.hypot(1, together[told] / scale) - np.hypot(1, apart[told] / scale))
     return float(max(loss.sum(), 0.0)) / _freedoms(own)
@@ -75,9 +77,10 @@ def confirmed_matches(geometries: Mapping[Edge, Geometry], fewest: int = 0) -> d
         return cKDTree(geometries[edge].x1)
 
     after: dict[int, set[int]] = {}
-    for a, b in geometries:
+    some = [edge for edge, geometry in geometries.items() if len(geometry.x1)]
+    for a, b in some:
         after.setdefault(a, set()).add(b)
-    for a, b in geometries:
+    for a, b in some:
         for c in sorted(after.get(b, set()) & after[a]):
             ab, bc, ac = (a, b), (b, c), (a, c)
             from_b, k = first(bc).query(geometries[ab].x2)

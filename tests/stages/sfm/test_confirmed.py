@@ -42,6 +42,12 @@ def shifted(geometry: Geometry, rows: np.ndarray) -> Geometry:
     return replace(geometry, x2=x2)
 
 
+def shorter(geometry: Geometry, count: int) -> Geometry:
+    assert geometry.i1 is not None and geometry.i2 is not None
+    i1, i2, probability = geometry.i1[:count], geometry.i2[:count], geometry.probability[:count]
+    return replace(geometry, x1=geometry.x1[:count], x2=geometry.x2[:count], i1=i1, i2=i2, probability=probability)
+
+
 @pytest.mark.parametrize("know", ["K", "hfov"])
 @pytest.mark.parametrize("noise_px", [0.0, 0.2, 0.5])
 def test_cameras_that_all_matches_agree_on_are_under_no_strain(know: str, noise_px: float) -> None:
@@ -65,6 +71,14 @@ def test_matches_that_end_elsewhere_over_a_third_camera_are_not_confirmed() -> N
     kept = {tuple(x) for x in found[edge].x1}
     assert not kept & {tuple(x) for x in geometries[edge].x1[wrong]}
     assert len(kept) > 0.5 * len(geometries[edge].x1)
+
+
+def test_a_pair_without_matches_confirms_nothing() -> None:
+    _, geometries = solved(make_pair_site(3, noise_px=0.2))
+    edge = next(iter(geometries))
+    found = confirmed_matches({**geometries, edge: shorter(geometries[edge], 0)})
+    assert all(len(geometry.x1) == 0 for geometry in found.values())
+    assert sum(len(geometry.x1) for geometry in confirmed_matches(geometries).values()) > 0
 
 
 def test_without_three_cameras_that_share_matches_nothing_is_told() -> None:
