@@ -59,7 +59,8 @@ def solve_from_pairs(
     strained = {graph.names[view]: much for view, much in _strained(models, believed).items()}
     if strained:
         confirmed = replace(graph, geometries={**graph.geometries, **confirmed_matches(believed, FEWEST)})
-        models, out = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
+        again, gone = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
+        models, out = (again, gone) if again else (models, out)
     if not models:
         return graph.why_nothing(trusted, dropped)
     worlds = [to_world(graph, model, placements, survey) for model in models]
