@@ -61,7 +61,7 @@ def _told(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
         few = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
         yield from ((str(finding), finding.remedy) for finding in (group if few else group[: MOST_ALIKE - 1]))
         if not few:
-            rest = ["--".join(finding.subject) for finding in group[MOST_ALIKE - 1 :]]
+            rest = [finding.about for finding in group[MOST_ALIKE - 1 :]]
             yield f"and {len(rest)} more like these: {', '.join(rest)}", group[-1].remedy
 
 

@@ -33,7 +33,7 @@ class Finding:
     kind: str
     """What sort of thing, for programs: camera-lost, camera-foreign, fewer-pairs, task-failed, ..."""
     subject: tuple[str, ...]
-    """() for the site, (camera,) or (left, right)."""
+    """() for the site, (camera,), (left, right), or all the cameras that it is about."""
     text: str
     """In one line."""
     figures: Figures = field(default_factory=dict)
@@ -43,8 +43,13 @@ class Finding:
     remedy: str = ""
     """What to do about it; "" where nothing can be."""
 
+    @property
+    def about(self) -> str:
+        """The subject in words: of many cameras, which the text names, how many."""
+        return "--".join(self.subject) if len(self.subject) <= 2 else f"{len(self.subject)} cameras"
+
     def __str__(self) -> str:
-        return f"{'--'.join(self.subject)}: {self.text}" if self.subject else self.text
+        return f"{self.about}: {self.text}" if self.subject else self.text
 
     def to_json(self) -> dict[str, Any]:
         numbers = {"figures": rounded(self.figures), "expected": rounded(self.expected)}

@@ -283,6 +283,8 @@ def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-strained", ("gate", "mast"), ExitCode.DEGRADED)
     assert "22 times better" in found.text and found.figures == {"strain": 21.7}
+    many = replace(found, subject=("gate", "mast", "quay"))
+    assert str(found).startswith("gate--mast: ") and str(many).startswith("3 cameras: ")
 
 
 @pytest.mark.parametrize("known", ["stated", "solved"])

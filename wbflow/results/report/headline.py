@@ -96,7 +96,7 @@ def _todo(findings: tuple[Finding, ...]) -> str:
     if first is None:
         return ""
     end = "" if first.remedy[-1] in ".?!" else "."
-    return f"First: {'--'.join(first.subject) + ': ' if first.subject else ''}{first.remedy}{end}"
+    return f"First: {f'{first.about}: ' if first.subject else ''}{first.remedy}{end}"
 
 
 def _facts(sources: Sources) -> list[Fact]:
@@ -152,7 +152,7 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
     for finding in all_told:
         kinds[finding.kind] += 1
         folded = kinds[finding.kind] > shown
-        name = "--".join(finding.subject)
+        name = finding.about
         camera = finding.subject[0] if len(finding.subject) == 1 and finding.subject[0] in numbers else None
         pictures: list[tuple[Shown | None, str]] = []
         if camera and not folded:
