@@ -3,10 +3,10 @@
 
     scripts/bench_sfm.py [--sets entry:all yard:one-lens ...] [--width 1536] [--systems wbflow openmvg ...] [--json FILE]
 
-All get the same images at the same size, and intrinsics; poses are withheld.  Each works on one thread, as a worker of the engine
-does: threads that wait for work spin, and count as CPU seconds.  Errors as in `bench_poses.py`.  openMVG takes one calibration
-matrix for all images, so the clean frames of the yard, whose lenses differ, are scaled and moved to one for all systems, and what
-masks cover is black.  Seeds are fixed; COLMAP varies from run to run.
+All get the same images at the same size, and intrinsics; poses are withheld.  wbflow and openMVG work on one thread, as a worker
+of the engine does: threads that wait for work spin, and count as CPU seconds.  Errors as in `bench_poses.py`.  openMVG takes one
+calibration matrix for all images, so the clean frames of the yard, whose lenses differ, are scaled and moved to one for all
+systems, and what masks cover is black.  Seeds are fixed; COLMAP varies from run to run.
 """
 
 from __future__ import annotations

@@ -152,7 +152,8 @@ def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bo
     """(h, w): do single depths err by more than one source does as a whole?"""
     moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
     moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
-    return np.isinf(laid.spread) | (np.where(np.isinf(laid.spread), 0, laid.spread) * moves > _CHANCE_PX)
+    with np.errstate(invalid="ignore"):  # where no depth has told the plane, and none is near
+        return np.isinf(laid.spread) | (laid.spread * moves > _CHANCE_PX)
 
 
 def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:

@@ -5,7 +5,7 @@ Loops expose look-alikes that a pair's own evidence (`twoview.pair_score`) does 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import isfinite, log
 
@@ -16,7 +16,7 @@ from ..reasons import Reason, Rejected
 from ..twoview.pair_score import probability
 from ..types import Bools, Float64s, Geometry, Int64s, Pair
 from .repeats import Shares, distinct_copies, why_ambiguous
-from .rotation_averaging import rotations_along_tree
+from .rotation_averaging import View, rotations_along_tree
 
 STANDS_ALONE = log(19)
 """Log odds that a pair needs which no third camera confirms: one such in twenty may be wrong.  One that others do confirm needs
@@ -150,12 +150,12 @@ def _unsupported(
     return found
 
 
-def triangles_of(posed: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
+def triangles_of(pairs: Collection[tuple[View, View]]) -> list[tuple[View, View, View]]:
     """(a, b, c) with pairs a--b, b--c and a--c, in the order of the cameras."""
-    after: dict[str, set[str]] = {}
-    for a, b in posed:
+    after: dict[View, set[View]] = {}
+    for a, b in pairs:
         after.setdefault(a, set()).add(b)
-    return [(a, b, c) for a, b in posed for c in sorted(after.get(b, set()) & after[a])]
+    return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
 
 
 def _slack(unsure_deg: Mapping[Pair, float], a: str, b: str, c: str) -> float:

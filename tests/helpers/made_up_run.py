@@ -32,7 +32,7 @@ from wbflow.store.record import (
     WorldRecord,
 )
 from wbflow.store.run_folder import UnfinishedRun
-from wbflow.store.shown import keep_shown
+from wbflow.store.shown import Shown
 from wbflow.task import Task
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud
@@ -163,5 +163,5 @@ def _made(described: Site, task: Task, dotted: str, data: bytes) -> list[Event]:
     """Keep what a function is said to have made of a result for the page; the result itself is not there."""
     work = WorkFolder(described.work)
     work.task(task).mkdir(parents=True, exist_ok=True)
-    keep_shown(work, task, KEY, described.reader.read(dotted).code, data)
+    Shown(work, task, KEY, described.reader.read(dotted).code).keep(data)
     return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=KEY)]

@@ -256,7 +256,7 @@ class Plan:
             inputs,
             stage.table,
             self._picture(stage, task, inputs, among or set()),
-            self._view(stage),
+            self._view(stage, task),
             bool(self.force & names_of(task)) if self.force else False,
             left_to_function,
             folder=self._folder,
@@ -279,8 +279,9 @@ class Plan:
                 drawn[name] = inputs[name]
         return PictureSpec(info.dotted, info.code, result, drawn)
 
-    def _view(self, stage: Stage) -> ViewSpec | None:
-        if not stage.view:
+    def _view(self, stage: Stage, task: Task) -> ViewSpec | None:
+        """How a result's points are packed: the page shows those of the main component."""
+        if not stage.view or task.subject:
             return None
         info = self._read(stage.view)
         return ViewSpec(info.dotted, info.code)

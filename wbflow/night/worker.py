@@ -24,7 +24,7 @@ from ..store.digests import ChangedFile
 from ..store.outside import read_outside
 from ..store.pictures import Drawing, write_drawing
 from ..store.room import FULL, REMEDY
-from ..store.shown import keep_shown
+from ..store.shown import Shown
 from ..task import Task
 from . import machine
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
@@ -296,7 +296,7 @@ def _show(spec: TaskSpec, key: str, result: Any, lane: _Lane) -> None:
     if spec.view is None:
         return
     with suppress(Exception):
-        keep_shown(lane.cache.work, spec.task, key, spec.view.code, bytes(load(spec.view.function)(result)))
+        Shown(lane.cache.work, spec.task, key, spec.view.code).keep(bytes(load(spec.view.function)(result)))
 
 
 def _resolve(value: Input, lane: _Lane) -> Input:

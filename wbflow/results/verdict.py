@@ -218,10 +218,8 @@ def _of_solved(record: RunRecord) -> Iterator[Finding]:
         return
     names, worst = tuple(record.poses.strained), max(record.poses.strained.values())
     text = f"matches contradict each other: {shortened(', '.join(names))}; those that a third camera confirms fit other poses,"
-    text += (
-        f" {worst:.0f} times better than noise explains, and the cameras were solved from these alone: something repeats in the"
-    )
-    text += " scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures"
+    text += f" {worst:.0f} times better than noise explains, and cameras are solved from these alone where that can be: something"
+    text += " repeats in the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures"
     remedy = "state poses and lenses that have been measured; or add a camera between those that stand far apart"
     yield Finding("poses-strained", names, text, {"strain": worst}, remedy=remedy)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..lean import dataclass
 from ..task import Task
 from .artifact import digest
 from .atomic import write_atomic
@@ -9,45 +10,30 @@ from .layout import WorkFolder
 from .outside import read_outside
 
 
-def kept_shown(work: WorkFolder, task: Task, key: str, code: str) -> bytes | None:
-    """What was made of an artifact by the function as it is now; None where that was not kept, or is not whole.
+@dataclass(frozen=True)
+class Shown:
+    """What a function makes of a result."""
 
-    Parameters
-    ----------
-    work : WorkFolder
-        Where it is kept.
-    task : Task
-        Whose result is shown.
-    key : str
-        Of that result.
-    code : str
-        Fingerprint of the function.
-    """
-    try:
-        told, _, made = read_outside(work.view(task, key)).partition(b"\n")
-    except OSError:
-        return None
-    return made if told == _head(code, made) else None
+    work: WorkFolder
+    """Where it is kept."""
+    task: Task
+    """Whose result is shown."""
+    key: str
+    """Of that result."""
+    code: str
+    """Fingerprint of the function."""
 
+    def kept(self) -> bytes | None:
+        """What was made by the function as it is now; None where that was not kept, or is not whole."""
+        try:
+            told, _, made = read_outside(self.work.view(self.task, self.key)).partition(b"\n")
+        except OSError:
+            return None
+        return made if told == self._head(made) else None
 
-def keep_shown(work: WorkFolder, task: Task, key: str, code: str, made: bytes) -> None:
-    """Keep what was made of an artifact.  Raises OSError: it can be made again.
+    def keep(self, made: bytes) -> None:
+        """Keep what was made.  Raises OSError: it can be made again."""
+        write_atomic(self.work.view(self.task, self.key), self._head(made) + b"\n" + made, lasts=False, ours=True)
 
-    Parameters
-    ----------
-    work : WorkFolder
-        Where it is kept.
-    task : Task
-        Whose result is shown.
-    key : str
-        Of that result.
-    code : str
-        Fingerprint of the function.
-    made : bytes
-        By the function.
-    """
-    write_atomic(work.view(task, key), _head(code, made) + b"\n" + made, lasts=False, ours=True)
-
-
-def _head(code: str, made: bytes) -> bytes:
-    return f"{code} {digest(made)}".encode()
+    def _head(self, made: bytes) -> bytes:
+        return f"{self.code} {digest(made)}".encode()

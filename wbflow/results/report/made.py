@@ -10,7 +10,7 @@ from ...graph.functions import FunctionReader
 from ...graph.pipeline import stage_named
 from ...lean import dataclass
 from ...store.cache import Cache
-from ...store.shown import keep_shown, kept_shown
+from ...store.shown import Shown
 from ...task import Task
 from ..artifacts import function
 
@@ -45,7 +45,8 @@ class Maker:
         """
         cache, receipt = self.cache, self.cache.by_key(task, key)
         small = bool(task.subject) and receipt is not None and receipt.bytes < SMALL
-        if not small and (kept := kept_shown(cache.work, task, key, self._code(dotted))) is not None:
+        shown = Shown(cache.work, task, key, self._code(dotted))
+        if not small and (kept := shown.kept()) is not None:
             return kept
         try:
             if receipt is None or receipt.file is None:
@@ -53,7 +54,7 @@ class Maker:
             result = result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
             made = bytes(function(dotted)(result))
             if not small:
-                keep_shown(cache.work, task, key, self._code(dotted), made)
+                shown.keep(made)
             return made
         except _FORESEEN:
             return None  # the page does without
