@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..errors import ExitCode, UsageError, counted, worst
-from ..lean import dataclass
 from ..screen import findings, next_command, say, summary
 from .common import (
     BACKENDS,

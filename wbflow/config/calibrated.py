@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from ..lean import dataclass
 from ..store.outside import MOST_TEXT_BYTES, Unreadable, read_outside
 
 Matrix = list[list[float]]

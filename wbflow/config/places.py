@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..errors import LONGEST, ExitCode, WbflowError, printable
-from ..lean import dataclass
 from ..store.digests import Stamp
 
 Place = tuple[str | int, ...]

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from ..lean import dataclass
 from .functions import FunctionInfo, FunctionReader
 from .modules import FunctionError
 from .rows import FromSite, FromStage, Need, SiteValue, Stage

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import dataclass
 
-from ..lean import dataclass
 from .binding import method_parameters
 from .docs import ParameterDoc, parameter_docs, summary, unit_of
 from .functions import FunctionReader

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-
-from ..lean import dataclass
+from dataclasses import dataclass
 
 _TYPES = re.compile(r"(?:int|float|bool|str|list|tuple|dict|None|optional|\{[^}]*\}|\"[^\"]*\"| |or|of|\||,|\[[^\]]*\])+")
 _UNITS = {

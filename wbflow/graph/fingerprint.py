@@ -13,10 +13,10 @@ import functools
 import hashlib
 import platform
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..lean import dataclass
 from .modules import Modules, imported, origin_of
 
 FOLLOWED = ("wbflow_stages",)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..lean import dataclass
 from ..store.signed import Damaged, read_signed, write_signed
 from .fingerprint import ModuleCode, fingerprint, function_digest, module_code
 from .modules import Modules

@@ -6,9 +6,8 @@ The bounds colour figures on a page; nothing is decided by them.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
-
-from ..lean import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,11 @@ import ast
 import importlib.util
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 from ..errors import ExitCode, WbflowError
-from ..lean import dataclass
 from .plugins import was_offered
 
 

@@ -11,10 +11,9 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ..lean import dataclass
 from ..task import camera_of
 from .choice import MOST_AT_A_CAMERA, choose, of_little_use
 from .evidence import ALL_KNOWN, MOST_DROPPED, Evidence, Known, Pair, cameras_of, evidence_of, unfit

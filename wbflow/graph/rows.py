@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Any, Literal
-
-from ..lean import dataclass
 
 Scope = Literal["camera", "pair", "site"]
 

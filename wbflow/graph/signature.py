@@ -11,10 +11,10 @@ import builtins
 import importlib
 import types
 import typing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..lean import dataclass
 from .modules import FunctionError, Modules, Names
 from .plugins import offer
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from ..graph.pipeline import stage_with
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..task import Task
 
 _DECIDE = frozenset(Task(stage_with(role).name) for role in (Role.PAIR_GRAPH, Role.WORLD, Role.DENSE_PAIRS))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import dataclass
 
 from ..config.site import Site
-from ..lean import dataclass
 from ..store.digests import Digests
 from ..store.events import ArrivalsEvent, Watcher
 from ..store.record import Health

@@ -5,11 +5,11 @@ from __future__ import annotations
 import datetime
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..config.site import Site, SiteCamera
 from ..errors import UsageError, WbflowError, printable
-from ..lean import dataclass
 from ..store.digests import Digests
 from .names import Pattern
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..lean import dataclass
 from .journal import Journal
 from .night import Night
 from .state import Cause, State

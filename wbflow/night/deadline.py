@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import dataclass
 
 from ..graph.pipeline import stage_named
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..task import Task
 from .plan import Plan
 from .spec import TaskSpec

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from ..config.site import Site, SiteCamera
 from ..graph.pipeline import stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
 from ..graph.site_types import SITE_TYPES
-from ..lean import dataclass
 from ..store.cache import Receipt
 from ..task import Subject, Task
 from .captures import CaptureFile, file_of_stage

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from ..lean import dataclass
 from ..store.past import Past
 from ..task import Task
 

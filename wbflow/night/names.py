@@ -8,9 +8,9 @@ import glob
 import os
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..lean import dataclass
 from ..store.outside import find_outside
 
 _DIRECTIVES = {

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..config.site import Site
-from ..lean import dataclass
 from ..store.cache import Cache
 from ..store.digests import Digests
 from ..store.layout import WorkFolder

@@ -6,10 +6,10 @@ import datetime
 import difflib
 import importlib.util
 import itertools
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
-from ..lean import dataclass
 from ..task import camera_of, component_name
 from .mounts import Mount
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from ..lean import dataclass
 from ..store.layout import WorkFolder
 from ..store.record import Health, RunRecord
 from ..store.run_folder import NoSuchRun, RunFolder

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..graph.pipeline import STAGES, ancestors, stage_named, stage_with
 from ..graph.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
-from ..lean import dataclass
 from ..store.cache import Cache, Receipt
 from ..store.record import Health
 from ..store.reference import Reference, put_back

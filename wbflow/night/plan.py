@@ -9,14 +9,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..config.site import Site
 from ..graph.binding import Binding, bind
 from ..graph.pipeline import STAGES, ancestors, stage_named, stage_with
 from ..graph.rows import Rework, Role, Stage
-from ..lean import dataclass
 from ..store.cache import Cache, Receipt
 from ..store.pictures import is_drawn
 from ..store.record import Health

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from ..graph.pipeline import stage_with
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..store.cache import Cache, DamagedArtifact, Receipt
 from ..store.disk import DiskFloor
 from ..store.intact import Intact

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..graph.rows import Part, PointTable
-from ..lean import dataclass
 from ..store import artifact
 from ..store.cache import Preimage, Receipt
 from ..task import Subject, Task

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..config.site import Site, SiteCamera
-from ..lean import dataclass
 from ..store.artifact import digest
 from ..store.digests import Digests
 from ..store.record import Health

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-from ..lean import dataclass
 from ..store.cache import Receipt
 
 Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from ..config.site import Site, SiteCamera
 from ..graph.pipeline import stage_named, stage_with
 from ..graph.rows import FromStage, Role, Stage, Which
-from ..lean import dataclass
 from ..task import Task, component_name
 from .state import State
 

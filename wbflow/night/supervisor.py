@@ -14,10 +14,9 @@ import math
 import select
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from ..errors import WbflowError
-from ..lean import dataclass
 from ..store.cache import Cache, Receipt
 from ..store.sizes import in_words
 from ..task import Task

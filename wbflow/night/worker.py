@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from ..errors import LONGEST_TRACE, printable
 from ..graph.codec import result_bytes, result_of
 from ..graph.pipeline import REJECTED, stage_named
 from ..graph.plugins import load, offer
-from ..lean import dataclass
 from ..store import artifact
 from ..store.atomic import Prepared
 from ..store.cache import Cache, Damage, DamagedArtifact, Preimage, Receipt

@@ -10,12 +10,11 @@ import datetime
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from ..graph.installed import installed_code
-from ..lean import dataclass
 from ..store.artifact import digest
 from ..store.cache import Cache
 from ..store.events import TaskEvent, WarningEvent, event_from_json, now

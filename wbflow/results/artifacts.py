@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError, WbflowError
-from ..lean import dataclass
 from ..store.cache import Cache, Receipt
 from ..store.events import TaskEvent
 from ..store.layout import WorkFolder

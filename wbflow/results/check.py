@@ -8,6 +8,7 @@ import importlib
 import re
 import shutil
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Literal
 
 from ..config.site import Site, SiteCamera
@@ -15,7 +16,6 @@ from ..errors import ExitCode, printable
 from ..graph.exports import DECODE
 from ..graph.rows import SiteValue
 from ..graph.site_types import SITE_TYPES
-from ..lean import dataclass
 from ..night.captures import CaptureFile, expected, pattern_of
 from ..night.night import Night, open_night
 from ..store.layout import WorkFolder

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from ..lean import dataclass
 from ..store.layout import WorkFolder
 from ..store.record import CameraRecord, PairRecord, RunRecord
 from ..store.run_folder import NoSuchRun, RunFolder

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..lean import dataclass
 from ..store.layout import WorkFolder
 from ..store.ledger import Ledger, LedgerRun
 from ..store.record import Verdict

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import UsageError
-from ..lean import dataclass
 from ..store.atomic import write_atomic
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}

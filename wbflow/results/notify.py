@@ -12,11 +12,11 @@ import os
 import signal
 import subprocess
 import tempfile
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from ..config.site import Notify
 from ..errors import WbflowError
-from ..lean import dataclass
 from ..store.layout import RunPaths, WorkFolder
 from ..store.record import RunRecord, Verdict
 from ..store.signed import Damaged, read_signed, write_signed

@@ -6,14 +6,13 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 from ..config.site import Measure, Site
 from ..graph.binding import bind
 from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..store.layout import WorkFolder
 from ..store.record import CameraRecord, RunRecord, Usual
 from ..store.run_folder import NoSuchRun, RunFolder

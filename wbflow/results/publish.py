@@ -5,13 +5,12 @@ from __future__ import annotations
 import traceback
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
 
 from ..graph.pipeline import stage_with
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..night.journal import Costs, Journal
 from ..night.night import Night
 from ..night.plan import Plan

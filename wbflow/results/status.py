@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from ..graph.pipeline import stage_with
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..night.plan import Plan
 from ..night.spec import TaskSpec
 from ..store.cache import Preimage, Receipt

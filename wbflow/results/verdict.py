@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ..config.site import Expected, Measure
 from ..errors import ExitCode, counted
 from ..graph.pipeline import STAGES, stage_with
 from ..graph.rows import Role
-from ..lean import dataclass
 from ..night.plan import Plan
 from ..night.state import Cause, State
 from ..store.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict

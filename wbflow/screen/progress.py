@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import datetime
 from collections import Counter
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from ..lean import dataclass
 from ..store.events import Event, PlannedEvent, Signal, StartedEvent, TaskEvent
 from ..task import Task
 

@@ -15,11 +15,11 @@ import math
 import os
 import threading
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..lean import dataclass
 from .layout import STAND_IN
 from .outside import open_outside
 

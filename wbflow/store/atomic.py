@@ -7,10 +7,10 @@ import functools
 import itertools
 import os
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..lean import dataclass
 from .room import told_full
 
 if TYPE_CHECKING:

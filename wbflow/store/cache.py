@@ -11,12 +11,11 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..lean import dataclass
 from ..task import Task
 from . import artifact
 from .atomic import Prepared, clear, prepare, put, sync_all, write_atomic

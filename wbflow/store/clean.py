@@ -7,9 +7,9 @@ import os
 import shutil
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..lean import dataclass
 from .events import TaskEvent
 from .keep import Keep
 from .layout import WorkFolder

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import WbflowError
-from ..lean import dataclass
 from .artifact import file_digest
 from .signed import Damaged, read_signed, write_signed
 

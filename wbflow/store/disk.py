@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from ..lean import dataclass
 from ..task import Task
 from .layout import WorkFolder
 from .ledger import Ledger

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
-
-from ..lean import dataclass
 
 Figures = Mapping[str, Any]
 """What is reported of a camera, a pair, a night or the world, by name: numbers, words, and mappings of these."""

@@ -10,11 +10,10 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from ..lean import dataclass
 from .artifact import digest
 from .digests import Stamp, is_settled, stamp_of
 from .layout import WorkFolder

@@ -19,10 +19,10 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from ..lean import dataclass
 from ..task import Task
 from .atomic import sync_folder
 

@@ -12,10 +12,9 @@ import json
 import os
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ..lean import dataclass
 from .lock import Locked
 from .objects import Objects, StoreError
 

@@ -7,10 +7,9 @@ import contextlib
 import os
 import sqlite3
 from collections.abc import Callable, Iterable
-from dataclasses import astuple, fields
+from dataclasses import astuple, dataclass, fields
 from typing import Any, TypeVar
 
-from ..lean import dataclass
 from .atomic import clear
 from .cache import Cache, Receipt
 from .events import TaskEvent

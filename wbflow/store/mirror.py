@@ -12,10 +12,10 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from ..lean import dataclass
 from .artifact import digest
 from .atomic import write_atomic
 from .layout import WorkFolder

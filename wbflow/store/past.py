@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import field
+from dataclasses import dataclass, field
 
-from ..lean import dataclass
 from .layout import WorkFolder
 
 _MOST = 20_000

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..lean import dataclass
 from ..task import Task
 from .artifact import digest, promised_digest
 from .atomic import write_atomic

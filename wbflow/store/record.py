@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from ..lean import dataclass
 from ..task import camera_of
 from .findings import Down as Down
 from .findings import Figures as Figures

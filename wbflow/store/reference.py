@@ -11,12 +11,11 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from ..lean import dataclass
 from ..task import Subject, Task
 from .artifact import file_digest
 from .atomic import clear, copy_atomic, copy_new, sync_all, write_atomic

@@ -8,13 +8,12 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..errors import ExitCode, WbflowError
-from ..lean import dataclass
 from ..task import Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json

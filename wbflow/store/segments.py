@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
-from ..lean import dataclass
 from .signed import Damaged, signed, unsigned
 
 FOLDER = "index"

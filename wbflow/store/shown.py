@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ..lean import dataclass
+from dataclasses import dataclass
+
 from ..task import Task
 from .artifact import digest
 from .atomic import write_atomic

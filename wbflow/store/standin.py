@@ -11,9 +11,9 @@ import contextlib
 import hashlib
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..lean import dataclass
 from .atomic import prepare, put
 from .layout import STAND_IN, WorkFolder
 from .objects import Objects, StoreError

@@ -12,10 +12,9 @@ import os
 import time
 from array import array
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..lean import dataclass
 from .artifact import digest
 from .atomic import write_atomic
 from .layout import WorkFolder

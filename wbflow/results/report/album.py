@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 import mimetypes
 import os
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...graph.pipeline import stage_with
 from ...graph.rows import FromSite, Role, SiteValue
-from ...lean import dataclass
 from ...store.outside import read_outside
 from ...store.run_folder import NoSuchRun, RunFolder
 from ...task import Task, view_name

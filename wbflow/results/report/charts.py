@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from ...lean import dataclass
 from ..beside import number
 
 WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0

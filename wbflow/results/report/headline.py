@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ...config.site import Measure
 from ...errors import counted
 from ...graph.pipeline import STAGES
-from ...lean import dataclass
 from ...night.state import Cause
 from ...store.record import Finding, RunRecord
 from ...task import Task

@@ -10,10 +10,10 @@ import base64
 import json
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from ...graph.pipeline import STAGES
-from ...lean import dataclass
 from ...task import Task
 from .made import Maker
 from .place import Layout

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from ...errors import WbflowError
 from ...graph.codec import result_of
 from ...graph.functions import FunctionReader
 from ...graph.pipeline import stage_named
-from ...lean import dataclass
 from ...store.cache import Cache
 from ...store.shown import Shown
 from ...task import Task

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from ...config.site import Measure
 from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
-from ...lean import dataclass
 from ...store.record import CameraRecord, RunRecord
 from ..beside import titled
 from ..past import figures_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from ...lean import dataclass
 from .points import Points
 from .since import since_last_good, things_of
 from .sources import Sources, state_of

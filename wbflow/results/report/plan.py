@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from ...lean import dataclass
 from ...store.record import PairRecord
 from .place import Layout, Standing
 from .sources import Sources

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from ...graph.pipeline import STAGES
-from ...lean import dataclass
 from ...task import Task
 from .made import Maker
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import base64
 import functools
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 from ...graph.pipeline import STAGES, stage_with
 from ...graph.rows import Role
-from ...lean import dataclass
 from ...task import Task, camera_of, view_name
 from .made import Maker
 from .sources import Sources

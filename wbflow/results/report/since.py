@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from ...lean import dataclass
 from ...store.record import RunRecord
 from .sources import Sources
 

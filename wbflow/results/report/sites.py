@@ -6,6 +6,7 @@ import base64
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,7 +15,6 @@ from ...config.site import Site
 from ...errors import WbflowError
 from ...graph.pipeline import stage_with
 from ...graph.rows import Role
-from ...lean import dataclass
 from ...store.findings import Finding
 from ...store.layout import WorkFolder
 from ...store.outside import MOST_TEXT_BYTES, read_outside

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ...config.site import Site
-from ...lean import dataclass
 from ...store.cache import Cache
 from ...store.events import Event, TaskEvent
 from ...store.layout import WorkFolder

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mimetypes
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
-from ...lean import dataclass
 from ...store.record import CameraRecord, PairRecord
 from ...task import Task
 from ..beside import shown

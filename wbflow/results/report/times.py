@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import datetime
 from collections import Counter
+from dataclasses import dataclass
 
 from ...graph.pipeline import STAGES
-from ...lean import dataclass
 from ...store.cache import Receipt
 from ...task import Task
 from .sources import Sources

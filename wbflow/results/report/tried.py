@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from ...graph.meanings import meaning
 from ...graph.pipeline import STAGES
 from ...graph.rows import Stage
-from ...lean import dataclass
 from ...store.cache import Receipt
 from ...store.record import PairRecord
 from ...task import Task
