@@ -74,7 +74,7 @@ def run_of(site: Path, *arguments: str) -> dict[str, Any]:
         "exit": code,
         "plan": [[task["task"], task["state"]] for task in plan.get("tasks", [])],
         "products": {
-            file.name: sha256(file) for file in sorted(folder.glob("*.ply")) + [folder / "cameras.json"] if file.is_file()
+            file.name: sha256(file) for file in [*sorted(folder.glob("*.ply")), folder / "cameras.json"] if file.is_file()
         },
         "artifacts": artifacts,
         "record": {key: value for key, value in record.items() if key not in OF_THE_MOMENT},

@@ -18,17 +18,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .config.remembered import load
+from .config.load import load_site as read_site
 from .config.site import Site
 from .errors import UsageError, WbflowError
 from .night.arrivals import arrivals
 from .night.interrupt import terminate_as_interrupt
 from .night.journal import Costs, Journal
 from .night.options import Options
-from .results.afterwards import afterwards, mend_ledger
-from .results.again import Basis, again
+from .results.afterwards import mend_ledger
 from .results.artifacts import FinishedRun, function, task_named
-from .store.events import Event, Listener, OnlyWarnings, TaskEvent, Watcher
+from .results.through import through
+from .store.events import Event, Listener, Watcher
 from .store.layout import WorkFolder
 from .store.record import CameraRecord, PairRecord, RunRecord
 from .store.room import FULL, REMEDY
@@ -141,9 +141,7 @@ def load_site(path: str | Path, work: str | Path | None = None) -> Site:
     SiteError
         With every problem that was found.
     """
-    from .config.load import load_site as read  # here: a run of a site that is remembered has no use for it
-
-    return read(Path(path), work)
+    return read_site(Path(path), work)
 
 
 def run(
@@ -208,7 +206,7 @@ def run(
     WbflowError
         The work folder cannot be written.
     """
-    site = site if isinstance(site, Site) else load(Path(site))
+    site = site if isinstance(site, Site) else load_site(site)
     most = _size(memory) if memory else None
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, most, time_limit, stop_at)
@@ -251,30 +249,17 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
     with hold_to_write(place, options.wait) as courier, terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
-        basis, there = Basis.of(site), arrivals(site, options.date, watch)
+        there = arrivals(site, options.date, watch)
         journal = Journal(courier.listening(listen) if courier else listen, watch, options.jobs)
         if courier:
             journal.behind = courier.behind
         for note in site.notes:
-            journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy, standing=True)
+            journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         lost = courier.damages if courier else ()
         for damage in filter(None, (*lost, there.digests.damage, there.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         mend_ledger(place, journal)
-        if (
-            options.plain
-            and journal.events == journal.standing
-            and (finished := again(there, basis, name, costs, place, journal))
-        ):
-            for event in finished.folder.events() if not isinstance(listen, OnlyWarnings) else ():
-                if isinstance(event, TaskEvent):
-                    listen(event)
-            afterwards(finished, site, journal)
-            _tell_people(site, finished, journal)
-        else:
-            from .results.through import through  # here: a night on which nothing has changed has no use for it
-
-            finished = through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal), basis)
+        finished = through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal))
         if courier and (fault := courier.finish()):
             journal.warn(fault)
             finished.folder.add(journal.events[-1])

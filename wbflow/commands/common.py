@@ -88,7 +88,7 @@ force_option = click.option(
 )
 
 
-def load(path: Path, work: str | None, notes: bool = True, remembered: bool = False) -> Site:
+def load(path: Path, work: str | None, notes: bool = True, look: bool = True) -> Site:
     """The site.
 
     Parameters
@@ -99,18 +99,16 @@ def load(path: Path, work: str | None, notes: bool = True, remembered: bool = Fa
         Another work folder, or object store, than that names.
     notes : bool
         Say what of its file is out of date (a run tells it itself, and logs it).
-    remembered : bool
-        It need not be read where it is known: nobody asks where something stands in the file.
+    look : bool
+        Bring what others have done from the object store first.
     """
     from ..config.places import SiteError
 
     try:
-        if remembered:
-            from ..config.remembered import load as load_site
-        else:
-            from ..config.load import load_site
+        from ..config.load import load_site
+
         site = load_site(path, work)
-        if site.store and not remembered:  # a run looks for itself
+        if site.store and look:
             _look(site.work_folder)
         for note in site.notes if notes else ():
             say(f"note: {note}", err=True)

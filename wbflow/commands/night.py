@@ -124,7 +124,7 @@ def _work_through(
     from ..store.events import OnlyWarnings
 
     with reading(path, telling.quiet):
-        site = load(path, work, notes=False, remembered=True)
+        site = load(path, work, notes=False, look=False)  # a run tells of them, and looks, itself
         from ..api import run as work_through
 
     codes: list[int] = []

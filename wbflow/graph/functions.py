@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -109,23 +109,6 @@ class FunctionReader:
         if self.memo and self._fresh:
             write_signed(self.memo, _OF, self._known | {"form": _FORM})
             self._fresh = False
-
-    def files(self) -> list[str]:
-        """The source files that this reader has looked at."""
-        return list(self._stamps)
-
-    def stamps(self) -> dict[str, list[int] | None]:
-        """Time and size of each as it was looked at."""
-        return dict(self._stamps)
-
-    def as_read(self) -> bool:
-        """Are they still what they were then?"""
-        return self.are_now(self._stamps)
-
-    @staticmethod
-    def are_now(stamps: Mapping[str, list[int] | None]) -> bool:
-        """Are source files what these stamps say?"""
-        return all(_stamp_of(file) == stamp for file, stamp in stamps.items())
 
     def _closure(self, module: str) -> dict[str, ModuleCode]:
         found: dict[str, ModuleCode] = {}

@@ -32,8 +32,6 @@ class Journal:
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
     """Damage on disk that was found and put right, in words."""
-    standing: list[WarningEvent] = field(default_factory=list)
-    """Warnings that follow from the site and its reference alone: every night says them until somebody changes these."""
     behind: Callable[[], Finding | None] = lambda: None
     """Sees to it that what was done is where it is to go besides; what a person has to know of that."""
     _told: set[Task] = field(default_factory=set)
@@ -79,9 +77,7 @@ class Journal:
         """A task has to be done again, and will be told of again."""
         self._told.discard(task)
 
-    def warn(
-        self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None, standing: bool = False
-    ) -> None:
+    def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
         """Tell of something that went wrong and was survived.
 
         Parameters
@@ -94,13 +90,8 @@ class Journal:
             What to do about it, where something can be done.
         trace : str, optional
             Traceback of a fault that nobody foresaw.
-        standing : bool
-            It follows from the site and its reference alone.
         """
-        event = WarningEvent(what, now(), task, remedy, trace)
-        self._add(event)
-        if standing:
-            self.standing.append(event)
+        self._add(WarningEvent(what, now(), task, remedy, trace))
 
     def repaired(self, what: str, *, task: Task | None = None) -> None:
         """Tell, once, of damage on disk that is put right.  task: whose file it was."""

@@ -44,15 +44,9 @@ class Options:
     stop_at: datetime.datetime | None = None
     """From then on (local time) only what is there already is put together and published."""
 
-    @property
-    def plain(self) -> bool:
-        """Is nothing asked for but the whole night, as it is?"""
-        return not (self.until or self.force)
-
     def check(self) -> None:
         """Raises UsageError for what cannot be meant."""
-        if not self.plain:
-            self._check_stages()
+        self._check_stages()
         if self.worker_roots and self.backend != "dask":
             raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
         for root in self.worker_roots:

@@ -89,7 +89,7 @@ def prepare(night: Night, journal: Journal) -> None:
     if plan.misfit and not fault:
         what = f"the reference is not used: {plan.misfit}"
         remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
-        journal.warn(what, remedy=remedy, standing=True)
+        journal.warn(what, remedy=remedy)
     if plan.reference is None:
         return
     restored = restore(plan.cache, plan.reference)
@@ -98,7 +98,7 @@ def prepare(night: Night, journal: Journal) -> None:
             journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
     for task in restored.lost:
         what = f"'{task}' of the reference is damaged, or gone"
-        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one", standing=True)
+        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
 
 
 def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:

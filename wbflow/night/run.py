@@ -13,8 +13,6 @@ from ..graph.pipeline import stage_with
 from ..graph.rows import Role
 from ..store.cache import Cache, DamagedArtifact, Receipt
 from ..store.disk import DiskFloor
-from ..store.intact import Intact
-from ..store.layout import cloud_name
 from ..store.room import REMEDY
 from ..task import Task
 from .changes import Changes
@@ -41,13 +39,7 @@ class Product:
 
     task: Task
     receipt: Receipt
-    cache: Cache
-    data: bytes | None = None
-    """Its bytes; None where they are as they were when an earlier run read them, and what was made of them is there."""
-
-    def read(self) -> bytes:
-        """Its bytes.  Raises DamagedArtifact for what has gone wrong unnoticed since an earlier run."""
-        return self.data or self.cache.read(self.task, self.cache.path(self.receipt), self.receipt.digest)
+    data: bytes
 
 
 @dataclass(frozen=True)
@@ -59,7 +51,7 @@ class Worked:
     interrupted: bool = False
 
 
-def work(night: Night, options: Options, journal: Journal, costs: Costs, intact: Intact) -> Worked:
+def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Worked:
     """Do all that is to be done.  The caller holds the lock.
 
     Parameters
@@ -72,12 +64,10 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs, intact:
         Is told of everything that happens.
     costs : Costs
         To which the costs of what runs are added.
-    intact : Intact
-        What need not be read again, and learns of what was.
     """
     try:
         with _Hands(options, night.plan.cache, journal) as hands:
-            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at), intact))
+            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at)))
     except KeyboardInterrupt:
         return Worked(interrupted=True)
     finally:
@@ -127,9 +117,7 @@ class _Hands:
         return self._executor.reports() if self._executor else iter(())
 
 
-def _until_settled(
-    night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline, intact: Intact
-) -> dict[Task, Product]:
+def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline) -> dict[Task, Product]:
     """Do all tasks; returns what is published.
 
     Parameters
@@ -142,8 +130,6 @@ def _until_settled(
         Are told.
     deadline : Deadline
         From then on only what is there is put together.
-    intact : Intact
-        Tells what need not be read back before it is published.
     """
     plan, floor = night.plan, DiskFloor(night.plan.cache.work)
     repairs, changes = _Repairs(plan, journal), Changes(night, journal)
@@ -171,7 +157,7 @@ def _until_settled(
         elif not plan.busy:
             try:
                 hands.settle()
-                return _products(plan, intact)
+                return _products(plan)
             except DamagedArtifact as damage:
                 repairs.make_again(damage.task, damage.what)
                 continue
@@ -203,19 +189,14 @@ def _settle(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: 
     journal.finished(done.task, state, done)
 
 
-def _products(plan: Plan, intact: Intact) -> dict[Task, Product]:
+def _products(plan: Plan) -> dict[Task, Product]:
     """What is published of a plan that is settled.  Raises DamagedArtifact."""
-    product = stage_with(Role.PRODUCT).name
-    published = {stage_with(Role.WORLD).name, product}
+    published = {stage_with(Role.WORLD).name, stage_with(Role.PRODUCT).name}
     found = {}
     for task, state in plan.states.items():
         if task.stage in published and state.usable and state.receipt:
-            path, digest, data = plan.cache.path(state.receipt), state.receipt.digest, None
-            known = task.stage == product and intact.holds(path, digest) and intact.earlier(cloud_name(task.subject))
-            if not known:
-                data = plan.cache.read(task, path, digest)
-                intact.read(path, digest)
-            found[task] = Product(task, state.receipt, plan.cache, data)
+            data = plan.cache.read(task, plan.cache.path(state.receipt), state.receipt.digest)
+            found[task] = Product(task, state.receipt, data)
     return found
 
 

@@ -32,12 +32,10 @@ def afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
     """
     told = len(journal.events)
     try:
-        same = run.record.same_as
         with Ledger(run.work, writes=True, records=run.folder.id) as ledger:
-            if not (same and ledger.record_again(run.record, same)):
-                fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
-                ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
-                ledger.record_run(run.record, run.tasks.values())
+            fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
+            ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
+            ledger.record_run(run.record, run.tasks.values())
             for fault in ledger.faults:
                 journal.warn(fault)
         if site.pin == "auto" and not run.work.reference_record.exists():
@@ -45,10 +43,6 @@ def afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
 
             if fit_to_pin(run.record):
                 pin(run.cache, run.folder, automatic=True)
-        if not same:
-            from .report.share import share_pictures
-
-            share_pictures(run.work, run.folder.id)
         if not site.keep.everything:
             over = clean(run.work, site.keep, asked=False).over
             if over:

@@ -23,8 +23,6 @@ class Entry:
     """None where its record is gone, or of an earlier version."""
     cleaned: bool
     """Is its folder gone?"""
-    same_as: str = ""
-    """The run that it repeats, if it does."""
 
     @property
     def words(self) -> str:
@@ -34,12 +32,11 @@ class Entry:
         if self.verdict is None:
             return ""
         words = f"{self.verdict.level}: {self.verdict.findings[0]}" if self.verdict.findings else self.verdict.level
-        words = f"the same as {self.same_as}: {words}" if self.same_as else words
         return words if len(words) <= MOST_WORDS else f"{words[: MOST_WORDS - 3]}..."
 
     def to_json(self) -> dict[str, Any]:
         verdict = self.verdict.to_json() if self.verdict else None
-        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned, "same_as": self.same_as or None}
+        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned}
 
 
 def history(work: WorkFolder) -> list[Entry]:
@@ -52,7 +49,7 @@ def _entry(work: WorkFolder, run: LedgerRun) -> Entry:
     folder = RunFolder(work.run(run.run))
     try:
         record = folder.record()
-        return Entry(run, record.verdict, cleaned=False, same_as=record.same_as)
+        return Entry(run, record.verdict, cleaned=False)
     except NoSuchRun:
         return Entry(run, None, cleaned=not folder.paths.record.exists())
 

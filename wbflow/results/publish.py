@@ -17,7 +17,6 @@ from ..night.plan import Plan
 from ..night.run import Product, Worked
 from ..store import artifact
 from ..store.events import TaskEvent
-from ..store.intact import Intact, made_of
 from ..store.layout import WorkFolder, cloud_name
 from ..store.ply import with_comments
 from ..store.record import RunRecord
@@ -33,7 +32,7 @@ from .verdict import judged
 
 
 def publish(
-    run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, intact: Intact, own_process: bool
+    run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
 ) -> FinishedRun:
     """Write what a night left into the folder of its run; `latest` leads there.
 
@@ -49,8 +48,6 @@ def publish(
         What happened; a report that cannot be drawn is told there, too.
     costs : Costs
         What it has cost so far.
-    intact : Intact
-        What is known of the products of earlier runs.
     own_process : bool
         Did the tasks run in this process?
 
@@ -60,10 +57,11 @@ def publish(
         The disk is full, or there is no right to write.
     """
     told = _told_of_world(night.plan, worked.products, journal)
-    unfinished = UnfinishedRun(work, run, intact=intact)
+    unfinished = UnfinishedRun(work, run)
     for task, cloud in worked.products.items():
         if task.stage == stage_with(Role.PRODUCT).name:
-            _publish_cloud(unfinished, cloud, tuple(told.comments) if told and not task.subject else ())
+            comments = tuple(told.comments) if told and not task.subject else ()
+            unfinished.write(cloud_name(task.subject), with_comments(cloud.data, comments))
     cameras = told.calibration if told else {}
     if told:
         unfinished.write_cameras(cameras)
@@ -77,17 +75,10 @@ def publish(
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(night.plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
-    with suppress(OSError):  # it costs reading cloud and functions again
-        intact.save()
+    with suppress(OSError):  # it costs reading functions again
         night.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return FinishedRun(work, folder, record, tasks, night.plan.cache)
-
-
-def _publish_cloud(unfinished: UnfinishedRun, cloud: Product, comments: tuple[str, ...]) -> None:
-    name, of = cloud_name(cloud.task.subject), made_of(cloud.receipt.digest, comments)
-    if cloud.data is not None or not unfinished.take(name, of):
-        unfinished.write(name, with_comments(cloud.read(), comments), of)
 
 
 @dataclass(frozen=True)
@@ -117,7 +108,7 @@ def _told_of_world(plan: Plan, products: Mapping[Task, Product], journal: Journa
         journal.repaired(f"{damage.what}: made again", task=task)
     except TypeError:  # by another version
         pass
-    result = artifact.decode(products[task].read())  # numpy is imported for this
+    result = artifact.decode(products[task].data)  # numpy is imported for this
     calibration, comments = (function(dotted)(result) for dotted in functions)
     made = _World(code, calibration, list(comments))
     write_signed(memo, plan.cache.work.place(memo), asdict(made))

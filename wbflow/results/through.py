@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 
-from ..config.remembered import remember as remember_site
 from ..config.site import Site
 from ..night.arrivals import Arrivals
 from ..night.journal import Costs, Journal
@@ -13,9 +11,7 @@ from ..night.night import open_night
 from ..night.options import Options
 from ..night.pin import prepare
 from ..night.run import work
-from ..store.intact import Intact
 from .afterwards import afterwards
-from .again import Basis, remember
 from .artifacts import FinishedRun
 from .publish import publish
 
@@ -28,7 +24,6 @@ def through(
     journal: Journal,
     costs: Costs,
     tell: Callable[[FinishedRun], None],
-    basis: Basis,
 ) -> FinishedRun:
     """Plan a night, do its work, and publish it.
 
@@ -46,8 +41,6 @@ def through(
         Are told.
     tell : callable
         Tells people of the finished run.
-    basis : Basis
-        Of the site at the beginning.
 
     Raises
     ------
@@ -57,14 +50,9 @@ def through(
     night = open_night(site, options.date, options.until, options.force, there)
     place = night.plan.cache.work
     prepare(night, journal)
-    intact = Intact(place)
-    worked = work(night, options, journal, costs, intact)
-    finished = publish(run, place, night, worked, journal, costs, intact, own_process=options.backend == "threading")
+    worked = work(night, options, journal, costs)
+    finished = publish(run, place, night, worked, journal, costs, own_process=options.backend == "threading")
     afterwards(finished, site, journal)
     if not options.until and not worked.interrupted:
         tell(finished)
-    if options.plain and not worked.interrupted:
-        with contextlib.suppress(OSError):  # it costs planning the next night
-            remember_site(site)
-            remember(finished, night, basis, journal)
     return finished

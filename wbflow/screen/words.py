@@ -70,8 +70,6 @@ def summary(finished: Run) -> None:
     record, paths = finished.record, finished.finished.folder.paths
     if record.verdict and record.verdict.good and not record.verdict.findings:
         say(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
-    if record.same_as:
-        say(f"nothing has changed since run {record.same_as}: its cloud and its report are this run's, too")
     tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
     say(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
     if record.cloud:
@@ -89,8 +87,6 @@ def next_command(finished: Run, site: Path) -> str:
         return f"wbflow debug {file} {shlex.quote(str(puzzling[0]))} --out debug"
     if record.exit_code:
         return f"wbflow check {file}"
-    if record.same_as:
-        return f"wbflow history {file}"
     return f"wbflow compare {file}" if len(finished.finished.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
 
 

@@ -243,10 +243,6 @@ class Cache:
         if (stamp := stamp_at(name)) is not None:
             self._known[name] = stamp, receipt
 
-    def untouched(self) -> bool:
-        """Are all receipts that were read or written through this cache as they were then?"""
-        return all(stamp_at(name) == stamp for name, (stamp, _) in self._known.items())
-
     def copies(self, task: Task, key: str, known: Receipt | None = None) -> list[str]:
         """Where the reference keeps the receipt and the artifact of a key that is known here.  known: a receipt of the task."""
         receipt, name = known if known and known.key == key else self.by_key(task, key), self.work.pinned_name(task, key)

@@ -231,26 +231,6 @@ class WorkFolder:
         return self.root / "delivered.json"
 
     @property
-    def intact_memo(self) -> Path:
-        """Files that were read and found intact, remembered from run to run (see `store.intact`)."""
-        return self.cache / "intact.json"
-
-    @property
-    def site_memo(self) -> Path:
-        """The site file as it was found valid (see `config.remembered`)."""
-        return self.cache / "site.json"
-
-    @property
-    def unchanged_memo(self) -> Path:
-        """What the last whole night rests on (see `store.unchanged`)."""
-        return self.cache / "unchanged.json"
-
-    @property
-    def unchanged_data(self) -> Path:
-        """What goes with it: the files that it rests on, and what is published once more."""
-        return self.cache / "unchanged.data"
-
-    @property
     def functions_memo(self) -> Path:
         """What was read of the stages' functions, remembered from run to run."""
         return self.cache / "functions.json"

@@ -32,7 +32,6 @@ create table if not exists artifacts (
     artifact text primary key, task text, stage text, outcome text,
     digest text, bytes integer, wall real, cpu real, peak_mb real, finished text);
 create table if not exists unreadable (run text primary key);
-create table if not exists again (run text primary key, same text);
 create index if not exists uses_artifact on uses (artifact);
 """
 _PATIENCE_S = 5.0
@@ -109,13 +108,6 @@ class Ledger:
         uses = [(record.run, task.key, task.outcome, task.reason, str(task.task)) for task in tasks]
         self._write(_row(record), ("insert or replace into uses values (?,?,?,?,?)", uses))
 
-    def record_again(self, record: RunRecord, same: str) -> bool:
-        """Index a run that used what another one did; False where that one's uses are not known (any more)."""
-        if self._rows("select count(*) from uses where run = ?", same) != [(sum(record.tasks.to_json().values()),)]:
-            return False
-        self._write(_row(record), ("insert or replace into again values (?,?)", [(record.run, same)]))
-        return True
-
     def runs(self) -> list[LedgerRun]:
         """Every run, oldest first."""
         columns = ", ".join(field.name for field in fields(LedgerRun))
@@ -123,9 +115,8 @@ class Ledger:
 
     def keys_of_runs(self, runs: Iterable[str]) -> set[str]:
         """Keys of all artifacts that these runs used."""
-        named, of = set(runs), dict(self._rows("select run, same from again"))
         query = "select artifact from uses where run = ? and artifact is not null"
-        return {key for run in {of.get(run, run) for run in named} for (key,) in self._rows(query, run)}
+        return {key for run in set(runs) for (key,) in self._rows(query, run)}
 
     def usual_bytes(self) -> dict[str, float]:
         """What an artifact of each stage takes on disk, on average of the newest."""
@@ -134,9 +125,8 @@ class Ledger:
 
     def forget(self, runs: Iterable[str], keys: Iterable[str]) -> None:
         """Leave out what runs used and artifacts that have been removed; what the runs came to stays."""
-        gone = [(run,) for run in runs]
-        of_runs = ("delete from uses where run = ?", gone), ("delete from again where run = ?", gone)
-        self._write(*of_runs, ("delete from artifacts where artifact = ?", [(key,) for key in keys]))
+        of_runs = ("delete from uses where run = ?", [(run,) for run in runs])
+        self._write(of_runs, ("delete from artifacts where artifact = ?", [(key,) for key in keys]))
         if not self._in_memory:
             self._db.execute("vacuum")
             self._db.execute("pragma wal_checkpoint(truncate)")

@@ -17,7 +17,6 @@ from .findings import Usual as Usual
 from .findings import Verdict as Verdict
 from .findings import rounded
 
-SAME_AS = "same_as"
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -264,11 +263,6 @@ class RunRecord:
     def pairs_of(self, camera: str) -> list[PairRecord]:
         """The pairs that a camera is one of."""
         return self._pairs_of.get(camera, [])
-
-    @property
-    def same_as(self) -> str:
-        """Id of the run that this one is the same as in all but its times, since nothing had changed; "" where it is its own."""
-        return str(self.later.get(SAME_AS) or "")
 
     @cached_property
     def _pairs_of(self) -> dict[str, list[PairRecord]]:

@@ -17,11 +17,10 @@ from ..errors import ExitCode, WbflowError
 from ..task import Task
 from .atomic import sync_folder, write_atomic
 from .events import Event, TaskEvent, event_from_json
-from .intact import Intact
 from .layout import RunPaths, WorkFolder, run_id, started_by
 from .outside import open_outside, read_outside
 from .record import CloudRecord, RunRecord, Verdict
-from .share import share_product, write_product
+from .share import write_product
 from .signed import Unsigned, lines_of, signed, unsigned
 
 _OF = "run"
@@ -167,14 +166,12 @@ class UnfinishedRun:
     name: str
     files: dict[str, str] = field(default_factory=dict)
     """SHA-256 of the products that have been written, by name."""
-    intact: Intact | None = None
-    """What is known of earlier runs' products, and learns of them."""
 
     def write_cameras(self, cameras: Mapping[str, Any]) -> None:
         """The cameras in the form of a calibration.  Raises OSError."""
         self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
-    def write(self, name: str, data: bytes, of: str = "") -> None:
+    def write(self, name: str, data: bytes) -> None:
         """A product that is not changed after the run; what the run before has just the same takes no room.
 
         Parameters
@@ -183,8 +180,6 @@ class UnfinishedRun:
             Of the file.
         data : bytes
             What it holds.
-        of : str
-            What it is made of (see `store.intact`), where that is worth remembering.
 
         Raises
         ------
@@ -193,31 +188,8 @@ class UnfinishedRun:
         """
         places = (self.work.run(run).folder / name for run in self._earlier)
         earlier = next((path for path in places if path.is_file()), None)
-        shares = write_product(self.paths.folder / name, data, earlier)
+        write_product(self.paths.folder / name, data, earlier)
         self.files[name] = hashlib.sha256(data).hexdigest()
-        if earlier and shares and of and self.intact:
-            self.intact.published(earlier, of, self.files[name])
-
-    def take(self, name: str, of: str) -> bool:
-        """Publish what an earlier run has just the same, without reading it; False where none is known to have it.
-
-        Parameters
-        ----------
-        name : str
-            Of the file.
-        of : str
-            What it is made of.
-
-        Raises
-        ------
-        OSError
-            The disk is full, or there is no right to write.
-        """
-        found = self.intact.earlier(name) if self.intact else None
-        if found is None or found.of != of or not share_product(self.paths.folder / name, found.path):
-            return False
-        self.files[name] = found.sha256
-        return True
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
         """Add what is told of the run and give the folder its name; the links lead there.

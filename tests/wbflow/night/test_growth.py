@@ -62,6 +62,4 @@ def test_what_the_engine_does_grows_with_the_number_of_tasks(tmp_path: Path, mon
         calls, syncs, tasks = zip(few, many, strict=True)
         assert exponent(calls, tasks) < STEEPEST
         assert exponent(syncs, tasks) < STEEPEST
-    idle = found[1][1]
-    assert idle[1] < 30, "a night with nothing to do syncs no file for its tasks"
-    assert idle[0] < 200 * idle[2], "it looks at the stamps of its files, and plans none of its tasks"
+    assert found[1][1][1] < 30, "a night with nothing to do syncs no file for its tasks"

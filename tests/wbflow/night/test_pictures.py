@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import base64
-import re
 from pathlib import Path
 
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from tests.wbflow.store.test_run_folder import publish
-from wbflow.results.report.share import share_pictures
-from wbflow.store.layout import WorkFolder
 
 ORIGINAL = "def show(geometry, left, right):\n    return b'first' + bytes(left.image[0, 0, :1])\n"
 
@@ -110,41 +106,6 @@ def test_a_damaged_picture_is_drawn_again_in_the_same_night_and_named(toy: ToySi
     assert [what for what in record["repaired"] if ".jpg is damaged" in what]
     assert pictures(toy, "geometry") == before
     assert record["tasks"]["ran"] == 0
-
-
-def test_pictures_of_pairs_that_the_next_report_has_too_are_not_kept_twice(toy: ToySite) -> None:
-    def shown(run: str) -> dict[str, int]:
-        page = (toy.work / "runs" / run / "report.html").read_text()
-        found = re.findall(r'<img [^>]*src="data:image/jpeg[^>]*alt="([^"]*)"', page)
-        return {"pairs": sum("--" in words for words in found), "others": sum("--" not in words for words in found)}
-
-    runs = [toy.run()["run"], toy.run("--force", "fuse")["run"]]
-    whole = shown(runs[1])
-    assert whole["pairs"] > 1 and whole["others"]
-    assert shown(runs[0]) == {**whole, "pairs": 0}, "what a page shows unasked stays"
-    assert f"../{runs[1]}/report.html" in (toy.work / "runs" / runs[0] / "report.html").read_text()
-    toy.wbflow("report", runs[0])
-    assert shown(runs[0]) == whole
-
-
-@pytest.mark.parametrize("same", [False, True])
-def test_a_view_stays_whole_where_any_of_its_points_are_not_those_of_the_next_night(tmp_path: Path, same: bool) -> None:
-    """Night after night nothing has changed: those points, which are none, are the same, and the cloud is not."""
-
-    def page(cloud: str) -> str:
-        streams = "".join(
-            f'<script type="t" class="points" data-of="{of}">{told}</script>' for of, told in (("p", cloud), ("c", "none"))
-        )
-        return f'<html>{streams}<script class="viewer">draw()</script>\n</html>'
-
-    work, pages = WorkFolder(tmp_path), [page("first"), page("first" if same else "second")]
-    runs = [publish(work, f"2026112{k}T031500Z") for k in range(2)]
-    for run, text in zip(runs, pages, strict=True):
-        run.write_report(text)
-    share_pictures(work, runs[1].id)
-    left = runs[0].paths.report.read_text()
-    assert left.count("points-elsewhere") == (2 if same else 0)
-    assert ("draw()" in left) is not same
 
 
 def test_the_points_of_the_page_are_packed_while_the_cloud_is_in_memory(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
