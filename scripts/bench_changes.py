@@ -17,7 +17,7 @@ import numpy as np
 from bench_files import Panel, draw, write_rows
 
 import wbflow
-from wbflow.graph.rows import Role
+from wbflow.pipeline.rows import Role
 from wbflow_stages.changes import find_changes
 from wbflow_stages.core.cameras import backproject
 from wbflow_stages.types import Camera, Changes, Cloud, DepthMap, Float64s, Frame, Poses

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wbflow.store.ply import read_ply
+from wbflow.cache.ply import read_ply
 from wbflow_stages.synthetic.night_files import LARGE, SMALL
 from wbflow_stages.synthetic.nights import moving
 from wbflow_stages.synthetic.scene import Scene

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import wbflow
-from wbflow.graph.rows import Role
+from wbflow.pipeline.rows import Role
 from wbflow_stages.core.cameras import backproject, project, ray_angles
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame

@@ -29,9 +29,9 @@ from pathlib import Path
 from hostile_captures import GOOD, Hostile, capture_cases, lay
 from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
 
-from wbflow.config.load import load_site
 from wbflow.errors import ExitCode, WbflowError
-from wbflow.night.night import open_night
+from wbflow.runner.context import open_night
+from wbflow.site.load import load_site
 
 SECONDS = 60.0
 """That anything may take, on a machine that has nothing else to do."""

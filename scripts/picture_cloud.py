@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wbflow.config.rotations import look_at
-from wbflow.store.ply import read_ply
+from wbflow.cache.ply import read_ply
+from wbflow.site.rotations import look_at
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pairs_with_truth import TrueView, correct, photographed, pose_error_deg, rendered_scene
 from verdict_fit import LabelledPair, LabelledSet
 
-from wbflow.store.artifact import decode, encode
+from wbflow.cache.artifact import decode, encode
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.types import Float64s, Geometry, Matches

@@ -11,12 +11,12 @@ from tests.helpers.toy_site import HELPERS, ToySite
 SLOWEST = (
     "wbflow/test_yard.py",
     "wbflow/test_fountain.py",
-    "wbflow/store/test_clean.py",
-    "wbflow/night/test_reference.py",
-    "wbflow/night/test_run.py",
+    "wbflow/cache/test_cleanup.py",
+    "wbflow/runner/test_reference.py",
+    "wbflow/runner/test_run.py",
     "test_readme.py",
-    "wbflow/results/test_export.py",
-    "wbflow/night/test_plugins.py",
+    "wbflow/outcome/test_export.py",
+    "wbflow/runner/test_plugins.py",
 )
 """Files that take more than a minute."""
 

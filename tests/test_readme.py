@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import wbflow
 from tests.helpers.synthetic_site import small_yard, write_straight
-from wbflow.cli import main
+from wbflow.cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 

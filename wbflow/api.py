@@ -18,23 +18,23 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .config.load import load_site as read_site
-from .config.site import Site
+from .cache.layout import WorkFolder
+from .cache.room import FULL, REMEDY
+from .cache.sizes import bytes_of
+from .cache.writing import hold_to_write
 from .errors import UsageError, WbflowError
-from .night.arrivals import arrivals
-from .night.interrupt import terminate_as_interrupt
-from .night.journal import Costs, Journal
-from .night.options import Options
-from .results.afterwards import mend_ledger
-from .results.artifacts import FinishedRun, function, task_named
-from .results.through import through
-from .store.events import Event, Listener, Watcher
-from .store.layout import WorkFolder
-from .store.record import CameraRecord, PairRecord, RunRecord
-from .store.room import FULL, REMEDY
-from .store.run_folder import RunFolder, new_run
-from .store.sizes import bytes_of
-from .store.writing import hold_to_write
+from .outcome.afterwards import mend_ledger
+from .outcome.artifacts import FinishedRun, function, task_named
+from .outcome.through import through
+from .records.events import Event, Listener, Watcher
+from .records.record import CameraRecord, PairRecord, RunRecord
+from .records.run_folder import RunFolder, new_run
+from .runner.arrivals import arrivals
+from .runner.interrupt import terminate_as_interrupt
+from .runner.journal import Costs, Journal
+from .runner.options import Options
+from .site.load import load_site as read_site
+from .site.site import Site
 from .task import Task
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Run:
         WbflowError
             The run made none.
         """
-        from .graph.exports import CLOUD_OBJECT
+        from .pipeline.exports import CLOUD_OBJECT
 
         made: open3d.geometry.PointCloud = function(CLOUD_OBJECT)(self.finished.cloud())
         return made
@@ -238,7 +238,7 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
         return Run(FinishedRun.open(WorkFolder.of_run(folder.paths), folder))
     place = (where if isinstance(where, Site) else load_site(where)).work_folder
     if place.store:
-        from .store.courier import look  # here: few work folders are mirrors
+        from .remote.courier import look  # here: few work folders are mirrors
 
         look(place)
     return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
@@ -280,7 +280,7 @@ def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
     """Call the command that the site file names.  A fault there costs nothing, but is told of."""
     if site.notify is None:
         return
-    from .results.notify import NotTold, notify  # here: few sites have a command, and it takes modules that nothing else needs
+    from .outcome.notify import NotTold, notify  # here: few sites have a command, and it takes modules that nothing else needs
 
     try:
         notify(site.notify, run.work, run.folder.paths, run.record)

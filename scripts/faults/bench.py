@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 from jinja2 import Environment
 
 from tests.helpers.toy_site import ToySite
-from wbflow.graph.functions import FunctionReader
-from wbflow.store.layout import WorkFolder
+from wbflow.cache.functions import FunctionReader
+from wbflow.cache.layout import WorkFolder
 
 from .operations import arm
 from .processes import Ended, Started, fork_workers, forked, started_anew
@@ -213,8 +213,8 @@ def set_parameters(toy: ToySite, **parameters: Any) -> None:
 def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Path) -> None:
     """In the child: the command line, struck where it is to be."""
     os.environ.update(toy.env())
-    from wbflow.cli import main
-    from wbflow.store import digests
+    from wbflow.cache import digests
+    from wbflow.cli.main import main
 
     digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
     fork_workers()
@@ -257,7 +257,7 @@ def _import_all(folder: Path) -> Path:
     os.environ.update(toy.env())
     from click.testing import CliRunner
 
-    from wbflow.cli import main
+    from wbflow.cli.main import main
 
     for command in (["run", str(toy.file), *QUICK], ["history", str(toy.file)], ["status", str(toy.file)]):
         ended = CliRunner().invoke(main, command)

@@ -84,7 +84,7 @@ def forked(work: Callable[[], object], output: Path) -> Started:
 
 def fork_workers() -> None:
     """From now on, worker processes of runs in this process are forked, not started anew: a third of a second less for each."""
-    from wbflow.night import hand
+    from wbflow.runner import hand
 
     vars(hand)["subprocess"] = _Forks
 
@@ -129,7 +129,7 @@ def _serve(descriptor: int, parent: int) -> NoReturn:
     os.closerange(descriptor + 1, 1024)
     for heeded in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(heeded, signal.SIG_DFL)
-    from wbflow.night.service import serve
+    from wbflow.runner.service import serve
 
     _end_with(lambda: serve(descriptor, parent))
 

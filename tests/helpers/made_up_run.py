@@ -12,14 +12,13 @@ import cv2
 import numpy as np
 
 from wbflow.api import load_site
-from wbflow.config.site import Site
-from wbflow.graph.pipeline import STAGES, stage_with
-from wbflow.graph.rows import Role
-from wbflow.results.report.page import build_report
-from wbflow.store.cache import Cache
-from wbflow.store.events import Event, TaskEvent
-from wbflow.store.layout import WorkFolder
-from wbflow.store.record import (
+from wbflow.cache.layout import WorkFolder
+from wbflow.cache.shown import Shown
+from wbflow.cache.store import Cache
+from wbflow.pipeline.rows import Role
+from wbflow.pipeline.stages import STAGES, stage_with
+from wbflow.records.events import Event, TaskEvent
+from wbflow.records.record import (
     CameraRecord,
     CloudRecord,
     Finding,
@@ -31,8 +30,9 @@ from wbflow.store.record import (
     Verdict,
     WorldRecord,
 )
-from wbflow.store.run_folder import UnfinishedRun
-from wbflow.store.shown import Shown
+from wbflow.records.run_folder import UnfinishedRun
+from wbflow.report.page import build_report
+from wbflow.site.site import Site
 from wbflow.task import Task
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud

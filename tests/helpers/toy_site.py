@@ -104,7 +104,7 @@ class ToySite:
         """`wbflow run --json` in this process (quick); the record, after checking the exit code."""
         from click.testing import CliRunner
 
-        from wbflow.cli import main
+        from wbflow.cli.main import main
 
         jobs = [] if "--jobs" in arguments else ["--jobs", "1"]
         command = ["run", str(self.file), "--json", "--backend", self.backend, *jobs, *arguments]

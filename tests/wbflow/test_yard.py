@@ -18,9 +18,9 @@ from click.testing import CliRunner
 
 import wbflow
 from tests.helpers.images import read_image
-from wbflow.cli import main
-from wbflow.results.demo import write_demo
-from wbflow.store.ply import read_ply
+from wbflow.cache.ply import read_ply
+from wbflow.cli.main import main
+from wbflow.outcome.demo import write_demo
 from wbflow_stages.evaluate import compare_clouds
 from wbflow_stages.exports.previews import matches_preview
 

@@ -1,0 +1,118 @@
+"""The fingerprint of a function: what it runs counts, what things are called and where they lie does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wbflow.cache.functions import FunctionReader
+
+STAGE = """\
+from .helper import HALF
+
+def work(left, *, n: int = 3):
+    return HALF * n
+
+def other(left, *, n: int = 4):
+    return HALF * n
+"""
+
+
+class Package:
+    """A package in a folder that Python finds."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def write(self, **files: str) -> None:
+        (self.root / "__init__.py").touch()
+        for name, text in files.items():
+            path = self.root / f"{name.replace('__', '/')}.py"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            (path.parent / "__init__.py").touch()
+            path.write_text(text)
+
+    def code(self, function: str, table: str = "") -> str:
+        name = self.root.name
+        return FunctionReader().read(f"{name}.{function}", f"{name}.{table}" if table else "").code
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
+    root = tmp_path / f"pkg_{abs(hash(str(tmp_path)))}"
+    root.mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = Package(root)
+    found.write(helper="HALF = 0.5\n", stage=STAGE)
+    return found
+
+
+def test_a_renamed_function_keeps_it(package: Package) -> None:
+    before = package.code("stage:work")
+    package.write(stage=STAGE.replace("def work", "def labour"))
+    assert package.code("stage:labour") == before
+
+
+def test_a_moved_file_keeps_it_however_it_names_its_helpers(package: Package) -> None:
+    before = package.code("stage:work")
+    package.write(room__stage=STAGE.replace("from .helper", "from ..rooms.helper"), rooms__helper="HALF = 0.5\n")
+    assert package.code("room.stage:work") == before
+
+
+def test_two_functions_of_one_module_differ(package: Package) -> None:
+    assert package.code("stage:work") != package.code("stage:other")
+
+
+def test_a_function_that_calls_itself_keeps_it_too(package: Package) -> None:
+    text = "def down(n):\n    return down(n - 1) if n else 0\n"
+    package.write(stage=text)
+    before = package.code("stage:down")
+    package.write(stage=text.replace("down", "under"))
+    assert package.code("stage:under") == before
+
+
+def test_the_same_names_from_another_helper_are_other_code(package: Package) -> None:
+    package.write(quarter="HALF = 0.25\n", stage=STAGE + "from . import quarter\n")
+    before = package.code("stage:work")
+    package.write(stage=STAGE.replace("from .helper", "from .quarter") + "from . import quarter\nfrom .helper import HALF as H\n")
+    assert package.code("stage:work") != before
+
+
+def test_helpers_that_swap_what_is_in_them_are_other_code(package: Package) -> None:
+    text = "from .a import f as g\nfrom .b import f as h\n\ndef work(x):\n    return g(x) - h(x)\n"
+    package.write(a="def f(x):\n    return x\n", b="def f(x):\n    return 2 * x\n", stage=text)
+    before = package.code("stage:work")
+    package.write(b="def f(x):\n    return x\n", a="def f(x):\n    return 2 * x\n")
+    assert package.code("stage:work") != before
+
+
+def test_modules_that_import_each_other_have_one(package: Package) -> None:
+    package.write(helper="from . import stage\nHALF = 0.5\n")
+    before = package.code("stage:work")
+    package.write(helper="from . import stage\nHALF = 0.6\n")
+    assert package.code("stage:work") != before
+
+
+def test_comments_and_docstrings_of_attributes_do_not_count(package: Package) -> None:
+    before = package.code("stage:work")
+    package.write(helper='HALF = 0.5\n"""Half of it."""\n# indeed\n')
+    assert package.code("stage:work") == before
+
+
+def test_another_method_in_the_table_changes_nothing(package: Package) -> None:
+    table = '\nTABLE = {"a": "m:f"}\n"""Methods."""\n'
+    package.write(stage=STAGE + table)
+    with_table, read = package.code("stage:work", "stage:TABLE"), package.code("stage:work")
+    package.write(stage=STAGE + table.replace("}", ', "b": "m:g"}'))
+    assert package.code("stage:work", "stage:TABLE") == with_table
+    assert package.code("stage:work") != read
+
+
+def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package) -> None:
+    from wbflow.cache.modules import Modules
+
+    package.write(stage="from wbflow_stages.matching.mutual import match_mutual\n\ndef work(left):\n    return match_mutual\n")
+    reader = FunctionReader()
+    assert "wbflow_stages.matching.mutual" in reader._closure(f"{package.root.name}.stage")
+    assert Modules().file("wbflow_stages.matching.mutual")

@@ -1,0 +1,171 @@
+"""What a person at a terminal sees of a run, and what is in a file that its words go to."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import wbflow
+from tests.helpers.toy_site import ToySite
+from wbflow.cli.lines import Lines
+from wbflow.cli.live import Display, shown_stages
+from wbflow.cli.progress import StageProgress
+from wbflow.cli.spoken import Words
+from wbflow.records.events import ArrivalsEvent, PlannedEvent, StageOutlook, StartedEvent, now
+from wbflow.runner.planner import Plan
+from wbflow.task import Task
+
+LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d (\w+): (\d+) of (\d+) done: ")
+ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+def on_a_terminal(toy: ToySite, *arguments: str, **environment: str) -> tuple[str, list[tuple[str, bool]]]:
+    """All that a run writes to a terminal of 80 x 30; and each piece, with whether a task had left its artifact by then."""
+    ours, theirs = pty.openpty()
+    env = {**toy.env(), "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "30", **environment}
+    process = subprocess.Popen(
+        toy.command("run", str(toy.file), "--jobs", "2", *arguments), env=env, stdin=theirs, stdout=theirs, stderr=theirs
+    )
+    os.close(theirs)
+    pieces = []
+    while True:
+        try:
+            piece = os.read(ours, 65536).decode()
+        except OSError:  # the other end is closed
+            break
+        if not piece:
+            break
+        pieces.append((piece, any((toy.work / "cache").glob("frames/*/*.json"))))
+    os.close(ours)
+    assert process.wait() in {0, 3}
+    return "".join(piece for piece, _ in pieces), pieces
+
+
+def test_a_terminal_shows_stages_totals_and_the_time_left_before_the_first_task_has_ended(toy: ToySite) -> None:
+    toy.fault("slow", "0.3")
+    toy.capture("roof").write_text("broken")
+    written, pieces = on_a_terminal(toy)
+    early = ESCAPES.sub("", "".join(piece for piece, some_done in pieces if not some_done))
+    assert "toy: looking for what is to be done" in early
+    assert re.search(r"frames .*0/4", early)
+    assert re.search(r"0 of \d+ tasks; ETA \d\d:\d\d, about \d+ s left", early)
+    assert re.search(r"  frames gate  \d+ s", early), "tasks at work are named"
+    text = ESCAPES.sub("", written)
+    assert "roof                 frames     failed    roof.txt is not an image" in text
+    assert text.rstrip().splitlines()[-1].startswith("next    wbflow check ")
+    assert written.count("\x1b[?25h") == written.count("\x1b[?25l"), "the cursor is there again"
+    assert written.rfind("\x1b[?25h") > written.rfind("\x1b[?25l")
+
+
+def test_a_terminal_shows_how_many_cameras_have_been_looked_at(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.monotonic", itertools.count(100.0, 3.0).__next__)
+    with Display(Words("harbour", verbose=False)) as display:
+        display.hear(ArrivalsEvent(3, 12))
+    assert "harbour: captures of 3/12 cameras read; the plan in about 9 s" in capsys.readouterr().err
+
+
+def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[object] = []
+    refresh = Plan.refresh
+
+    def looking(plan: Plan) -> None:
+        heard.append("looked at")
+        refresh(plan)
+
+    monkeypatch.setattr(Plan, "refresh", looking)
+    monkeypatch.setenv("TOY_FAULTS", str(toy.folder / "faults"))
+    wbflow.run(toy.file, backend="threading", jobs=1, until="frames", watch=heard.append)
+    assert heard[3] == ArrivalsEvent(4, 4)
+    assert isinstance(heard[4], PlannedEvent)
+    assert [(row.stage, row.tasks, row.settled) for row in heard[4].stages] == [("frames", 4, 0)]
+    assert heard[5] == "looked at"
+
+
+def test_a_night_with_nothing_to_do_does_without_rich_on_a_terminal_too(toy: ToySite) -> None:
+    toy.run()
+    written, _ = on_a_terminal(toy, PYTHONPROFILEIMPORTTIME="1")
+    assert "wbflow.cli.live" in written
+    assert not re.search(r"\| +rich\b", written)
+    assert "good: nothing to look at" in written
+
+
+def test_no_colour_where_none_is_wanted(toy: ToySite) -> None:
+    written, _ = on_a_terminal(toy, "--until", "features", NO_COLOR="1")
+    assert "features" in written
+    assert not re.search(r"\x1b\[[0-9;]*3[0-9][;m]", written)
+
+
+def test_without_a_terminal_each_stage_has_one_line_with_its_time_and_no_control_characters(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    result = toy.wbflow("run", "--jobs", "2")
+    ended = [LINE.match(line) for line in result.stdout.splitlines()]
+    assert [(found[1], found[2] == found[3]) for found in ended if found] == [
+        (name, True)
+        for name in (
+            "frames",
+            "features",
+            "overlap",
+            "pairs",
+            "matches",
+            "geometry",
+            "poses",
+            "rectify",
+            "disparity",
+            "depth",
+            "fuse",
+        )
+    ]
+    assert re.search(r"^\S+T\S+ roof +frames +failed +roof.txt is not an image", result.stderr, re.MULTILINE)
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f]", result.stdout + result.stderr)
+
+
+def test_quiet_says_what_went_wrong_and_json_is_nothing_else(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    quiet = toy.wbflow("run", "--jobs", "1", "-q")
+    assert quiet.stdout == ""
+    assert "degraded" in quiet.stderr
+    assert "T" not in quiet.stderr.split()[0]
+    assert json.loads(toy.wbflow("run", "--jobs", "1", "--json").stdout)["exit_code"] == 3
+
+
+def test_v_says_every_task_with_its_seconds(toy: ToySite) -> None:
+    said = toy.wbflow("run", "--jobs", "1", "-v").stdout
+    assert re.search(r"gate +frames +ran +\d+\.\d s", said)
+
+
+def test_it_is_never_silent_for_long(capsys: pytest.CaptureFixture[str]) -> None:
+    with Lines(Words("harbour", verbose=False), heartbeat=0.02) as lines:
+        lines.hear(PlannedEvent((StageOutlook("frames", 4, 1, 60.0, True),), 2, now()))
+        lines.hear(StartedEvent(Task("frames", ("gate",)), now()))
+        said = ""
+        end = time.monotonic() + 20
+        while said.count("\n") < 2 and time.monotonic() < end:
+            time.sleep(0.02)
+            said += capsys.readouterr().out
+    first, second, *_ = said.splitlines()
+    for line in (first, second):
+        assert re.search(r"T[\d:]+ 1 of 4 tasks done, about \d+ (s|min) left; at work: frames gate \(\d+ s\)", line)
+
+
+def test_a_low_terminal_shows_where_the_run_is() -> None:
+    stages = [StageProgress(str(k), tasks=2, done=2 if k < 6 else 0) for k in range(12)]
+    assert [stage.name for stage in shown_stages(stages, 4)] == ["5", "6", "7", "8"]
+    assert [stage.name for stage in shown_stages(stages, 20)] == [str(k) for k in range(12)]
+    done = [StageProgress(str(k), tasks=2, done=2) for k in range(12)]
+    assert [stage.name for stage in shown_stages(done, 3)] == ["9", "10", "11"]
+
+
+def test_screen_loads_neither_rich_nor_anything_else_that_is_heavy(tmp_path: Path) -> None:
+    code = "import sys, wbflow.cli.words; print([m for m in ('rich', 'numpy', 'yaml', 'sqlite3') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

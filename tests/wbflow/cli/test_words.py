@@ -1,0 +1,20 @@
+"""What is said of a night when it is over."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.helpers import made_up_run
+from wbflow.cli.words import findings
+from wbflow.records.record import Finding, Verdict
+
+
+def test_what_many_cameras_have_in_common_is_said_in_a_few_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    ids = made_up_run.names(60)
+    lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
+    alone = Finding("fewer-points", (), "900 points, 50 % of the usual 1,800", remedy="compare")
+    findings(made_up_run.record(ids, verdict=Verdict("degraded", (*lost, alone))))
+    said = capsys.readouterr().err.splitlines()
+    assert said[1:4] == [f"  {name}: no capture of {name}" for name in ids[:3]]
+    assert said[4] == f"  and 57 more like these: {', '.join(ids[3:])}"
+    assert said[5:] == ["    see that it delivers", "  900 points, 50 % of the usual 1,800", "    compare"]

@@ -1,0 +1,101 @@
+"""What a run publishes beside its cloud: files of site-wide stages, kept in the cache, and figures in run.json and the report."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+from wbflow.outcome.beside import shown
+from wbflow.pipeline import stages as pipeline
+from wbflow.pipeline.rows import Reports
+
+STAGE = """
+from wbflow_stages.types import Poses, Scene
+def look(poses: Poses) -> Scene:
+    return Scene()
+"""
+FILES = """
+calls = []
+def files(result):
+    calls.append(1)
+    yield "toy.txt", b"%s"
+    if %s:
+        raise ValueError("no map has the place")
+"""
+ROW = next(row for row in pipeline.STAGES if row.files)
+"""A row that publishes files, on which no other rests."""
+
+
+@pytest.fixture
+def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
+    """A toy site with one more stage, whose result is published as a text."""
+    monkeypatch.syspath_prepend(str(toy.folder))
+    site = json.loads(toy.file.read_text())
+    site["stages"][ROW.name] = {"use": "toylook:look"}
+    toy.file.write_text(json.dumps(site))
+    (toy.folder / "toylook.py").write_text(STAGE)
+    mine = dataclasses.replace(ROW, files="toyfiles:files", picture=None, reports=Reports({"box": "box"}), title="The toy")
+    rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
+    for module in ("wbflow.runner.planner", "wbflow.outcome.beside", "wbflow.report.sections"):
+        monkeypatch.setattr(f"{module}.STAGES", rows)
+    write(toy, "first")
+    return toy
+
+
+def write(toy: ToySite, words: str, fails: bool = False) -> None:
+    import sys
+
+    sys.modules.pop("toyfiles", None)
+    (toy.folder / "toyfiles.py").write_text(FILES % (words, fails))
+
+
+def latest(toy: ToySite) -> Path:
+    return toy.work / "runs" / "latest"
+
+
+def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> None:
+    record = toy_with_files.run()
+    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
+    assert record[ROW.name] == {"box": None, "files": ["toy.txt"], "reason": None}
+    page = (latest(toy_with_files) / "report.html").read_text()
+    assert "<h2>The toy</h2>" in page
+    assert "href='toy.txt'" in page
+
+
+def test_they_are_not_made_again_but_by_another_function(toy_with_files: ToySite) -> None:
+    toy_with_files.run()
+    import toyfiles  # type: ignore[import-not-found]
+
+    made = len(toyfiles.calls)
+    toy_with_files.run()
+    assert len(toyfiles.calls) == made
+    assert (latest(toy_with_files) / "toy.txt").read_bytes().startswith(b"first")
+    write(toy_with_files, "second")
+    record = toy_with_files.run()
+    assert record["tasks"]["ran"] == 0
+    assert (latest(toy_with_files) / "toy.txt").read_bytes().startswith(b"second")
+
+
+def test_a_damaged_one_is_made_again(toy_with_files: ToySite) -> None:
+    toy_with_files.run()
+    (kept,) = (toy_with_files.work / "cache").rglob("*.toy.txt.beside")
+    kept.write_bytes(b"rubbish")
+    toy_with_files.run()
+    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
+
+
+def test_what_cannot_be_made_is_told_and_the_night_is_not_lost(toy_with_files: ToySite) -> None:
+    write(toy_with_files, "third", fails=True)
+    toy_with_files.run()
+    assert (latest(toy_with_files) / "toy.txt").is_file()
+    assert "no map has the place" in (latest(toy_with_files) / "log.jsonl").read_text()
+
+
+def test_of_a_figure_of_many_cameras_those_that_count_are_named() -> None:
+    ((title, words),) = shown({"lost_without": {f"c{k:02d}": 0.01 * k for k in range(12)}})
+    assert title == "lost without"
+    assert words == "c11 11 %, c10 10 %, c09 9.0 %, c08 8.0 %, c07 7.0 %, c06 6.0 %, c05 5.0 %, c04 4.0 %; 4 others less"

@@ -1,0 +1,94 @@
+"""One task alone: what it is handed as files, and a script that does it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.helpers.toy_site import ToySite
+from wbflow.cli.main import main
+
+
+def debug(toy: ToySite, *words: str, code: int = 0) -> str:
+    result = CliRunner().invoke(main, ["debug", str(toy.file), *words, "--out", str(toy.folder / "look")], env=toy.env())
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def alone(toy: ToySite) -> str:
+    script = toy.folder / "look" / "run.py"
+    assert len(script.read_text().splitlines()) <= 12
+    done = subprocess.run([sys.executable, str(script)], env=toy.env(), capture_output=True, text=True, check=False)
+    return done.stdout + done.stderr
+
+
+def test_the_script_gives_the_bytes_that_the_cache_has(toy: ToySite) -> None:
+    toy.run()
+    said = debug(toy, "fuse")
+    assert f"now try  python {toy.folder / 'look' / 'run.py'}" in said
+    assert "the same bytes as the cache has" in alone(toy)
+    assert (toy.folder / "look" / "result.ply").read_bytes() == toy.cloud
+
+
+def test_a_changed_parameter_gives_other_bytes(toy: ToySite) -> None:
+    toy.run()
+    debug(toy, "disparity", "gate--roof")
+    told = toy.folder / "look" / "task.json"
+    told.write_text(told.read_text().replace('"tolerance": 1.0', '"tolerance": 2.0'))
+    assert "other bytes than the cache has" in alone(toy)
+
+
+def test_a_task_that_failed_fails_again_where_it_can_be_looked_at(toy: ToySite) -> None:
+    toy.capture("roof").write_text("broken")
+    toy.run(code=3)
+    debug(toy, "frames roof")
+    assert (toy.folder / "look" / "inputs" / "captures.0.roof.txt").read_text() == "broken"
+    assert "ValueError: roof.txt is not an image" in alone(toy)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("frames", "rof"), "did you mean 'frames roof'?"),
+        (("coffee",), "there is no stage 'coffee'"),
+        (("matches gate--roof",), "'matches gate--roof' waits for 'pairs', which has not been made yet"),
+        (("poses",), "--until pairs"),
+        ((), "name a task"),
+    ],
+)
+def test_what_cannot_be_written_is_told_with_what_to_type(toy: ToySite, words: tuple[str, ...], said: str) -> None:
+    toy.run("--until", "frames")
+    assert said in debug(toy, *words, code=2)
+
+
+def test_runs_say_where_everything_lies(toy: ToySite) -> None:
+    record = toy.run()
+    result = CliRunner().invoke(main, ["runs", str(toy.file), "--json"])
+    (told,) = json.loads(result.stdout)
+    assert (told["site"], told["run"], told["level"]) == ("toy", record["run"], "good")
+    assert Path(told["cloud"]).read_bytes() == toy.cloud
+    assert Path(told["report"]).is_file()
+
+
+def test_one_page_shows_all_sites_of_a_folder_the_worst_first(toy: ToySite) -> None:
+    toy.run()
+    (toy.folder.parent / "other").mkdir()
+    (toy.folder.parent / "other" / "site.yaml").write_text(
+        "site: other\ncaptures: {pattern: x}\ncameras: [a, b]\n'<script>': 1\n"
+    )
+    (toy.folder.parent / "notes.yaml").write_text("nothing: of ours\n")
+    out = toy.folder.parent / "www" / "sites.html"
+    result = CliRunner().invoke(main, ["site-report", str(toy.folder.parent), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    page = out.read_text()
+    assert page.index('id="other"') < page.index('id="toy"')
+    assert "notes.yaml" not in page
+    assert "<script>" not in page
+    assert 'class="badge good"' in page
+    link = page.split('<a href="')[1].split('"')[0]
+    assert (out.parent / link).resolve() == (toy.work / "runs" / "latest" / "report.html").resolve()

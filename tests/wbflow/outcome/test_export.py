@@ -1,0 +1,215 @@
+"""A run's results for other programs: from a finished run, without running anything again."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import open3d
+import pycolmap
+import pytest
+from click.testing import CliRunner, Result
+
+from tests.helpers.images import read_image
+from wbflow.cache.ply import read_ply
+from wbflow.cli.main import main
+from wbflow.outcome.demo import write_demo
+
+ALL = ("--laz", "--heights", "--depth", "--mesh", "--orthophoto", "--colmap")
+ORIGIN = (53.541, 9.966, 52.0)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small demo, run once, with few points: a mesh through many takes long."""
+    folder = tmp_path_factory.mktemp("export") / "demo"
+    write_demo(folder, small=True, captures=1)
+    with (folder / "site.yaml").open("a") as file:
+        file.write("stages: {fuse: {voxel_m: 0.12}}\n")
+    assert CliRunner().invoke(main, ["run", str(folder), "--jobs", "1", "-q"]).exit_code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(site: Path) -> Path:
+    """Everything that can be exported of it."""
+    result = wbflow_export(site, site / "out", *ALL)
+    assert result.exit_code == 0, result.output
+    written = {Path(line) for line in result.stdout.splitlines()}
+    assert written == {path for path in (site / "out").rglob("*") if path.is_file()}
+    return site / "out"
+
+
+def wbflow_export(site: Path, out: Path, *arguments: str) -> Result:
+    return CliRunner().invoke(main, ["export", str(site), "--out", str(out), *arguments])
+
+
+def work(site: Path) -> Path:
+    return site / ".wbflow" / "yard"
+
+
+def test_laspy_reads_the_points_of_the_cloud(site: Path, exported: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    las, cloud = laspy.read(exported / "cloud.laz"), read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
+    assert np.abs(las.x - cloud["x"]).max() < 1e-5
+    assert np.array_equal(las.green // 257, cloud["green"])
+    assert las.header.parse_crs() is None
+
+
+def test_colmap_reads_the_cameras_where_they_stand(site: Path, exported: Path) -> None:
+    model = pycolmap.Reconstruction(exported / "colmap" / "sparse")
+    truth = json.loads((site / "truth" / "cameras.json").read_text())
+    assert {image.name for image in model.images.values()} == {f"{name}.png" for name in truth}
+    for image in model.images.values():
+        picture = read_image(exported / "colmap" / "images" / image.name)
+        assert picture.shape[:2] == (image.camera.height, image.camera.width)
+        assert image.projection_center() == pytest.approx(truth[Path(image.name).stem]["C"], abs=1e-6)
+    tracked = [point for point in model.points3D.values() if point.track.length() > 0]
+    assert len(model.points3D) - len(tracked) == len(read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")["x"])
+    assert len(tracked) > 100 and model.compute_mean_reprojection_error() < 1.5
+
+
+def test_depth_maps_are_close_to_the_truth(site: Path, exported: Path) -> None:
+    told = json.loads((exported / "depth" / "depth.json").read_text())
+    assert told["unit"] == "m"
+    assert len(told["cameras"]) == 4
+    for name, entry in told["cameras"].items():
+        truth = np.load(site / "truth" / "depth" / f"{name}.npz")["depth"]
+        png = read_image(exported / "depth" / f"{name}.png", cv2.IMREAD_UNCHANGED)
+        known = (png > 0) & (truth > 0)
+        errors = np.abs((png[known] - 1.0) / entry["png_steps_per_unit"] - truth[known]) / truth[known]
+        assert known.mean() > 0.4
+        assert np.median(errors) < 0.005
+
+
+def test_the_mesh_lies_on_the_cloud(site: Path, exported: Path) -> None:
+    mesh = open3d.io.read_triangle_mesh(exported / "mesh.ply")
+    cloud = open3d.io.read_point_cloud(work(site) / "runs" / "latest-good" / "cloud.ply")
+    vertices = open3d.geometry.PointCloud(mesh.vertices)
+    assert len(mesh.triangles) > 10_000
+    assert np.percentile(np.asarray(vertices.compute_point_cloud_distance(cloud)), 95) < 0.25
+
+
+def test_heights_agree_with_the_cloud(site: Path, exported: Path) -> None:
+    told = json.loads((exported / "heights.json").read_text())
+    png = read_image(exported / "heights.png", cv2.IMREAD_UNCHANGED)
+    cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
+    heights = np.where(png > 0, (png - 1.0) / told["png_steps_per_unit"] + told["png_lowest"], np.nan)
+    row, column = (told["top"] - cloud["y"]) / told["cell"], (cloud["x"] - told["left"]) / told["cell"]
+    assert 0.88 < share_below(heights, row, column, cloud["z"]) < 0.97
+
+
+def share_below(heights: np.ndarray, row: np.ndarray, column: np.ndarray, z: np.ndarray) -> float:
+    """The share of points that lie no higher than their cell of a height map; where the map is shifted or flipped, about half."""
+    row, column = np.floor(row).astype(int), np.floor(column).astype(int)
+    inside = (row >= 0) & (row < heights.shape[0]) & (column >= 0) & (column < heights.shape[1])
+    assert inside.mean() > 0.99
+    there = heights[row[inside], column[inside]]
+    assert np.isfinite(there).mean() > 0.999, "every point's cell has a height"
+    return float(np.mean(z[inside] <= there + 1e-3))
+
+
+def test_the_same_run_gives_the_same_bytes(site: Path, exported: Path, tmp_path: Path) -> None:
+    assert wbflow_export(site, tmp_path, *ALL).exit_code == 0
+    files = [path.relative_to(exported) for path in exported.rglob("*") if path.is_file()]
+    assert len(files) > 10
+    assert [f for f in files if (tmp_path / f).read_bytes() != (exported / f).read_bytes()] == []
+
+
+def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path, tmp_path: Path) -> None:
+    laspy, rasterio = pytest.importorskip("laspy"), pytest.importorskip("rasterio")
+    on_map = placed_on_the_map(site, tmp_path / "site")
+    result = wbflow_export(on_map, tmp_path / "out", "--laz", "--heights", "--orthophoto")
+    assert result.exit_code == 0, result.output
+    las = laspy.read(tmp_path / "out" / "cloud.laz")
+    assert las.header.parse_crs().to_epsg() == 32632
+    with rasterio.open(tmp_path / "out" / "heights.tif") as file:
+        assert file.crs.to_epsg() == 32632
+        heights = file.read(1)
+        column, row = ~file.transform * (np.asarray(las.x), np.asarray(las.y))
+    assert 0.88 < share_below(heights, row, column, np.asarray(las.z)) < 0.97
+    assert np.nanmedian(heights) > 45, "above the ellipsoid, not above the local origin"
+    with rasterio.open(tmp_path / "out" / "orthophoto.tif") as file:
+        assert file.crs.to_epsg() == 32632
+        photo = file.read()
+        column, row = (np.asarray(k, int) for k in ~file.transform * (np.asarray(las.x), np.asarray(las.y)))
+    inside = (row >= 0) & (row < photo.shape[1]) & (column >= 0) & (column < photo.shape[2])
+    there, written = photo[:, row[inside], column[inside]], np.stack([las.red, las.green, las.blue])[:, inside] / 257
+    assert (there[3] == 255).mean() > 0.9
+    assert np.median(np.abs(there[:3] - written)) < 20, "of walls only the upper edge is seen"
+
+
+def placed_on_the_map(site: Path, copy: Path) -> Path:
+    """A copy of a site whose cameras are said to have been found by latitude and longitude."""
+    from dataclasses import replace
+
+    from wbflow.cache import artifact
+    from wbflow.cache.layout import WorkFolder
+    from wbflow.cache.store import Cache
+    from wbflow.site.geodesy import LocalFrame
+    from wbflow.task import Task
+
+    shutil.copytree(site, copy, symlinks=True)
+    cache = Cache(WorkFolder(work(copy)))
+    receipt = cache.newest(Task("poses"))
+    assert receipt is not None
+    poses = artifact.decode(cache.path(receipt).read_bytes())
+    data = artifact.encode(replace(poses, crs=LocalFrame(*ORIGIN).crs))
+    cache.write(replace(receipt, digest=artifact.digest(data), bytes=len(data)), data)
+    return copy
+
+
+def test_a_camera_that_was_not_refined_gives_the_depth_of_its_pairs(site: Path, exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "site", symlinks=True)
+    log = (work(tmp_path / "site") / "runs" / "latest-good").resolve() / "log.jsonl"
+    log.write_text("".join(line for line in log.read_text().splitlines(keepends=True) if '"stage": "refine"' not in line))
+    assert wbflow_export(tmp_path / "site", tmp_path / "out", "--depth").exit_code == 0
+    names = json.loads((tmp_path / "out" / "depth" / "depth.json").read_text())["cameras"]
+    assert len(names) == 4
+    for name in names:
+        pairs = (tmp_path / "out" / "depth" / f"{name}.pfm").read_bytes()
+        refined = (exported / "depth" / f"{name}.pfm").read_bytes()
+        assert len(pairs) == len(refined)
+        assert pairs != refined
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        ((), 2, "say what to export: --laz"),
+        (("19990101T000000Z", "--laz"), 2, "there is no run"),
+    ],
+)
+def test_wrong_usage(site: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, said: str) -> None:
+    result = wbflow_export(site, tmp_path / "out", *arguments)
+    assert (result.exit_code, said in result.output) == (code, True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_package_is_named_with_what_to_install(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "lazrs" else found(name, *rest))
+    result = wbflow_export(site, tmp_path / "out", "--laz", "--depth")
+    assert result.exit_code == 2
+    assert "--laz needs lazrs: pip install 'wbflow[las]'" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_the_cache_lost_is_said(site: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "site", symlinks=True)
+    shutil.rmtree(work(tmp_path / "site") / "cache" / "frames")
+    result = wbflow_export(tmp_path / "site", tmp_path / "out", "--colmap")
+    assert result.exit_code == 1
+    assert "the cache no longer holds 'frames " in result.output
+
+
+def test_a_run_without_a_cloud(site: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "site", symlinks=True)
+    (work(tmp_path / "site") / "runs" / "latest-good" / "cloud.ply").unlink()
+    result = wbflow_export(tmp_path / "site", tmp_path / "out", "--mesh")
+    assert result.exit_code == 1
+    assert "made no cloud" in result.output

@@ -1,0 +1,124 @@
+"""`wbflow init`: a folder of photographs becomes a site."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from wbflow.cache.digests import Digests
+from wbflow.cli.main import main
+from wbflow.runner.captures import find_captures, night
+from wbflow.site.load import load_site
+
+
+def photograph(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    noise = np.random.default_rng(len(str(path))).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    suffix = path.suffix.lower()
+    path.write_bytes(cv2.imencode(suffix, noise)[1].tobytes())
+
+
+def init(folder: Path) -> Result:
+    return CliRunner().invoke(main, ["init", str(folder)])
+
+
+def captured(folder: Path) -> dict[str, list[str]]:
+    """Names of each camera's captures, as a run would find them."""
+    site = load_site(folder)
+    found = find_captures(site, night(site, None), Digests(None))
+    return {camera: [file.name for file in files] for camera, files in found.items()}
+
+
+LAYOUTS = {
+    "one photograph each": (
+        ["gate.jpg", "roof.jpg", "0003.jpg"],
+        {"0003": ["0003.jpg"], "gate": ["gate.jpg"], "roof": ["roof.jpg"]},
+    ),
+    "any suffix and case": (
+        ["gate.JPG", "roof.png", "mast.Tif"],
+        {"gate": ["gate.JPG"], "mast": ["mast.Tif"], "roof": ["roof.png"]},
+    ),
+    "names that are no ids": (
+        ["Tor links (1).jpg", "Tor rechts.jpg"],
+        {"Tor-links-1": ["Tor links (1).jpg"], "Tor-rechts": ["Tor rechts.jpg"]},
+    ),
+    "the same name twice": (["gate.jpg", "gate.png"], {"gate": ["gate.jpg"], "gate-2": ["gate.png"]}),
+    "one folder each": (
+        ["gate/1.jpg", "gate/2.jpg", "roof/1.jpg", "notes.txt"],
+        {"gate": ["gate/1.jpg", "gate/2.jpg"], "roof": ["roof/1.jpg"]},
+    ),
+    "folders of several kinds": (
+        ["gate/1.jpg", "gate/2.JPEG", "old roof/1.png"],
+        {"gate": ["gate/1.jpg", "gate/2.JPEG"], "old-roof": ["old roof/1.png"]},
+    ),
+}
+
+
+@pytest.mark.parametrize(("files", "found"), LAYOUTS.values(), ids=LAYOUTS)
+def test_the_site_file_is_accepted_and_finds_each_photograph(
+    tmp_path: Path, files: list[str], found: dict[str, list[str]]
+) -> None:
+    for name in files:
+        if name.endswith(".txt"):
+            (tmp_path / name).write_text("of the day")
+        else:
+            photograph(tmp_path / name)
+    result = init(tmp_path)
+    assert result.exit_code == 0, result.output
+    assert f"wbflow run {tmp_path / 'site.yaml'}" in result.output
+    assert captured(tmp_path) == found
+    checked = CliRunner().invoke(main, ["check", str(tmp_path)])
+    assert checked.exit_code == 0, checked.output
+    assert f"{len(found)} cameras" in checked.output
+    assert len((tmp_path / "site.yaml").read_text().splitlines()) <= 9 + len(found)
+
+
+def test_many_cameras_are_listed_one_a_line(tmp_path: Path) -> None:
+    for number in range(30):
+        photograph(tmp_path / f"camera-of-the-yard-{number:02d}.jpg")
+    assert init(tmp_path).exit_code == 0
+    assert len(captured(tmp_path)) == 30
+    assert max(map(len, (tmp_path / "site.yaml").read_text().splitlines())) < 120
+
+
+def test_a_site_file_is_never_overwritten(tmp_path: Path) -> None:
+    for name in ("gate.jpg", "roof.jpg"):
+        photograph(tmp_path / name)
+    (tmp_path / "site.yaml").write_text("mine")
+    result = init(tmp_path)
+    assert result.exit_code == 2
+    assert "is there already" in result.output
+    assert (tmp_path / "site.yaml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ([], "holds no photographs"),
+        (["gate.jpg"], "holds one camera only (gate)"),
+        (["gate.jpg", "roof/1.jpg"], "keep one kind"),
+    ],
+)
+def test_what_cannot_be_a_site_is_said_and_nothing_written(tmp_path: Path, files: list[str], said: str) -> None:
+    for name in files:
+        photograph(tmp_path / name)
+    result = init(tmp_path)
+    assert result.exit_code == 2
+    assert said in result.output
+    assert not (tmp_path / "site.yaml").exists()
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    result = init(tmp_path / "nowhere")
+    assert result.exit_code == 2
+    assert "there is no such folder" in result.output
+
+
+def test_help_shows_both_layouts() -> None:
+    text = CliRunner().invoke(main, ["init", "--help"]).output
+    assert "photographs/gate.jpg" in text
+    assert "photographs/gate/1.jpg" in text

@@ -1,0 +1,179 @@
+"""Somebody is told when the state of a site changes, and only then; nothing that the command does harms the night."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
+from wbflow.cache.layout import WorkFolder
+from wbflow.outcome.metrics import metrics
+from wbflow.outcome.notify import MOST_WORDS, NotTold, notify, summary
+from wbflow.records.record import Health, RunRecord
+from wbflow.site.load import load_site
+from wbflow.site.places import SiteError
+from wbflow.site.site import Notify
+
+LISTENER = """\
+import json, os, sys
+told = {"stdin": json.load(sys.stdin), "env": {n: v for n, v in os.environ.items() if n.startswith("WBFLOW_")}}
+with open("told.jsonl", "a") as file:
+    file.write(json.dumps(told) + "\\n")
+"""
+
+
+class Site:
+    """A work folder whose nights are told to a program that writes down what it hears."""
+
+    def __init__(self, folder: Path, **settings: Any) -> None:
+        self.work = WorkFolder(folder / "work")
+        self.file = folder / "told.jsonl"
+        (folder / "listen.py").write_text(LISTENER)
+        self.how = Notify((sys.executable, "listen.py"), folder, **settings)
+
+    def tell(self, record: RunRecord) -> str | None:
+        return notify(self.how, self.work, self.work.run(record.run), record)
+
+    @property
+    def told(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.file.read_text().splitlines()] if self.file.exists() else []
+
+
+def down(*names: str, date: str = "2026-11-20") -> RunRecord:
+    """A night without some cameras."""
+    pairs = [pair for pair in without(names[0]) if not {pair.left, pair.right} & set(names)]
+    return night(date, [lost(name) if name in names else camera(name) for name in NAMES], pairs)
+
+
+def all_down(date: str = "2026-11-20") -> RunRecord:
+    return night(date, [lost(name) for name in NAMES], [], points=0)
+
+
+def test_each_state_is_told_once_and_so_is_recovery(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    nights = [night(), down("roof"), down("roof"), down("roof", "mast"), all_down(), all_down(), night(), night()]
+    occasions = [site.tell(record) for record in nights]
+    assert occasions == [None, "degraded", None, "degraded", "failed", None, "recovered", None]
+    assert [entry["stdin"]["event"] for entry in site.told] == ["degraded", "degraded", "failed", "recovered"]
+
+
+def test_each_sort_of_bad_night_is_told_in_its_own_words(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    knocked = replace(camera("crane"), health=Health("moved", "turned by 1.9 degrees", remedy="look at its mount"))
+    foreign = replace(camera("mast"), health=Health("foreign", "it shows another place", remedy="look at its picture"))
+    poor = [pair(*names, *(("ok",) if k == 0 else ("rejected", False))) for k, names in enumerate(PAIRS)]
+    nights = [
+        down("roof"),
+        night(cameras=[knocked, foreign, camera("gate"), camera("roof")]),
+        all_down(),
+        night(pairs=poor),
+        night(),
+    ]
+    for record in [*nights[:2], *nights[1:]]:  # the second one twice
+        site.tell(record)
+    assert [entry["env"]["WBFLOW_SUMMARY"] for entry in site.told] == [
+        "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight",
+        "yard 2026-11-20: degraded: crane: turned by 1.9 degrees (and 1 more)",
+        "yard 2026-11-20: failed: no cloud: only camera gate has a usable capture (and 4 more)",
+        "yard 2026-11-20: degraded: mast: none of its 3 pairs could be used: 23 inliers, 30 needed (and 2 more)",
+        "yard 2026-11-20: good",
+    ]
+
+
+def test_what_is_told(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    record = down("roof")
+    site.tell(record)
+    (told,) = site.told
+    assert record.verdict
+    assert told["stdin"]["findings"] == record.verdict.to_json()["findings"]
+    assert told["stdin"]["report"] == told["env"]["WBFLOW_REPORT"] == str(site.work.run(record.run).report)
+    words = "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight"
+    assert told["env"]["WBFLOW_SUMMARY"] == words
+    assert (told["env"]["WBFLOW_EVENT"], told["env"]["WBFLOW_EXIT_CODE"]) == ("degraded", "3")
+
+
+def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
+    site = Site(tmp_path, heartbeat=True)
+    nights = [night(), night(), down("roof"), down("roof"), night()]
+    assert [site.tell(record) for record in nights] == ["heartbeat", "heartbeat", "degraded", "heartbeat", "recovered"]
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("echo no route to host >&2; exit 7", "ended with 7: no route to host"),
+        ("sleep 60", "had not ended after 0.2 s, and was killed"),
+        (("no-such-program",), "could not be started"),
+    ],
+)
+def test_what_could_not_be_told_is_told_the_next_night(tmp_path: Path, command: str | tuple[str, ...], said: str) -> None:
+    site = Site(tmp_path)
+    how, site.how = site.how, Notify(command, tmp_path, seconds=0.2 if said.startswith("had") else 30)
+    with pytest.raises(NotTold, match=said):
+        site.tell(down("roof"))
+    site.how = how
+    assert site.tell(down("roof")) == "degraded"
+
+
+def test_where_nobody_knows_what_was_told_it_is_told_once_more(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    site.tell(down("roof"))
+    memo = site.work.notified
+    memo.write_text(memo.read_text().replace("camera-lost", "camera-last"))
+    assert [site.tell(record) for record in (down("roof"), down("roof"), night())] == ["degraded", None, "recovered"]
+    memo.write_text("{")
+    assert site.tell(night()) is None
+
+
+def test_a_summary_is_one_line_of_bounded_length() -> None:
+    words = summary(night(cameras=[lost("x\n\x1b[31m" + "y" * 999), *map(camera, NAMES[1:])]))
+    assert len(words) == MOST_WORDS
+    assert words.isprintable()
+
+
+def test_a_failing_command_costs_the_night_nothing_and_stands_in_the_log(toy: ToySite) -> None:
+    site = json.loads(toy.file.read_text())
+    toy.file.write_text(json.dumps(site | {"notify": {"command": "cat > told.json; exit 1", "seconds": 20}}))
+    toy.run()
+    assert not (toy.folder / "told.json").exists()
+    toy.capture("roof").write_text("broken")
+    record = toy.run(code=3)
+    told = json.loads((toy.folder / "told.json").read_text())
+    assert told["findings"] == record["verdict"]["findings"]
+    assert Path(told["cloud"]).is_file()
+    last = json.loads((toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()[-1])
+    assert "ended with 1: it said nothing" in last["what"]
+
+
+@pytest.mark.parametrize("command", ["5", "[]", "[a, 5]", "''"])
+def test_what_is_no_command_is_refused_with_its_place(tmp_path: Path, command: str) -> None:
+    (tmp_path / "site.yaml").write_text(
+        f"site: s\ncaptures: {{pattern: '{{camera}}'}}\ncameras: [a]\nnotify: {{command: {command}}}\n"
+    )
+    with pytest.raises(SiteError, match=r"site.yaml:4:19: notify.command: a command is a text for the shell"):
+        load_site(tmp_path)
+
+
+def test_a_run_as_prometheus_reads_it() -> None:
+    lines = metrics(down("roof")).splitlines()
+    assert 'wbflow_verdict{site="yard",level="degraded"} 1' in lines
+    assert 'wbflow_verdict{site="yard",level="good"} 0' in lines
+    assert 'wbflow_findings{site="yard",kind="camera-lost"} 1' in lines
+    assert 'wbflow_camera_ok{site="yard",camera="roof"} 0' in lines
+    assert 'wbflow_points{site="yard"} 100000' in lines
+    assert 'wbflow_finished_timestamp_seconds{site="yard"} 1795144560' in lines
+    names = [line.split()[2] for line in lines if line.startswith("# TYPE")]
+    assert len(names) == len(set(names))
+    assert all(line.startswith("#") or line.split("{")[0] in names for line in lines)
+
+
+def test_labels_are_quoted_for_prometheus() -> None:
+    record = night(cameras=[camera('a"b\\c\nd'), *map(camera, NAMES[1:])])
+    assert 'camera="a\\"b\\\\c\\nd"' in metrics(record)

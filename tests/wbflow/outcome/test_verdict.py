@@ -1,0 +1,368 @@
+"""What a night is said to have come to: only what a person has to look at, and all of that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from wbflow.errors import ExitCode
+from wbflow.outcome.past import Past, looks_of, usual_of
+from wbflow.outcome.verdict import Facts, judge
+from wbflow.records.record import (
+    CameraRecord,
+    CloudRecord,
+    Finding,
+    Health,
+    PairRecord,
+    RunRecord,
+    Seconds,
+    TaskCounts,
+    Verdict,
+    WorldRecord,
+)
+from wbflow.runner.state import Cause, State
+from wbflow.site.site import Expected
+from wbflow.task import Task
+
+NAMES = ("crane", "gate", "mast", "roof")
+PAIRS = [(a, b) for i, a in enumerate(NAMES) for b in NAMES[i + 1 :]]
+DEFAULTS, NOTHING_FAILED = Expected(), Facts()
+LOOKS = {"brightness": 110.0, "sharpness": 0.27}
+
+
+def camera(name: str, **figures: float) -> CameraRecord:
+    return CameraRecord(name, "ok", figures=LOOKS | figures)
+
+
+def pair(left: str, right: str, outcome: str = "ok", matched: bool = True) -> PairRecord:
+    reason = None if outcome == "ok" else "23 inliers, 30 needed"
+    return PairRecord(left, right, outcome, reason, figures={"matched": matched})
+
+
+EVERY_PAIR = tuple(pair(*names) for names in PAIRS)
+
+
+def night(
+    date: str = "2026-11-20",
+    cameras: Sequence[CameraRecord] = tuple(map(camera, NAMES)),
+    pairs: Sequence[PairRecord] = EVERY_PAIR,
+    points: int = 100_000,
+    past: Sequence[RunRecord] = (),
+    expected: Expected = DEFAULTS,
+    facts: Facts = NOTHING_FAILED,
+    settings: str = "as ever",
+) -> RunRecord:
+    """A night that has been judged; `past`: the nights before it, newest first."""
+    box = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    run = date.replace("-", "") + "T031500Z"
+    times = f"{date}T03:15:00Z", f"{date}T03:16:00Z"
+    record = RunRecord(
+        run,
+        "yard",
+        "0.1.0",
+        date,
+        *times,
+        exit_code=0,
+        tasks=TaskCounts(),
+        seconds=Seconds(1.0, 1.0),
+        peak_rss_mb=1,
+        cameras=tuple(cameras),
+        pairs=tuple(pairs),
+        cloud=CloudRecord("cloud.ply", points, box) if points else None,
+        reason=None if points else "only camera gate has a usable capture",
+        settings=settings,
+    )
+    earlier = Past(tuple(past))
+    return judge(replace(record, usual=earlier.usual(settings, expected.since)), facts, earlier, expected)
+
+
+def verdict_of(record: RunRecord) -> Verdict:
+    assert record.verdict
+    return record.verdict
+
+
+def only(record: RunRecord) -> Finding:
+    (finding,) = verdict_of(record).findings
+    return finding
+
+
+def lost(name: str, code: str = "bad-input") -> CameraRecord:
+    return CameraRecord(name, "failed", f"{name}.jpg is empty (0 bytes)", code)
+
+
+def without(name: str) -> list[PairRecord]:
+    return [pair(*names) for names in PAIRS if name not in names]
+
+
+def test_a_night_with_nothing_to_look_at_is_good() -> None:
+    first = night()
+    assert (verdict_of(first), first.exit_code) == (Verdict("good"), ExitCode.GOOD)
+    assert verdict_of(night("2026-11-21", points=90_000, past=[first])) == Verdict("good")
+
+
+def test_a_pair_that_finds_nothing_is_a_result() -> None:
+    pairs = [pair("crane", "gate", "rejected", matched=False), *(pair(*names) for names in PAIRS[1:])]
+    assert night(pairs=pairs).exit_code == ExitCode.GOOD
+
+
+def test_a_camera_that_is_down_is_counted_over_the_nights_and_comes_back_by_itself() -> None:
+    cameras = [*map(camera, NAMES[:3]), lost("roof")]
+    nights: list[RunRecord] = [night("2026-11-16")]
+    for date in ("2026-11-17", "2026-11-18", "2026-11-19"):
+        nights.insert(0, night(date, cameras, without("roof"), past=nights))
+    assert nights[0].exit_code == ExitCode.DEGRADED
+    finding = verdict_of(nights[0]).findings[0]
+    assert (finding.kind, finding.subject) == ("camera-lost", ("roof",))
+    assert finding.text == "roof.jpg is empty (0 bytes); left out tonight; down since 2026-11-17, 3 nights"
+    assert finding.figures == {"since": "2026-11-17", "nights": 3}
+    again = night("2026-11-19", cameras, without("roof"), past=nights)
+    assert verdict_of(again).findings[0].figures["nights"] == 3, "a second run of the same night"
+    back = night("2026-11-20", past=nights)
+    assert back.exit_code == ExitCode.GOOD
+    assert back.cameras[3].notes == ("back after 3 nights: it was down since 2026-11-17",)
+    assert back.cameras[3].down is None
+
+
+def test_what_is_usual_outlives_any_number_of_bad_nights() -> None:
+    nights = [night("2026-11-01")]
+    for day in range(2, 25):
+        nights = [night(f"2026-11-{day:02}", points=50_000, past=nights), *nights][:14]
+    finding = only(nights[0])
+    assert finding.kind == "fewer-points"
+    assert finding.text == "50,000 points, 50 % of the usual 100,000"
+    assert (finding.figures, finding.expected) == ({"points": 50_000}, {"points": 100_000})
+
+
+def test_fewer_pairs_than_usual() -> None:
+    good = [night("2026-11-19")]
+    record = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), past=good)
+    assert [str(finding) for finding in verdict_of(record).findings] == [
+        "roof: roof.jpg is empty (0 bytes); left out tonight",
+        "3 pairs, 50 % of the usual 6",
+    ]
+
+
+def test_without_an_earlier_night_the_plan_says_how_many_pairs_there_should_be() -> None:
+    pairs = [pair(*names, *(("ok",) if i in {0, 5} else ("rejected", False))) for i, names in enumerate(PAIRS)]
+    assert only(night(pairs=pairs)).text == "only 2 of 6 pairs could be used; most others: 23 inliers, 30 needed"
+
+
+@pytest.mark.parametrize("before", [0, 1, 7])
+def test_a_night_that_is_poor_in_pairs_is_no_good_night_though_every_camera_takes_part(before: int) -> None:
+    """21 pairs rejected, and 50 tasks after them skipped; every camera is in a pair, and there is a cloud."""
+    names = [f"camera-{k}" for k in range(10)]
+    kept = [*zip(names[::2], names[1::2], strict=True), ("camera-1", "camera-2")]
+    others = [(a, b) for k, a in enumerate(names) for b in names[k + 1 : k + 5] if (a, b) not in kept][:21]
+    planned = [*kept, *others]
+    poor = [*(pair(*n) for n in kept), *(pair(*n, "rejected", matched=False) for n in others)]
+    assert len(others) == 21
+    cameras = [CameraRecord(name, "ok") for name in names]
+    past = [night(f"2026-11-{19 - k}", cameras, [pair(*n) for n in planned]) for k in range(before)]
+    record = night(cameras=cameras, pairs=poor, past=past)
+    assert record.exit_code == ExitCode.DEGRADED
+    assert "fewer-pairs" in {finding.kind for finding in verdict_of(record).findings}
+
+
+def test_other_settings_have_other_usual_nights() -> None:
+    past = [night("2026-11-19", settings="at full resolution")]
+    assert night(points=40_000, past=past).exit_code == ExitCode.GOOD
+
+
+@pytest.mark.parametrize(
+    ("expected", "points", "kinds"),
+    [
+        (Expected({"points": 0.4}), 50_000, []),
+        (Expected({"points": 0.9}), 85_000, ["fewer-points"]),
+        (Expected({"points": 90_000}), 85_000, ["fewer-points"]),
+        (Expected({"cameras": 5}), 100_000, ["fewer-cameras"]),
+        (Expected(since="2026-11-20"), 50_000, []),
+    ],
+)
+def test_the_site_file_says_what_is_expected(expected: Expected, points: int, kinds: list[str]) -> None:
+    record = night(points=points, past=[night("2026-11-19")], expected=expected)
+    assert [finding.kind for finding in verdict_of(record).findings] == kinds
+
+
+def test_a_site_that_may_do_without_a_camera_names_it_and_is_good() -> None:
+    record = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), expected=Expected({"cameras": 0.75}))
+    assert record.exit_code == ExitCode.GOOD
+    assert only(record).subject == ("roof",)
+
+
+def test_a_camera_that_is_far_darker_than_usual() -> None:
+    cameras = [camera("crane", brightness=9.9), *map(camera, NAMES[1:])]
+    record = night(cameras=cameras, past=[night("2026-11-19")])
+    finding = only(record)
+    assert (finding.kind, finding.subject) == ("camera-blind", ("crane",))
+    assert finding.text == "its picture has 9 % of its usual brightness"
+    assert (finding.figures["brightness"], finding.expected["brightness"]) == (9.9, 110.0)
+    assert night(cameras=cameras).exit_code == ExitCode.GOOD, "nobody knows how bright it should be"
+
+
+def test_a_dark_night_is_no_fault_of_the_cameras() -> None:
+    cameras = [camera(name, brightness=12.0) for name in NAMES]
+    assert night(cameras=cameras, past=[night("2026-11-19")]).exit_code == ExitCode.GOOD
+
+
+def test_a_camera_that_is_out_of_focus() -> None:
+    cameras = [camera("crane", sharpness=0.07), *map(camera, NAMES[1:])]
+    assert only(night(cameras=cameras, past=[night("2026-11-19")])).text == "its picture has 26 % of its usual sharpness"
+
+
+def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_on() -> None:
+    pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
+    record = night(pairs=pairs, past=[night("2026-11-19")])
+    finding = only(record)
+    assert (finding.kind, finding.subject) == ("camera-foreign", ("crane",))
+    assert finding.text.startswith("0 % of its pairs find common points, usually 100 % do")
+
+
+def test_a_camera_is_not_blamed_for_its_partners_that_are_down() -> None:
+    pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
+    cameras = [camera("crane"), *(lost(name) for name in NAMES if name != "crane")]
+    assert "matched_share" not in looks_of(night(cameras=cameras, pairs=pairs))["crane"]
+    others = [camera("crane"), lost("roof"), *(camera(name) for name in NAMES if name not in {"crane", "roof"})]
+    assert looks_of(night(cameras=others, pairs=pairs))["crane"]["matched_share"] == 0
+
+
+def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
+    health = Health("stale", "its picture is yesterday's", {"age_h": 26.0}, {"age_h": 2.0}, "look at its recorder")
+    record = night(cameras=[replace(camera("crane"), health=health), *map(camera, NAMES[1:])])
+    assert only(record).kind == "camera-stale"
+    assert only(record).remedy == "look at its recorder"
+
+
+def test_a_camera_that_is_left_out_for_its_health_is_called_by_it() -> None:
+    blind = replace(lost("roof"), outcome="skipped", health=Health("blind", "98 % of the picture show nothing"))
+    finding = verdict_of(night(cameras=[*map(camera, NAMES[:3]), blind], pairs=without("roof"))).findings[0]
+    assert (finding.kind, finding.text) == ("camera-blind", "98 % of the picture show nothing; left out tonight")
+
+
+def test_a_reason_that_names_every_file_is_cut() -> None:
+    reason = "; ".join(f"roof_{number}.jpg is empty (0 bytes)" for number in range(99))
+    cameras = [*map(camera, NAMES[:3]), replace(lost("roof"), reason=reason)]
+    record = night(cameras=cameras, pairs=without("roof"))
+    assert verdict_of(record).findings[0].text.endswith("...; left out tonight")
+    assert len(verdict_of(record).findings[0].text) < 250
+    assert record.cameras[3].reason == reason
+
+
+def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
+    world = WorldRecord({"suspects": {"mast": "seems to be turned by 3.1 degrees. Has it been moved?"}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
+
+
+def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stays_in_use() -> None:
+    world = WorldRecord({"doubtful": {"mast": "2 of its 2 pairs contradict its known pose by up to 33.8 px"}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
+
+
+def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
+    world = WorldRecord({"uncertain": {"mast": 4.07, "gate": 2.9}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
+    assert "up to 4.1 px beside the row" in only(record).text
+
+
+def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
+    world = WorldRecord({"unsure_lenses": {name: {"focal": 0.031, "border_px": 2.24} for name in ("mast", "gate")}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    found = only(record)
+    assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
+    assert "3.1 % of its focal length" in found.text and "2.2 px at the border" in found.text
+    assert found.remedy is not None and "wbflow calibrate" in found.remedy
+
+
+def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
+    world = WorldRecord({"strained": {"gate": 21.7, "mast": 21.7}})
+    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    found = only(record)
+    assert (found.kind, found.subject, record.exit_code) == ("poses-strained", ("gate", "mast"), ExitCode.DEGRADED)
+    assert "22 times better" in found.text and found.figures == {"strain": 21.7}
+    many = replace(found, subject=("gate", "mast", "quay"))
+    assert str(found).startswith("gate--mast: ") and str(many).startswith("3 cameras: ")
+
+
+@pytest.mark.parametrize("known", ["stated", "solved"])
+def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_elsewhere(known: str) -> None:
+    tried = [
+        replace(p, outcome="rejected", figures={**p.figures, "known": known}) if "roof" in p.cameras else p for p in EVERY_PAIR
+    ]
+    finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-fruitless")
+    assert finding.subject == ("roof",)
+    assert ("its pose is not what the site file says" in finding.remedy) is (known == "stated")
+
+
+def rows(left: str, right: str, given: float, beside: float) -> PairRecord:
+    """A pair refused by its rows, of stated poses."""
+    figures = {"matched": True, "known": "stated", "row_share": given, "row_chance": beside}
+    return PairRecord(left, right, "rejected", "dense matching does not confirm the cameras", figures=figures)
+
+
+def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named() -> None:
+    wide = rows("crane", "roof", 0.026, 0.024)  # says nothing: neither row matches
+    tried = [pair("crane", "gate"), rows("crane", "mast", 0.03, 0.1), rows("gate", "mast", 0.01, 0.012), wide]
+    (fruitless,) = (
+        f for f in verdict_of(night(pairs=[*tried, rows("mast", "roof", 0.1, 0.16)])).findings if f.kind == "camera-fruitless"
+    )
+    assert fruitless.subject == ("mast",)
+    assert "roof has no pair" in fruitless.text and "measure its pose anew" in fruitless.remedy
+
+
+def test_two_cameras_with_as_many_pairs_against_them_are_both_named() -> None:
+    tried = [
+        pair("crane", "gate"),
+        rows("crane", "mast", 0.03, 0.1),
+        rows("gate", "roof", 0.03, 0.1),
+        rows("mast", "roof", 0.1, 0.16),
+    ]
+    found = verdict_of(night(pairs=tried)).findings
+    assert [f.subject for f in found if f.kind == "camera-fruitless"] == [("mast",), ("roof",)]
+
+
+def test_a_camera_in_no_pair_gives_nothing() -> None:
+    assert only(night(pairs=without("roof"))).kind == "camera-alone"
+
+
+def test_failed_tasks_of_one_cause_are_one_finding() -> None:
+    state = State("failed", "lost its worker process, twice", Cause.WORKER_LOST)
+    failed = tuple((Task("matches", names), state) for names in PAIRS[:3])
+    finding = only(night(facts=Facts(failed)))
+    assert finding.text == "matches crane--gate failed: lost its worker process, twice (and 2 more like it)"
+
+
+def test_no_cloud_is_a_failure_unless_none_was_asked_for() -> None:
+    record = night(cameras=[camera("crane"), *map(lost, NAMES[1:])], pairs=[], points=0)
+    assert (verdict_of(record).level, record.exit_code) == ("failed", ExitCode.FAILED)
+    assert verdict_of(record).findings[0].text == "no cloud: only camera gate has a usable capture"
+    assert night(points=0, facts=Facts(product=False)).exit_code == ExitCode.GOOD
+
+
+def test_what_was_asked_for_instead_of_a_cloud_and_is_not_there_is_a_failure() -> None:
+    record = night(points=0, facts=Facts(product=False, lacks="no poses: of 11 pairs none is more likely right than wrong"))
+    assert (only(record).kind, verdict_of(record).level, record.exit_code) == ("no-result", "failed", ExitCode.FAILED)
+
+
+def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
+    record = night(points=0, facts=Facts(interrupted=True))
+    assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
+    assert Past((record,)).usual("as ever") is None
+
+
+def test_less_of_the_ground_than_usual() -> None:
+    seen = [
+        replace(night(date), poses=WorldRecord({"metric": True}), later={"coverage": {"area_m2": 400.0, "seen_by_two": share}})
+        for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
+    ]
+    record = judge(replace(seen[1], usual=Past((seen[0],)).usual("as ever")), Facts(), Past(), Expected())
+    assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
+
+
+def test_usual_is_the_median() -> None:
+    usual = usual_of([night(points=points) for points in (90_000, 100_000, 250_000)])
+    assert (usual.nights, usual.figures) == (3, {"points": 100_000, "pairs": 6})
+    assert usual.cameras["gate"] == {**LOOKS, "matched_share": 1.0}

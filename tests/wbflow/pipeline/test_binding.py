@@ -1,0 +1,92 @@
+"""Stages and the methods they choose among: inputs by argument name, parameters of the chosen method only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wbflow.cache.functions import FunctionReader
+from wbflow.cache.modules import FunctionError
+from wbflow.pipeline.binding import Binding, bind, method_parameters
+from wbflow.pipeline.rows import FromStage, Method, Stage
+
+STAGE = '''\
+METHODS = {"plain": "beside:plain", "rich": "beside:rich"}
+
+def work(left, right, *, frame=None, how: str = "plain", least: int = 8, **options):
+    """Do it."""
+
+def plain(left, right, *, ratio: float = 0.8):
+    """Plainly."""
+
+def rich(frame, *, depth: int = SIZE):
+    """Richly."""
+
+def wrong(left, picture):
+    """Asks for what nobody has."""
+
+SIZE = len("abc")
+'''
+
+ROW = Stage(
+    "toy",
+    scope="pair",
+    function="beside:work",
+    needs={"left": FromStage("a"), "right": FromStage("a")},
+    offers={"frame": FromStage("b")},
+    method=Method("how", "beside:METHODS"),
+)
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> FunctionReader:
+    (tmp_path / "beside.py").write_text(STAGE)
+    return FunctionReader(folder=tmp_path)
+
+
+def bound(reader: FunctionReader, **values: object) -> Binding:
+    return bind(ROW, None, values, reader)
+
+
+def test_the_parameters_are_the_stage_s_and_the_chosen_method_s(reader: FunctionReader) -> None:
+    assert bound(reader).defaults() == {"how": "plain", "least": 8, "ratio": 0.8}
+    assert list(bound(reader, how="rich").parameters) == ["how", "least", "depth"]
+    assert bound(reader, how="rich").left_to_function() == {"depth": "default SIZE"}
+
+
+def test_an_offer_is_handed_over_only_when_the_method_asks(reader: FunctionReader) -> None:
+    assert set(bound(reader).needs) == {"left", "right"}
+    assert set(bound(reader, how="rich").needs) == {"left", "right", "frame"}
+
+
+def test_each_method_has_a_fingerprint_of_its_own(reader: FunctionReader, tmp_path: Path) -> None:
+    assert bound(reader).code != bound(reader, how="rich").code
+    assert bound(reader).code == bound(reader, how="beside:plain").code
+
+
+def test_a_method_of_one_s_own_comes_by_its_dotted_name(reader: FunctionReader, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def method(right, *, depth: int = 3):\n    return right\n")
+    assert "depth" in bound(reader, how="mine:method").parameters
+
+
+def test_a_name_that_is_in_no_table_is_refused_with_those_that_are(reader: FunctionReader) -> None:
+    with pytest.raises(FunctionError, match="'magic' is not one of plain, rich"):
+        bound(reader, how="magic")
+
+
+def test_a_method_that_asks_for_what_is_not_there_is_told(reader: FunctionReader) -> None:
+    assert bound(reader).faults() == []
+    (fault,) = bound(reader, how="beside:wrong").faults()
+    assert "asks for 'picture', which is not there; toy can hand over frame, left, right" in fault
+
+
+def test_who_reads_a_parameter_can_be_told(reader: FunctionReader) -> None:
+    readers = method_parameters(ROW, reader)
+    assert {name: list(parameters) for name, parameters in readers.items()} == {"plain": ["ratio"], "rich": ["depth"]}
+
+
+def test_a_table_that_is_no_literal_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "beside.py").write_text(STAGE.replace('METHODS = {"plain": "beside:plain",', 'METHODS = {"plain": str(1),'))
+    with pytest.raises(FunctionError, match="has no dictionary literal METHODS"):
+        bind(ROW, None, {}, FunctionReader(folder=tmp_path))

@@ -1,0 +1,55 @@
+"""Which pairs are made dense: the rules of the pair graph, and what was matched where there is room."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import combinations
+
+import numpy as np
+
+from wbflow.pipeline.dense import select_dense_pairs
+from wbflow.pipeline.pairs import PairGraph, select_pairs
+from wbflow_stages.types import Overlap
+
+
+def shared(names: str, angle: float = 20.0, without: tuple[str, ...] = ()) -> Overlap:
+    rows = [(i, j) for i, j in combinations(range(len(names)), 2) if names[i] + names[j] not in without]
+    return Overlap(tuple(names), np.array(rows, np.int32), np.full(len(rows), angle), np.ones(len(rows)), "poses")
+
+
+def matched(*pairs: str) -> PairGraph:
+    return PairGraph(tuple((pair[0], pair[1]) for pair in pairs), (), (tuple(sorted({*"".join(pairs)})),))
+
+
+def names(graph: PairGraph) -> set[str]:
+    return {left + right for left, right in graph.pairs}
+
+
+def test_placed_cameras_have_the_pairs_that_they_would_have_had() -> None:
+    evidence = shared("abcdef")
+    found = select_dense_pairs(evidence, matched("ab", "bc", "cd", "de", "ef"), degree=3)
+    assert found.pairs == select_pairs(evidence, degree=3).pairs
+
+
+def test_a_pair_that_the_cameras_contradict_does_not_come_back() -> None:
+    found = select_dense_pairs(shared("abc", without=("ac",)), matched("ab", "ac"), include=[["a", "c"]])
+    assert names(found) == {"ab", "bc"}
+
+
+def test_a_matched_pair_comes_in_where_there_is_room_whatever_its_angle() -> None:
+    evidence = shared("abc", angle=80.0)
+    assert names(select_dense_pairs(evidence, matched("ab", "bc"), max_angle=60.0)) == {"ab", "bc"}
+    assert names(select_dense_pairs(evidence, matched("ab"), max_angle=60.0)) == {"ab"}
+
+
+def test_no_camera_has_more_pairs_than_wanted_for_what_was_matched() -> None:
+    every = [a + b for a, b in combinations("abcdefgh", 2)]
+    found = select_dense_pairs(shared("abcdefgh", angle=80.0), matched(*every), degree=3, max_angle=60.0)
+    assert set(Counter("".join(names(found))).values()) <= {2, 3}
+
+
+def test_pairs_of_a_camera_that_is_not_placed_stay() -> None:
+    found = select_dense_pairs(shared("abc"), matched("ab", "cd"))
+    assert names(found) == {"ab", "ac", "bc", "cd"}
+    assert next(edge.reason for edge in found.edges if edge.right == "d") == "matched; its cameras are not both placed"
+    assert found.components == (("a", "b", "c", "d"),)

@@ -1,0 +1,114 @@
+"""The ledger is an index: lost or damaged, it is made again, and says so."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from tests.wbflow.records.test_run_folder import publish
+from wbflow.cache.layout import WorkFolder
+from wbflow.records.ledger import Ledger
+
+
+def test_a_lost_ledger_is_made_again_from_what_it_indexes(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    with Ledger(work) as ledger:
+        (run,) = ledger.runs()
+        assert (run.run, run.ran, run.points, run.exit_code) == ("20261120T031500Z", 7, 1843201, 3)
+        assert ledger.keys_of_runs([run.run]) == {"ab"}
+        assert ledger.faults == []
+
+
+def test_a_damaged_ledger_is_made_again_and_says_so(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    work.ledger.write_bytes(b"not a database" * 1000)
+    with Ledger(work, writes=True) as ledger:
+        assert len(ledger.runs()) == 1
+        assert "was damaged" in ledger.faults[0]
+    with Ledger(work, writes=True) as ledger:
+        assert ledger.faults == []
+
+
+def full_ledger(work: WorkFolder, runs: int = 3) -> None:
+    for k in range(runs):
+        publish(work, f"2026112{k}T031500Z")
+    with Ledger(work, writes=True):
+        pass
+
+
+def damage_pages(work: WorkFolder) -> None:
+    """All pages but the first, which says what the file is."""
+    data = bytearray(work.ledger.read_bytes())
+    data[4096:] = b"\x5a" * len(data[4096:])
+    work.ledger.write_bytes(data)
+
+
+def test_damaged_pages_are_found_when_they_are_read_and_made_again(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    full_ledger(work)
+    damage_pages(work)
+    with Ledger(work, writes=True) as ledger:
+        assert len(ledger.runs()) == 3
+        assert ledger.keys_of_runs(["20261121T031500Z"]) == {"ab"}
+        assert "was damaged" in ledger.faults[0]
+    with Ledger(work) as ledger:
+        assert (len(ledger.runs()), ledger.faults) == (3, [])
+
+
+def test_who_only_reads_changes_nothing(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261119T031500Z")
+    with Ledger(work) as ledger:
+        assert len(ledger.runs()) == 1
+    assert not work.ledger.exists()
+    full_ledger(work)
+    damage_pages(work)
+    before = work.ledger.read_bytes()
+    with Ledger(work) as ledger:
+        assert len(ledger.runs()) == 4
+        assert "was damaged" in ledger.faults[0]
+    assert work.ledger.read_bytes() == before
+
+
+@pytest.mark.parametrize("writes", [False, True])
+def test_a_ledger_that_somebody_holds_is_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: bool) -> None:
+    monkeypatch.setattr("wbflow.records.ledger._PATIENCE_S", 0.05)
+    work = WorkFolder(tmp_path)
+    full_ledger(work)
+    inode = work.ledger.stat().st_ino
+    holder = sqlite3.connect(work.ledger, isolation_level=None)
+    holder.execute("pragma locking_mode = exclusive")
+    holder.execute("begin exclusive")
+    holder.execute("insert into uses values ('x', 'y', 'ran', null, 'z')")
+    if writes:
+        with pytest.raises(sqlite3.OperationalError, match="locked"):
+            Ledger(work, writes=True)
+    else:
+        with Ledger(work) as ledger:
+            assert len(ledger.runs()) == 3
+    assert work.ledger.stat().st_ino == inode
+    holder.execute("commit")
+    holder.close()
+
+
+def test_a_run_whose_process_was_killed_before_it_was_indexed_is_caught_up_with(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    full_ledger(work)
+    publish(work, "20261129T031500Z")
+    with Ledger(work, writes=True) as ledger:
+        assert [run.run for run in ledger.runs()][-1] == "20261129T031500Z"
+
+
+def test_a_run_that_cannot_be_read_is_left_out_and_named(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    publish(work, "20261120T031500Z")
+    publish(work, "20261121T031500Z").paths.record.write_text("{")
+    with Ledger(work, writes=True) as ledger:
+        assert [run.run for run in ledger.runs()] == ["20261120T031500Z"]
+        assert "20261121T031500Z" in ledger.faults[0]
+    with Ledger(work, writes=True) as ledger:
+        assert ledger.faults == [], "it is said once"

@@ -1,0 +1,249 @@
+"""The page of a night, in a browser from the disk: it draws, turns, flies, shows all there is, asks nobody for anything."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers import made_up_run
+from wbflow.records.record import Finding, RunRecord, Verdict
+from wbflow.runner.state import Cause
+
+webdriver = pytest.importorskip("selenium.webdriver")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+HOSTILE = ["gate", "\"><script>document.title='taken'</script>", "o'clock\n&amp; {{ 7 * 7 }}", "</script><b>", "yard-2", "yard-3"]
+PATIENCE_S = 120.0
+"""Of a machine that does other things, too."""
+
+
+@pytest.fixture(scope="module")
+def night() -> RunRecord:
+    return made_up_run.record(HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def page(night: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_up_run.page(tmp_path_factory.mktemp("page"), night)
+
+
+@pytest.fixture(scope="module")
+def browser(page: Path) -> Iterator[Any]:
+    """A browser that has the page open, from the disk."""
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("there is no chromium with its chromedriver here: scripts/setup.sh installs them for the tests")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=900,700",
+        "--disable-background-networking",
+    ):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        driver.get(page.as_uri())
+        until(driver, "return document.querySelector('#view').dataset.state === 'ready'")
+        yield driver
+    finally:
+        driver.quit()
+
+
+def until(browser: Any, script: str) -> Any:
+    end = time.monotonic() + PATIENCE_S
+    while not (found := browser.execute_script(script)):
+        assert time.monotonic() < end, script
+        time.sleep(0.05)
+    return found
+
+
+PIXELS = """
+const canvas = document.querySelector('#view canvas.points'), pen = canvas.getContext('2d');
+const data = pen.getImageData(0, 0, canvas.width, canvas.height).data;
+let sum = 0, drawn = 0;
+for (let i = 0; i < data.length; i += 4) if (data[i + 3]) {
+  drawn++;
+  sum = (sum * 31 + data[i] * 7 + data[i + 1] * 3 + data[i + 2] + i) % 2147483647;
+}
+return [drawn, sum];"""
+POSE = "return document.querySelector('#view').dataset.pose"
+
+
+def settled(browser: Any, does: Callable[[], object]) -> tuple[int, int]:
+    """Pixels drawn, and a sum over them, once what was done has come to rest."""
+    does()
+    until(browser, "return !view.moving && !view.dirty && view.root.dataset.mode === view.mode")
+    drawn, total = browser.execute_script(PIXELS)
+    return drawn, total
+
+
+def test_it_asks_nobody_and_complains_of_nothing(browser: Any, page: Path) -> None:
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = {m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"}
+    assert {url for url in asked if not url.startswith("data:")} == {page.as_uri()}
+    assert browser.get_log("browser") == []
+    assert "taken" not in browser.title
+
+
+def test_what_is_hidden_is_not_shown(browser: Any) -> None:
+    make = "const image = document.createElement('img'); image.hidden = true; document.body.append(image);"
+    assert browser.execute_script(f"{make} return getComputedStyle(image).display") == "none", "a layer of the map, for one"
+    shown = "return [...document.querySelectorAll('[hidden]')].filter(e => getComputedStyle(e).display !== 'none').length"
+    assert browser.execute_script(shown) == 0
+
+
+def test_the_cloud_is_drawn_and_turns_under_the_pointer(browser: Any) -> None:
+    drawn, first = settled(browser, lambda: None)
+    assert drawn > 500
+    pose = browser.execute_script(POSE)
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    drag = webdriver.ActionChains(browser, duration=20).move_to_element(canvas).click_and_hold().move_by_offset(90, 15).release()
+    _, turned = settled(browser, drag.perform)
+    assert browser.execute_script(POSE) != pose
+    assert turned != first
+    _, back = settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
+    assert back == first
+
+
+def test_colours_switch_and_have_a_scale(browser: Any) -> None:
+    looks = set()
+    for button in browser.find_elements("css selector", "[data-mode]"):
+        looks.add(settled(browser, partial(browser.execute_script, "arguments[0].click()", button)))
+        assert (button.get_attribute("data-mode") == "photograph") != browser.find_element(
+            "css selector", ".legend"
+        ).is_displayed()
+    assert len(looks) == 5, "photograph, height, confidence, views, sigma"
+    browser.execute_script("document.querySelector('[data-mode=photograph]').click()")
+
+
+def test_a_click_on_a_camera_flies_to_it(browser: Any) -> None:
+    at = browser.execute_script("const s = view.spots.find(s => s.cam.id === 'gate'); return [s.x, s.y, ...view.size]")
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    across, down = (round(at[k] - at[2 + k] / 2) for k in (0, 1))
+    webdriver.ActionChains(browser, duration=0).move_to_element_with_offset(canvas, across, down).click().perform()
+    until(browser, "return view.root.dataset.flown === 'gate'")
+    eye, stands = browser.execute_script("return [view.eye().eye, view.flown.C]")
+    assert eye == pytest.approx(stands, abs=1e-6)
+    assert browser.find_element("css selector", ".inset img").is_displayed(), "what it saw stands beside"
+    browser.execute_script("document.querySelector('[data-do=home]').click()")
+    until(browser, "return view.root.dataset.flown === ''")
+
+
+def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night: RunRecord) -> None:
+    def texts(selector: str) -> list[str]:
+        script = "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)"
+        found: list[str] = browser.execute_script(script, selector)
+        return found
+
+    ids = [camera.id for camera in night.cameras]
+    assert texts("#cameras .card h3 a") == [ids[-2], ids[-1], *ids[:-2]], "those to look at come first"
+    assert texts("#map .dot > text") == ids
+    assert texts("table.pairs tbody td:first-child") == [pair.name for pair in night.pairs]
+    assert len(texts("#map line.pair")) == len(night.pairs)
+    told = "\n".join(texts(".finding"))
+    assert night.verdict
+    for finding in night.verdict.findings:
+        assert finding.text in told and finding.remedy in told
+    assert texts(".verdict strong") == ["2 cameras to look at"]
+    assert texts(".tried li") == ["geometry rejected: 12 inliers, 30 needed"]
+    assert browser.execute_script("return view.scene.cameras.map(c => c.id)") == ids
+
+
+def test_a_picture_opens_as_large_as_it_is_with_what_was_found_in_it(browser: Any) -> None:
+    browser.execute_script("document.querySelector('#camera-1 .shot').click()")
+    over = "const c = document.querySelector('#large canvas'); return [...c.getContext('2d').getImageData(%s, 1, 1).data]"
+    middle, corner = "c.width / 2, c.height / 2", "0, 0"
+    wide, high = until(
+        browser, "const i = document.querySelector('#large img'); return i.complete && [i.naturalWidth, i.naturalHeight]"
+    )
+    assert browser.execute_script("const c = document.querySelector('#large canvas'); return [c.width, c.height]") == [wide, high]
+    assert "6,000 keypoints, 1,000 inliers in 2 pairs" in browser.find_element("css selector", "#large figcaption").text
+    assert (browser.execute_script(over % corner)[3] > 0, browser.execute_script(over % middle)[3]) == (True, 0)
+    for layer in ("points", "inliers"):
+        browser.execute_script(f"document.querySelector('[data-layer={layer}]').click()")
+    assert browser.execute_script(over % corner)[3] == 0
+    browser.execute_script("document.querySelector('#large').close()")
+
+
+def test_pairs_are_sorted_by_any_figure(browser: Any) -> None:
+    head = next(th for th in browser.find_elements("css selector", "table.pairs th button") if "inliers" in th.text)
+    browser.execute_script("arguments[0].click()", head)
+    rows = "return [...document.querySelectorAll('table.pairs tbody tr')].map(r => r.className)"
+    assert browser.execute_script(rows)[0] == "rejected"
+    browser.execute_script("arguments[0].click()", head)
+    assert browser.execute_script(rows)[-1] == "rejected"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    told = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", told)
+    browser.execute_script("for (const fold of document.querySelectorAll('details')) fold.open = true")
+    out = """return [...document.querySelectorAll('body *')].filter(e => !e.closest('svg'))
+        .filter(e => e.getBoundingClientRect().right > 390.5).map(e => e.outerHTML.slice(0, 80))"""
+    assert browser.execute_script(out) == []
+    assert browser.execute_script("return document.documentElement.scrollWidth") == 390
+    ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, re.findall(r"\d+", ground)[:3])) < 150) == (scheme == "dark")
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_hundred_cameras_have_room(tmp_path: Path) -> None:
+    night = made_up_run.record(made_up_run.names(100))
+    file = made_up_run.page(tmp_path, night, points=20_000, pictures=(480, 270), nights=1)
+    told = file.read_text()
+    assert file.stat().st_size < 15_000_000
+    assert told.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
+    assert told.count('<g class="dot') == 100
+    assert all(html.escape(pair.name) in told for pair in night.pairs)
+    assert "98 cameras as they should be" in told, "two to look at stand before them"
+    assert 'class="elsewhere" href="../../cache/' in told, "what has no room is led to"
+
+
+def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path: Path) -> None:
+    night = made_up_run.record(made_up_run.names(3), cloud=None, pairs=(), verdict=None, exit_code=1)
+    told = made_up_run.page(tmp_path, night, nights=1).read_text()
+    assert told.count('<g class="dot') == 3
+    assert "stood here on 2026-11-01" in told
+    assert "No cloud this night" in told
+    assert "No two cameras were matched." in told
+    assert '<script type="application/octet-stream"' not in told
+
+
+def test_a_night_without_a_cloud_lies_as_the_night_before(tmp_path: Path) -> None:
+    ids = made_up_run.names(5)
+    before = made_up_run.record(ids)
+    lost = [Finding("camera-lost", (name,), "no capture", remedy="see that it delivers") for name in ids]
+    gone = tuple(replace(camera, outcome="failed", code=Cause.NO_CAPTURE, health=None) for camera in before.cameras)
+    after = replace(before, run="20261211T031500Z", date="2026-12-10", cloud=None, pairs=(), cameras=gone)
+    after = replace(after, verdict=Verdict("failed", tuple(lost)))
+    pages = [made_up_run.page(tmp_path, night, nights=count).read_text() for night, count in ((before, 1), (after, 0))]
+    rows, turned = (json.loads(re.findall(r'id="scene">(.*?)</script>', page)[0])["axes"]["rows"] for page in pages)
+    for one, other in zip(rows, turned, strict=True):
+        assert one == pytest.approx(other, abs=0.05)
+
+
+def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_shows_nothing(tmp_path: Path) -> None:
+    ids = made_up_run.names(5)
+    lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
+    night = made_up_run.record(ids, cloud=None, pairs=(), verdict=Verdict("failed", tuple(lost)), exit_code=1)
+    night = replace(night, later={"changes": {"compared": False, "count": 0, "noise": 1.0, "files": [], "reason": None}})
+    told = made_up_run.page(tmp_path, night, nights=0).read_text()
+    assert "The same is wrong with every camera." in told
+    assert f"4 more like these: {', '.join(ids[1:])}" in told
+    assert "There was nothing to compare this night with." in told and "<dt>noise</dt>" not in told

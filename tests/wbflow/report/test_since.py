@@ -1,0 +1,51 @@
+"""What has changed since the last good night, where only differences from the reference are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+from tests.wbflow.outcome.test_verdict import night
+from wbflow.records.record import RunRecord, Verdict
+from wbflow.report.since import since_last_good
+
+CONTAINER = {"kind": "new", "x": 9.2, "y": 15.3, "z": 1.3, "length": 6.3, "width": 2.7, "volume": 39.2}
+VAN = {"kind": "new", "x": 28.3, "y": 16.3, "z": 1.2, "length": 4.7, "width": 2.3, "volume": 17.4}
+STACK = {"kind": "vanished", "x": 6.8, "y": 20.8, "z": 4.2, "length": 1.8, "width": 0.7, "volume": 3.8}
+
+
+def told(record: RunRecord, things: dict[str, Any], reference: str = "20261101T031500Z") -> RunRecord:
+    return replace(record, reference=reference, later={"changes": {"compared": True, "changes": things}})
+
+
+def sources(*before: RunRecord) -> Any:
+    """Nights before, newest first."""
+    return SimpleNamespace(before=list(before))
+
+
+def test_what_was_there_on_the_last_good_night_is_told_from_what_is_new_and_what_is_over() -> None:
+    nudged = {**CONTAINER, "x": 9.5, "volume": 38.7}
+    good = told(night("2026-11-18"), {"1": nudged, "2": STACK})
+    bad = replace(told(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
+    tonight = told(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
+    since = since_last_good(tonight, sources(bad, good), "changes")
+    assert since is not None
+    assert since.date == "2026-11-18", "the night before was not good"
+    assert since.then == {"1": "1"}
+    assert since.over == {"2": STACK}
+
+
+def test_since_the_reference_s_own_night_everything_is_new() -> None:
+    first = replace(night("2026-11-01"), reference=None)
+    tonight = told(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
+    since = since_last_good(tonight, sources(first), "changes")
+    assert since is not None
+    assert (since.then, since.over) == ({}, {})
+
+
+def test_nothing_is_said_where_another_reference_was_compared_with_or_there_was_no_good_night() -> None:
+    other = told(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
+    tonight = told(night("2026-11-20"), {"1": CONTAINER})
+    assert since_last_good(tonight, sources(other), "changes") is None
+    assert since_last_good(tonight, sources(), "changes") is None

@@ -1,0 +1,126 @@
+"""Which files are tonight's, and when their bytes are read again."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from wbflow.cache.digests import Digests
+from wbflow.errors import UsageError
+from wbflow.runner.captures import backlog, find_captures, night
+from wbflow.site.load import Site, load_site
+
+
+def site(folder: Path, pattern: str, files: list[str], cameras: str = "[gate, roof]") -> Site:
+    for name in files:
+        file = folder / "in" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(name)
+    (folder / "in").mkdir(parents=True, exist_ok=True)
+    (folder / "site.yaml").write_text(f"site: s\ncaptures: {{root: in, pattern: '{pattern}'}}\ncameras: {cameras}\n")
+    return load_site(folder)
+
+
+def names(s: Site, date: datetime.date | None = None) -> dict[str, list[str]]:
+    found = find_captures(s, night(s, date), Digests(None))
+    return {camera: [file.name for file in files] for camera, files in found.items()}
+
+
+def test_one_file_a_camera(tmp_path: Path) -> None:
+    assert names(site(tmp_path, "{camera}.jpg", ["gate.jpg", "other.jpg"])) == {"gate": ["gate.jpg"], "roof": []}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "old", "new"),
+    [
+        ("{camera}/{date:%Y-%m-%d}*.jpg", "gate/2026-11-18_1.jpg", "gate/2026-11-19_1.jpg"),
+        ("{date:%Y/%m/%d}/{camera}.jpg", "2026/11/18/gate.jpg", "2026/11/19/gate.jpg"),
+        ("{camera}-{date}.jpg", "gate-2026-11-18.jpg", "gate-2026-11-19.jpg"),
+        ("**/{camera}_{date:%Y%m%d}T*.jpg", "a/b/gate_20261118T0300.jpg", "c/gate_20261119T0300.jpg"),
+    ],
+)
+def test_the_newest_night_is_tonight_and_another_can_be_asked_for(tmp_path: Path, pattern: str, old: str, new: str) -> None:
+    s = site(tmp_path, pattern, [old, new])
+    assert night(s, None) == datetime.date(2026, 11, 19)
+    assert names(s)["gate"] == [new]
+    assert names(s, datetime.date(2026, 11, 18))["gate"] == [old]
+
+
+def test_several_frames_of_a_night_in_the_order_of_their_names(tmp_path: Path) -> None:
+    files = [f"gate/2026-11-19_{i}.jpg" for i in (3, 1, 2)]
+    assert names(site(tmp_path, "{camera}/{date}_*.jpg", files))["gate"] == sorted(files)
+
+
+def test_special_characters_of_a_shell_in_a_path_mean_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "odd [1] *"
+    folder.mkdir()
+    assert names(site(folder, "{camera}.jpg", ["gate.jpg"]))["gate"] == ["gate.jpg"]
+
+
+def test_listed_images_are_taken_as_they_are(tmp_path: Path) -> None:
+    s = site(tmp_path, "x", ["a.jpg"], "[{id: gate, images: [a.jpg, none.jpg]}]")
+    (found,) = find_captures(s, night(s, None), Digests(None)).values()
+    assert [bool(file.digest) for file in found] == [True, False]
+
+
+def test_digests_are_remembered_for_settled_files_only(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_text("one")
+    digests = Digests(tmp_path / "memo.json")
+    first = digests.of(file)
+    stamp = file.stat()
+    file.write_text("two")
+    os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert digests.of(file) != first, "changed within the resolution of its time stamp"
+    digests.save()
+    assert not (tmp_path / "memo.json").exists(), "too young to be remembered"
+
+
+def test_times_in_names_give_the_order_and_must_be_times(tmp_path: Path) -> None:
+    files = [f"gate/2026-11-19/{i}_{t}.jpg" for i, t in ((1, "235501"), (2, "071500"), (3, "235459"), (4, "999999"))]
+    s = site(tmp_path, "{camera}/{date:%Y-%m-%d}/*_{time:%H%M%S}.jpg", files)
+    assert [Path(name).name for name in names(s)["gate"]] == ["4_999999.jpg", "2_071500.jpg", "3_235459.jpg", "1_235501.jpg"]
+
+
+def test_a_name_of_days_to_come_does_not_make_the_night(tmp_path: Path) -> None:
+    today = datetime.date.today()
+    s = site(tmp_path, "{camera}_{date}.jpg", [f"gate_{today - datetime.timedelta(days=2)}.jpg", "roof_2199-01-01.jpg"])
+    assert night(s, None) == today - datetime.timedelta(days=2)
+    alone = site(tmp_path / "other", "{camera}_{date}.jpg", ["roof_2199-01-01.jpg"])
+    assert night(alone, None) == datetime.date(2199, 1, 1)
+
+
+def test_a_backlog_is_the_nights_that_have_captures_in_order(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}_{date}.jpg", ["gate_2026-11-12.jpg", "gate_2026-11-10.jpg", "roof_2026-11-11.jpg"])
+    since = datetime.date(2026, 11, 11)
+    assert backlog(s, since) == [since, datetime.date(2026, 11, 12)]
+    with pytest.raises(UsageError, match="no captures since"):
+        backlog(s, datetime.date(2026, 11, 13))
+    with pytest.raises(UsageError, match=r"needs \{date\}"):
+        backlog(site(tmp_path / "other", "{camera}.jpg", []), since)
+
+
+def test_what_was_remembered_of_a_replaced_file_is_not_believed(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_text("one")
+    digests = Digests(tmp_path / "memo.json")
+    first = digests.of(file)
+    digests.forget(file)
+    file.write_text("two")
+    assert digests.of(file) != first
+
+
+def test_the_memo_does_not_grow_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wbflow.cache.digests._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("wbflow.cache.digests._FORMER", 5)
+    for day in range(20):
+        file = tmp_path / f"{day}.jpg"
+        file.write_text(str(day))
+        digests = Digests(tmp_path / "memo.json")
+        digests.of(file)
+        digests.save()
+    assert len(json.loads((tmp_path / "memo.json").read_bytes())["files"]) == 6

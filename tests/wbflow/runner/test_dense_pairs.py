@@ -1,0 +1,85 @@
+"""Pairs that are made dense are chosen anew once the cameras are placed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.cli.main import main
+
+NEIGHBOURS = {"a--b", "b--c", "c--d"}
+ALL = NEIGHBOURS | {"a--c", "a--d", "b--d"}
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
+    """Four cameras of which only neighbours look alike, though each sees what every other does."""
+    monkeypatch.syspath_prepend(str(HELPERS))
+    parameters: dict[str, dict[str, Any]] = {"overlap": {"chain": True}, "rectify": {"use": "toy_stages:rectify_known"}}
+    site = ToySite(tmp_path, ["a", "b", "c", "d"], parameters, backend="threading")
+    share(site)
+    return site
+
+
+def share(site: ToySite, **stated: Any) -> None:
+    """Have what placed cameras share told, or not."""
+    site.write()
+    told = json.loads(site.file.read_text())
+    told["stages"]["shared"] = {"use": "toy_stages:share", **stated}
+    site.file.write_text(json.dumps(told))
+
+
+def ran(site: ToySite, stage: str) -> set[str]:
+    return {task.partition(" ")[2] for task in site.ran() if task.split(" ")[0] == stage}
+
+
+def test_a_pair_that_was_never_matched_is_made_dense(toy: ToySite) -> None:
+    record = toy.run()
+    assert ran(toy, "matches") == NEIGHBOURS
+    assert ran(toy, "disparity") == ALL
+    told = {f"{pair['left']}--{pair['right']}": pair for pair in record["pairs"]}
+    assert list(told) == sorted(ALL)
+    assert {name for name, pair in told.items() if pair["matched"]} == NEIGHBOURS
+    assert all(pair["dense"] and pair["outcome"] == "ok" and pair["density"] == 1.0 for pair in told.values())
+    assert record["cloud"]["points"] == 2 * len(ALL)
+
+
+def test_a_second_night_repeats_nothing_and_plans_nothing(toy: ToySite) -> None:
+    toy.run()
+    first = toy.cloud
+    record = toy.run()
+    assert record["tasks"]["ran"] == 0
+    assert toy.cloud == first
+    planned = CliRunner().invoke(main, ["status", str(toy.file), "--json"], env=toy.env())
+    assert set(json.loads(planned.stdout)["totals"]) == {"cached"}
+
+
+def test_where_cameras_tell_nothing_the_matched_pairs_are_made_dense(toy: ToySite) -> None:
+    share(toy, reject=True)
+    toy.run(code=None)
+    assert ran(toy, "disparity") == NEIGHBOURS
+
+
+def test_a_pair_of_a_camera_that_is_not_placed_stays_as_it_was_matched(toy: ToySite) -> None:
+    toy.parameters["poses"] = {"leave_out": "d"}
+    share(toy)
+    record = toy.run(code=None)
+    told = {f"{pair['left']}--{pair['right']}" for pair in record["pairs"] if pair["dense"]}
+    assert told == {"a--b", "b--c", "a--c", "c--d"}
+
+
+def test_with_every_pose_given_nothing_is_chosen_anew(toy: ToySite) -> None:
+    lens = {"fx": 8, "fy": 8, "cx": 4, "cy": 4, "width": 8, "height": 8}
+    rows = [
+        {"id": name, "intrinsics": lens, "pose": {"position": [k, 0, 2], "look_at": [k, 9, 0]}} for k, name in enumerate("abcd")
+    ]
+    told = json.loads(toy.file.read_text()) | {"cameras": rows}
+    toy.file.write_text(json.dumps(told))
+    record = toy.run(code=None)
+    assert not {"shared", "dense_pairs"} & set(record["seconds"]["stages"])
+    assert ran(toy, "disparity") == NEIGHBOURS

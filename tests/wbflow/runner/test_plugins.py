@@ -1,0 +1,253 @@
+"""Functions of one's own: what they are handed, what of their parameters is known, and where they may lie."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+
+MATCHER = '''\
+"""A matcher beside the site file."""
+
+import numpy as np
+from wbflow_stages.types import Matches
+
+{extra}
+
+def find({arguments}):
+    """Match."""
+    rows = np.zeros(1, np.int32)
+    one = np.ones((1, 2))
+    return Matches({x1}, one, rows, rows, np.ones(1, np.float32), np.eye(2)[None], {left}.view, {right}.view)
+'''
+
+
+@pytest.fixture(autouse=True)
+def _forget() -> Iterator[None]:
+    """A module beside one test's site file is not that of another."""
+    before = list(sys.path)
+    yield
+    sys.path[:] = before
+    for name in ("plugin", "modes", "other", "numpy_too"):
+        sys.modules.pop(name, None)
+
+
+def matcher(toy: ToySite, use: str = "plugin:find", **parameters: object) -> None:
+    """Have the toy site's pairs matched by a function of its own."""
+    site = json.loads(toy.file.read_text())
+    site["stages"]["matches"] = {"use": use, **parameters}
+    toy.file.write_text(json.dumps(site, indent=1))
+
+
+def write(
+    toy: ToySite, arguments: str, extra: str = "", x1: str = "one", sides: str = "left right", file: str = "plugin"
+) -> None:
+    left, right = sides.split()
+    text = MATCHER.format(arguments=arguments, extra=extra, x1=x1, left=left, right=right)
+    (toy.folder / f"{file}.py").write_text(text)
+
+
+def first_match(toy: ToySite) -> float:
+    """x of the first match of a pair."""
+    from wbflow.cache import artifact
+
+    (file,) = (toy.work / "cache" / "matches" / "gate--roof").glob("*.wbf")
+    return float(artifact.decode(file.read_bytes()).x1[0, 0])
+
+
+def parameters(toy: ToySite) -> dict[str, object]:
+    (file,) = (toy.work / "cache" / "matches" / "gate--roof").glob("*.json")
+    found: dict[str, object] = json.loads(file.read_text())["preimage"]["parameters"]
+    return found
+
+
+def problem(toy: ToySite, command: str = "check") -> str:
+    """What a command says of the site file."""
+    result = toy.wbflow(command)
+    assert result.returncode == 2
+    return result.stderr
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_module_beside_the_site_file_is_found_in_workers_too(toy: ToySite, jobs: str) -> None:
+    write(toy, "left, right, *, shift: float = 1.0", x1="one * shift")
+    matcher(toy, shift=5.0)
+    done = toy.wbflow("run", "--jobs", jobs)
+    assert done.returncode == 0, done.stderr
+    assert first_match(toy) == 5.0
+
+
+def test_an_installed_package_is_not_shadowed_by_a_file_beside_the_site(toy: ToySite) -> None:
+    write(toy, "left, right", file="json")
+    matcher(toy, "json:find")
+    assert "module 'json' has no function 'find'" in problem(toy)
+
+
+def test_a_change_in_a_helper_beside_the_site_file_runs_the_stage_again(toy: ToySite) -> None:
+    (toy.folder / "other.py").write_text("SHIFT = 2.0\n")
+    write(toy, "left, right", extra="from other import SHIFT", x1="one * SHIFT")
+    matcher(toy)
+    assert toy.wbflow("run", "--jobs", "1").returncode == 0
+    (toy.folder / "other.py").write_text("SHIFT = 3.0\n")
+    assert toy.wbflow("run", "--jobs", "1").returncode == 0
+    assert "matches gate--roof" in toy.ran()
+
+
+def test_a_default_that_is_no_literal_keeps_its_value_and_is_part_of_the_key(toy: ToySite) -> None:
+    write(toy, "left, right, *, ratio: float = BASE * 0.4", extra="BASE = 2.0", x1="one * ratio")
+    matcher(toy)
+    assert toy.wbflow("run", "--jobs", "1").returncode == 0
+    assert first_match(toy) == pytest.approx(0.8)
+    assert parameters(toy) == {"ratio": "default BASE * 0.4"}
+    write(toy, "left, right, *, ratio: float = BASE * 0.4", extra="BASE = 3.0", x1="one * ratio")
+    toy.wbflow("run", "--jobs", "1")
+    assert "matches gate--roof" in toy.ran()
+
+
+def test_such_a_parameter_can_be_set_and_is_checked(toy: ToySite) -> None:
+    write(toy, "left, right, *, ratio: float = BASE * 0.4", extra="BASE = 2.0", x1="one * ratio")
+    matcher(toy, ratio=7.0)
+    assert toy.wbflow("run", "--jobs", "1").returncode == 0
+    assert first_match(toy) == 7.0
+    matcher(toy, ratio="wide")
+    assert "'wide' is not of type float\n  the default is BASE * 0.4" in problem(toy)
+
+
+@pytest.mark.parametrize(
+    ("line", "annotation"),
+    [
+        ("from modes import Mode", "Mode"),
+        ("from modes import Mode as M", "M | None"),
+        ("import modes", "modes.Mode"),
+        ("from modes import *", "Mode"),
+        ("from modes import Mode", '"Mode"'),
+    ],
+)
+def test_a_choice_that_is_imported_is_checked(toy: ToySite, line: str, annotation: str) -> None:
+    (toy.folder / "modes.py").write_text('from typing import Literal\nMode = Literal["fast", "good"]\n')
+    write(toy, f'left, right, *, mode: {annotation} = "fast"', extra=line)
+    matcher(toy, mode="best")
+    assert "'best' is not one of fast, good" in problem(toy)
+    matcher(toy, mode="good")
+    assert toy.wbflow("status").returncode == 0
+
+
+def test_a_matcher_may_ask_for_the_frames_alone(toy: ToySite) -> None:
+    write(toy, "left_frame, right_frame", x1="one * left_frame.image[0, 0, 0]", sides="left_frame right_frame")
+    matcher(toy)
+    done = toy.wbflow("run", "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert first_match(toy) > 0
+    assert "\n40 cached" in toy.wbflow("run", "--jobs", "1").stdout
+    toy.capture("roof").write_text("another view")
+    toy.wbflow("run", "--jobs", "1")
+    assert "matches gate--roof" in toy.ran()
+    assert "matches gate--crane" not in toy.ran()
+
+
+def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -> None:
+    write(toy, "left_frame, right_frame, *, shift: float = STEP * 2", "STEP = 1.0", "one * shift", "left_frame right_frame")
+    site = json.loads(toy.file.read_text())
+    site["stages"]["matches"] = {"matcher": "plugin:find", "min_matches": 1}
+    toy.file.write_text(json.dumps(site, indent=1))
+    done = toy.wbflow("run", "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert first_match(toy) == 2.0
+    receipt = next((toy.work / "cache" / "matches" / "gate--roof").glob("*.json"))
+    assert set(json.loads(receipt.read_text())["preimage"]["inputs"]) == {"left", "right", "left_frame", "right_frame"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            "left, right, depth",
+            "asks for 'depth', which is not there; matches can hand over left, left_frame, ",
+        ),
+        ("left, right, ratio=0.8", "has 'ratio' among its inputs"),
+        ("left, right, /", "takes 'left' by position only"),
+        ("left, right, *, shift", "has 'shift' without a default"),
+    ],
+)
+def test_a_wrong_signature_is_refused_at_its_place(toy: ToySite, arguments: str, said: str) -> None:
+    write(toy, arguments)
+    matcher(toy)
+    told = problem(toy)
+    assert said in told
+    assert "site.yaml:" in told
+    assert "stages.matches.use: " in told
+
+
+def test_a_function_that_is_missing_and_a_module_that_is_no_python_are_named(toy: ToySite) -> None:
+    write(toy, "left, right")
+    matcher(toy, "plugin:search")
+    assert "module 'plugin' has no function 'search'; it has find" in problem(toy)
+    assert problem(toy, "run") == problem(toy)
+    (toy.folder / "plugin.py").write_text("def find(:\n")
+    matcher(toy)
+    assert "plugin.py:1: " in problem(toy)
+
+
+def test_a_renamed_function_in_a_moved_file_keeps_the_cache(toy: ToySite) -> None:
+    write(toy, "left, right, *, shift: float = 1.0", x1="one * shift")
+    matcher(toy)
+    assert toy.wbflow("run", "--jobs", "1").returncode == 0
+    text = (toy.folder / "plugin.py").read_text()
+    (toy.folder / "other.py").write_text(text.replace("def find", "def search"))
+    (toy.folder / "plugin.py").unlink()
+    matcher(toy, "other:search")
+    assert toy.wbflow("run", "--jobs", "1").returncode == 0
+    assert toy.ran() == set()
+
+
+def test_frames_are_looked_at_for_poses_only_where_these_are_stated_roughly(toy: ToySite) -> None:
+    (toy.folder / "plugin.py").write_text(
+        "def solve(views, placements, geometries, survey, frames_if_rough):\n"
+        "    raise ValueError(f'frames of {sorted(frames_if_rough)}')\n"
+    )
+    pose = {"K": [[8, 0, 4], [0, 8, 4], [0, 0, 1]], "width": 8, "height": 8, "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    exact = {camera: pose | {"C": [k, 0, 0]} for k, camera in enumerate(toy.cameras)}
+    rough = exact | {"roof": exact["roof"] | {"position_sigma_m": 0.05, "rotation_sigma_deg": 0.3}}
+    site = json.loads(toy.file.read_text())
+    site["stages"]["poses"] = {"use": "plugin:solve"}
+    toy.file.write_text(json.dumps(site | {"calibration": "cameras.json"}))
+    for stated, frames in ((exact, []), (rough, sorted(toy.cameras))):
+        (toy.folder / "cameras.json").write_text(json.dumps(stated))
+        run = toy.run("--until", "poses", code=None)["run"]
+        assert f"frames of {frames}" in (toy.work / "runs" / run / "log.jsonl").read_text()
+
+
+def test_what_is_in_a_model_decides_whether_matches_are_found_anew(toy: ToySite) -> None:
+    write(toy, "left, right, model", x1="one * model.data.sum()")
+    model, moved = toy.folder / "one.onnx", toy.folder / "two.onnx"
+    model.write_bytes(bytes([3, 4]))
+    matcher(toy, model="one.onnx")
+    toy.run()
+    assert first_match(toy) == 7.0
+    assert parameters(toy) == {}
+    model.rename(moved)
+    matcher(toy, model="two.onnx")  # the same under another name
+    toy.run()
+    assert not toy.ran()
+    moved.write_bytes(bytes([3, 5]))
+    toy.run()
+    assert "matches gate--roof" in toy.ran()
+    assert not any(task.startswith(("frames", "features")) for task in toy.ran())
+    moved.unlink()
+    assert "stages.matches.model: there is no file" in problem(toy)
+
+
+def test_with_another_model_the_reference_no_longer_answers_for_matches(toy: ToySite) -> None:
+    write(toy, "left, right, model", x1="one * model.data.sum()")
+    (toy.folder / "one.onnx").write_bytes(bytes([3, 4]))
+    matcher(toy, model="one.onnx")
+    toy.run()
+    assert toy.wbflow("pin").returncode == 0
+    toy.run()
+    assert "it was pinned with another" not in toy.wbflow("status").stderr
+    (toy.folder / "one.onnx").write_bytes(bytes([3, 5]))
+    assert "it was pinned with another model in matches" in toy.wbflow("status").stderr

@@ -1,0 +1,392 @@
+"""The pinned reference: what later nights take from it, and that no night changes it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.cache import atomic, signed
+from wbflow.cache import store as cache
+from wbflow.cache.layout import WorkFolder
+from wbflow.cache.store import Cache
+from wbflow.records import pinned as reference
+from wbflow.site.load import load_site
+from wbflow.task import Task
+
+GEOMETRY = {"features", "matches", "geometry", "poses", "rectify", "overlap", "pairs"}
+FIRST, SECOND, THIRD = "2026-11-01", "2026-11-02", "2026-11-03"
+
+
+@pytest.fixture(autouse=True)
+def toy_stages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(HELPERS))
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> ToySite:
+    """A site with three cameras whose first night is pinned."""
+    site = ToySite(tmp_path, ["a", "b", "c"], watched=True, dated=True, backend="threading")
+    site.run("--date", FIRST)
+    return site
+
+
+def ran(site: ToySite) -> set[str]:
+    """Tasks of pinned geometry that the last run worked out."""
+    return {task for task in site.ran() if task.split(" ")[0] in GEOMETRY}
+
+
+def record_of(site: ToySite) -> Path:
+    return WorkFolder(site.work).reference_record
+
+
+def camera(record: dict[str, Any], name: str) -> dict[str, Any]:
+    found: dict[str, Any] = next(c for c in record["cameras"] if c["id"] == name)
+    return found
+
+
+def test_the_first_good_run_is_pinned_and_says_so(toy: ToySite) -> None:
+    pinned = json.loads(record_of(toy).read_text())
+    assert pinned["date"] == FIRST
+    assert pinned["pinned"] == "automatically"
+    assert {c["id"]: bool(c["camera"]) for c in pinned["cameras"]} == {"a": True, "b": True, "c": True}
+    listed = toy.wbflow("pin", "--list").stdout
+    assert pinned["run"] in listed
+    assert "a--b" in listed
+
+
+def test_a_second_night_works_no_geometry_out(toy: ToySite) -> None:
+    toy.night(SECOND)
+    record = toy.run("--date", SECOND)
+    assert ran(toy) == set()
+    assert {task.split(" ")[0] for task in toy.ran()} == {"frames", "health", "disparity", "depth", "fuse"}
+    assert record["reference"] == json.loads(record_of(toy).read_text())["run"]
+    assert camera(record, "a")["health"]["state"] == "ok"
+
+
+def test_the_reference_s_own_night_run_again_does_nothing(toy: ToySite) -> None:
+    cloud = toy.cloud
+    assert toy.run("--date", FIRST)["tasks"]["ran"] == 0
+    assert toy.cloud == cloud
+
+
+def test_a_nudge_is_corrected_and_only_its_pairs_are_rectified_anew(toy: ToySite) -> None:
+    toy.night(SECOND, b="nudged")
+    toy.run("--date", SECOND, code=None)
+    assert ran(toy) == {"poses", "geometry a--b", "geometry b--c", "rectify a--b", "rectify b--c"}
+
+
+def test_a_moved_camera_is_matched_with_the_others_and_solved_anew(toy: ToySite) -> None:
+    toy.night(SECOND, c="moved")
+    toy.run("--date", SECOND, code=None)
+    around_c = {f"{stage} {pair}" for stage in ("matches", "geometry", "rectify") for pair in ("a--c", "b--c")}
+    assert ran(toy) - {f"rectify {pair}" for pair in ("a--c", "b--c")} <= {"poses", "features c", *around_c}
+    assert {"features c", "matches a--c", "geometry b--c"} <= ran(toy)
+
+
+@pytest.mark.parametrize("state", ["blind", "foreign"])
+def test_a_camera_that_shows_nothing_of_the_site_gives_nothing_and_costs_no_other(toy: ToySite, state: str) -> None:
+    toy.night(SECOND, c=state)
+    record = toy.run("--date", SECOND, code=3)
+    assert ran(toy) == set()
+    outcomes = {f"{p['left']}--{p['right']}": p["outcome"] for p in record["pairs"]}
+    assert outcomes == {"a--b": "ok", "a--c": "skipped", "b--c": "skipped"}
+    assert camera(record, "c")["health"]["state"] == state
+    assert state in next(p["reason"] for p in record["pairs"] if p["right"] == "c")
+    assert record["cloud"]["points"] > 0
+
+
+def test_nights_out_of_order_and_twice_do_not_change_the_reference_or_each_other(toy: ToySite) -> None:
+    before = record_of(toy).read_bytes()
+    clouds: dict[str, bytes] = {}
+    for date in (THIRD, SECOND, FIRST, SECOND, THIRD):
+        toy.night(date) if date != FIRST else None
+        toy.run("--date", date)
+        assert clouds.setdefault(date, toy.cloud) == toy.cloud
+    assert record_of(toy).read_bytes() == before
+
+
+def test_nights_that_are_killed_and_run_again_are_those_that_were_not(toy: ToySite) -> None:
+    dates = (FIRST, SECOND, THIRD)
+    whole = []
+    for date in dates:
+        toy.night(date, b="nudged" if date == SECOND else "ok") if date != FIRST else None
+        toy.run("--date", date, code=None)
+        whole.append(toy.cloud)
+    kept = {task: pinned.digest for task, pinned in _artifacts(toy).items()}
+    shutil.rmtree(toy.work)
+    for date, stage, expected in zip(dates, ("fuse", "rectify", "health"), whole, strict=True):
+        toy.fault("slow", "0.02")
+        command = toy.command("run", str(toy.file), "--jobs", "1", "--date", date)
+        process = subprocess.Popen(command, env=toy.env(), start_new_session=True, stdout=subprocess.DEVNULL)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and not list((toy.work / "cache" / stage).glob("*/*.json")) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        (toy.folder / "faults" / "slow").unlink()
+        toy.run("--date", date, code=None)
+        assert toy.cloud == expected
+    assert {task: pinned.digest for task, pinned in _artifacts(toy).items()} == kept
+
+
+def _artifacts(toy: ToySite) -> Mapping[Task, reference.PinnedArtifact]:
+    pinned = reference.read_reference(WorkFolder(toy.work))
+    return pinned.artifacts if pinned else {}
+
+
+def test_earlier_nights_tell_what_is_usual(toy: ToySite) -> None:
+    seen = []
+    for date in (SECOND, THIRD):
+        toy.night(date)
+        seen.append(camera(toy.run("--date", date), "a")["health"]["figures"]["nights"])
+    assert seen == [0, 1]
+
+
+def test_the_reference_outlives_the_cache(toy: ToySite) -> None:
+    shutil.rmtree(toy.work / "cache")
+    toy.night(SECOND)
+    toy.run("--date", SECOND)
+    assert ran(toy) == set()
+
+
+def test_cleaning_up_leaves_the_reference_whole(toy: ToySite) -> None:
+    for date in (SECOND, THIRD):
+        toy.night(date)
+        toy.run("--date", date)
+    toy.wbflow("clean", "--keep", "1")
+    toy.night("2026-11-04")
+    toy.run("--date", "2026-11-04")
+    assert ran(toy) == set()
+
+
+def test_a_damaged_artifact_of_the_reference_is_done_without(toy: ToySite) -> None:
+    work = WorkFolder(toy.work)
+    pinned = reference.read_reference(work)
+    assert pinned is not None
+    task = next(task for task in pinned.artifacts if task.stage == "frames" and task.subject == ("b",))
+    file = work.artifact(task, pinned.artifacts[task].key, ".wbf")
+    data = bytearray(file.read_bytes())
+    data[-3] ^= 1
+    file.write_bytes(data)  # a link: the copy is the same file
+    toy.night(SECOND)
+    assert toy.run("--date", SECOND)["cloud"]["points"] > 0
+
+
+def test_with_other_settings_the_reference_is_not_used_and_the_run_says_so(toy: ToySite) -> None:
+    toy.parameters["matches"] = {"shift": 2.0}
+    toy.write()
+    toy.night(SECOND)
+    toy.run("--date", SECOND)
+    assert {"matches a--b", "poses"} <= ran(toy)
+    newest = WorkFolder(toy.work).run(WorkFolder(toy.work).run_ids()[-1])
+    assert "matches.shift 1.0" in newest.log.read_text()
+
+
+def test_settings_of_what_is_not_pinned_do_not_matter(toy: ToySite) -> None:
+    toy.parameters["disparity"] = {"tolerance": 2.0}
+    toy.write()
+    toy.night(SECOND)
+    toy.run("--date", SECOND)
+    assert ran(toy) == set()
+
+
+def test_what_is_forced_is_worked_out_all_the_same(toy: ToySite) -> None:
+    toy.night(SECOND)
+    toy.run("--date", SECOND, "--force", "rectify")
+    assert ran(toy) == {"rectify a--b", "rectify a--c", "rectify b--c"}
+
+
+def test_pin_none_switches_it_off(tmp_path: Path) -> None:
+    site = ToySite(tmp_path, ["a", "b"], watched=True, dated=True, keys={"pin": "none"})
+    for date in (FIRST, SECOND):
+        site.night(date)
+        record = site.run("--date", date)
+    assert not record_of(site).exists()
+    assert record["reference"] is None
+    assert "matches a--b" in ran(site)
+
+
+def test_another_run_is_pinned_by_hand_and_dropped(toy: ToySite) -> None:
+    toy.night(SECOND)
+    second = toy.run("--date", SECOND)["run"]
+    assert toy.wbflow("pin", second).returncode == 0
+    pinned = json.loads(record_of(toy).read_text())
+    assert (pinned["run"], pinned["pinned"]) == (second, "by hand")
+    toy.night(THIRD)
+    toy.run("--date", THIRD)
+    assert ran(toy) == set()
+    assert toy.wbflow("pin", "--drop").returncode == 0
+    assert not WorkFolder(toy.work).reference.exists()
+
+
+def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> None:
+    early = toy.wbflow("pin", "--refine")
+    assert early.returncode == 2
+    assert "fewer than 3 nights" in early.stderr
+    for date in (SECOND, THIRD):
+        toy.night(date, c="nudged" if date == THIRD else "ok")
+        toy.run("--date", date, code=None)
+    before = reference.read_reference(WorkFolder(toy.work))
+    pooled = toy.wbflow("pin", "--refine")
+    after = reference.read_reference(WorkFolder(toy.work))
+    assert before is not None
+    assert after is not None
+    changed = {task for task in after.artifacts if after.artifacts[task] != before.artifacts[task]}
+    assert {str(task) for task in changed} == {"depth a", "depth b"}  # c was nudged one night: too few are left
+    assert "depth a: pooled from 3 nights" in pooled.stdout
+    toy.night("2026-11-04")
+    toy.run("--date", "2026-11-04")
+    assert ran(toy) == set()
+
+
+def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_reference(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from wbflow.runner.pool import pool
+
+    work, site = WorkFolder(toy.work), load_site(toy.file)
+    for date in (SECOND, THIRD):
+        toy.night(date)
+        toy.run("--date", date)
+    old = reference.read_reference(work)
+    assert old is not None
+    shutil.copytree(work.reference, toy.folder / "before")
+    done = pool(work, old, site)
+    new, once = reference.read_reference(work), {path.name: path.read_bytes() for path in work.reference.rglob("*.json")}
+    assert {str(task) for task in done} == {"depth a", "depth b", "depth c"}
+    assert new is not None and pool(work, new, site) == done
+    assert {path.name: path.read_bytes() for path in work.reference.rglob("*.json")} == once
+    shutil.rmtree(work.reference)
+    shutil.copytree(toy.folder / "before", work.reference)
+    for task in done:
+        shutil.rmtree(Path(work.receipt(task, new.artifacts[task].key)).parent)
+    for date in (THIRD, SECOND, THIRD, FIRST):
+        toy.run("--date", date)
+    functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_signed"): signed.write_signed}
+    functions |= {(reference, "copy_new"): atomic.copy_new, (reference, "write_atomic"): atomic.write_atomic}
+    for last in (1, 2, 4, 6, 7, 30, 1000):  # the last is never reached
+        steps = iter(range(1000))
+        for (module, name), function in functions.items():
+            monkeypatch.setattr(module, name, _dying(function, steps, last))
+        with contextlib.nullcontext() if last == 1000 else pytest.raises(KeyboardInterrupt):
+            pool(work, old, site)
+        assert reference.read_reference(work) == (new if last == 1000 else old)
+
+
+def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Path) -> None:
+    """Camera c is not placed, since one match is too little for its pairs; three nights have three."""
+    lens = {"fx": 9, "fy": 9, "cx": 4, "cy": 4, "width": 8, "height": 8}
+    stand = {"look_at": [0, 9, 0]}
+    placed = [{"id": n, "intrinsics": lens, "pose": {"position": [k, 0, 0], **stand}} for k, n in enumerate("ab")]
+    parameters: dict[str, dict[str, Any]] = {
+        "geometry": {"needed": 3}, "poses": {"leave_out": "c"}, "rectify": {"use": "toy_stages:rectify_known"},
+    }  # fmt: skip
+    known = {"cameras": [*placed, {"id": "c"}]}
+    toy = ToySite(tmp_path, ["a", "b", "c"], parameters, keys=known, watched=True, dated=True, backend="threading")
+    first = toy.run("--date", FIRST, code=3)
+    assert {pair["outcome"] for pair in first["pairs"] if pair["right"] == "c"} == {"rejected"}
+    assert toy.wbflow("pin", first["run"]).returncode == 0
+    for date, state in ((SECOND, "ok"), (THIRD, "moved"), ("2026-11-04", "ok")):
+        toy.night(date, c=state)
+        toy.run("--date", date, code=3)
+    said = toy.wbflow("pin", "--refine").stdout
+    assert "matches a--c: pooled from 3 nights" in said, "what c saw from elsewhere is no evidence"
+    assert "geometry b--c: pooled from 3 nights" in said
+    for date, state, matches in (("2026-11-05", "ok", 3), ("2026-11-06", "moved", 1)):
+        toy.night(date, c=state)
+        record = toy.run("--date", date, code=None)
+        pair = next(p for p in record["pairs"] if (p["left"], p["right"]) == ("a", "c"))
+        assert (pair["matches"], "matches a--c" in ran(toy)) == (matches, state == "moved")
+
+
+def test_a_run_without_a_cloud_cannot_be_pinned(toy: ToySite) -> None:
+    run = toy.run("--date", FIRST, "--until", "poses")["run"]
+    answer = toy.wbflow("pin", run)
+    assert answer.returncode == 2
+    assert "made no cloud" in answer.stderr
+
+
+def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    from wbflow.runner.pin import good_run, pin
+
+    work = WorkFolder(toy.work)
+    toy.night(SECOND)
+    second = toy.run("--date", SECOND)["run"]
+    old = reference.read_reference(work)
+    steps = iter(range(1000))
+    for last in range(40):
+        monkeypatch.setattr(reference, "copy_atomic", _dying(atomic.copy_atomic, steps := iter(range(1000)), last))
+        monkeypatch.setattr(reference, "write_atomic", _dying(atomic.write_atomic, steps, last))
+        try:
+            pin(Cache(work), good_run(work, second))
+            break
+        except KeyboardInterrupt:
+            assert reference.read_reference(work) == old
+            assert all(work.pinned(work.receipt(t, p.key)).is_file() for t, p in old.artifacts.items()) if old else False
+    monkeypatch.undo()
+    pin(Cache(work), good_run(work, second))
+    now = reference.read_reference(work)
+    assert now is not None
+    assert now.run == second
+    files = [path for path in work.reference.rglob("*") if path.is_file()]
+    assert len(files) == 2 + sum(2 if pinned.digest else 1 for pinned in now.artifacts.values())
+
+
+def _dying(function: Any, steps: Any, last: int) -> Any:
+    def do(*arguments: Any, **options: Any) -> Any:
+        if next(steps) >= last:
+            raise KeyboardInterrupt
+        return function(*arguments, **options)
+
+    return do
+
+
+@pytest.mark.parametrize("victim", ["reference.json", "reference-twin.json", "a pinned result", "the same in the cache"])
+def test_what_is_damaged_of_the_reference_heals_by_itself(toy: ToySite, victim: str) -> None:
+    work = WorkFolder(toy.work)
+    pinned = _artifacts(toy)[Task("features", ("a",))]
+    in_cache = work.artifact(pinned.task, pinned.key, ".wbf")
+    names = {"a pinned result": work.pinned(in_cache), "the same in the cache": in_cache}
+    file = names.get(victim, work.reference / victim)
+    before = {path: path.read_bytes() for path in (file, work.reference_record)}
+    toy.night(SECOND)
+    file.write_bytes(before[file][:-1])
+    record = toy.run("--date", SECOND)
+    assert ran(toy) == set(), "the reference answers for the geometry as if nothing had been"
+    assert record["repaired"]
+    assert {path: path.read_bytes() for path in before} == before
+    assert not toy.run("--date", SECOND)["repaired"]
+
+
+def test_a_pipe_in_place_of_the_record_is_not_waited_for_and_gives_way_to_its_twin(toy: ToySite) -> None:
+    file = WorkFolder(toy.work).reference_record
+    before = file.read_bytes()
+    file.unlink()
+    os.mkfifo(file)
+    toy.night(SECOND)
+    assert "is a pipe" in " ".join(toy.run("--date", SECOND)["repaired"])
+    assert ran(toy) == set()
+    assert file.read_bytes() == before
+
+
+def test_a_reference_whose_record_is_lost_altogether_is_pinned_anew_without_anybody_s_help(toy: ToySite) -> None:
+    work = WorkFolder(toy.work)
+    for path in (work.reference_record, work.reference_twin):
+        path.write_bytes(path.read_bytes().replace(b"2026", b"2025", 1))
+    toy.night(SECOND)
+    record = toy.run("--date", SECOND)
+    assert "the next good night becomes the reference" in " ".join(record["repaired"])
+    now = reference.read_reference(work)
+    assert now is not None and now.run == record["run"]

@@ -1,0 +1,141 @@
+"""Cameras that deliver what is not of tonight are named."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.cache.digests import Digests
+from wbflow.cache.seen import Seen
+from wbflow.runner.captures import find_captures
+from wbflow.runner.staleness import Delivered, by_picture, look_at
+from wbflow.site.load import Site, load_site
+
+NIGHT = datetime.date(2026, 11, 19)
+DAY = datetime.timedelta(days=1)
+PATTERN = "{camera}/{date}_{time}.jpg"
+
+
+def deliver(folder: Path, night: datetime.date, **pictures: list[str]) -> None:
+    """Captures by camera: a time and a content in one word, 143000=frame."""
+    for camera, found in pictures.items():
+        (folder / camera).mkdir(parents=True, exist_ok=True)
+        for each in found:
+            time, _, content = each.partition("=")
+            (folder / camera / f"{night}_{time}.jpg").write_text(content or f"{camera} {night} {time}")
+
+
+def a_site(folder: Path, pattern: str = PATTERN) -> Site:
+    (folder / "in").mkdir(exist_ok=True)
+    (folder / "site.yaml").write_text(f"site: s\ncaptures: {{root: in, pattern: '{pattern}'}}\ncameras: [gate, roof, mast]\n")
+    return load_site(folder)
+
+
+def looked_at(site: Site, night: datetime.date, seen: Seen) -> Delivered:
+    digests = Digests(None)
+    return look_at(site, night, find_captures(site, night, digests), digests, seen)
+
+
+def test_what_comes_again_the_next_night_is_frozen_even_where_nothing_was_remembered(tmp_path: Path) -> None:
+    site, folder = a_site(tmp_path), tmp_path / "in"
+    deliver(folder, NIGHT - DAY, gate=["140000", "140100=last"], roof=["140000"], mast=["140000"])
+    deliver(folder, NIGHT, gate=["140000=last", "140100=last"], roof=["140000"], mast=["140000"])
+    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    assert found.stale.keys() == {"gate"}
+    assert "2026-11-18" in found.stale["gate"].text
+    assert len(found.captures["gate"]) == 1, "the same picture counts once"
+
+
+def test_what_is_remembered_is_enough_and_later_nights_do_not_count(tmp_path: Path) -> None:
+    site, folder, seen = a_site(tmp_path), tmp_path / "in", Seen(tmp_path / "memo")
+    everyone = {"roof": ["140000"], "mast": ["140000"]}
+    deliver(folder, NIGHT - 2 * DAY, gate=["140000=frozen"], **everyone)
+    looked_at(site, NIGHT - 2 * DAY, seen)
+    (folder / "gate" / f"{NIGHT - 2 * DAY}_140000.jpg").unlink()
+    deliver(folder, NIGHT, gate=["140000=frozen"], **everyone)
+    assert looked_at(site, NIGHT, seen).stale.keys() == {"gate"}
+    seen.save()
+    assert looked_at(site, NIGHT, Seen(tmp_path / "memo")).stale.keys() == {"gate"}
+    deliver(folder, NIGHT - 3 * DAY, gate=["140000=frozen"], **everyone)
+    assert not looked_at(site, NIGHT - 3 * DAY, seen).stale
+
+
+def test_repeated_captures_count_once_and_only_nothing_else_is_stale(tmp_path: Path) -> None:
+    site, folder = a_site(tmp_path), tmp_path / "in"
+    deliver(folder, NIGHT, gate=["140000=a", "140100=a", "140200=b"], roof=["140000=r", "140100=r"], mast=["140000"])
+    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    assert [file.path.name[-10:] for file in found.captures["gate"]] == ["140000.jpg", "140200.jpg"]
+    assert "1 of 3" in found.notes["gate"]
+    assert found.stale.keys() == {"roof"}
+    assert "same picture" in found.stale["roof"].text
+
+
+def test_empty_files_are_no_frozen_picture(tmp_path: Path) -> None:
+    site, folder = a_site(tmp_path), tmp_path / "in"
+    for date in (NIGHT - DAY, NIGHT):
+        deliver(folder, date, gate=["140000", "140100"], roof=["140000"], mast=["140000"])
+        for file in folder.rglob(f"gate/{date}_*"):
+            file.write_bytes(b"")
+    found = looked_at(site, NIGHT, Seen(tmp_path / "memo"))
+    assert not found.stale
+    assert len(found.captures["gate"]) == 2, "whoever reads them says that they are empty"
+
+
+def test_a_clock_that_is_hours_off_is_named_whatever_midnight_does(tmp_path: Path) -> None:
+    site, folder = a_site(tmp_path), tmp_path / "in"
+    deliver(folder, NIGHT, gate=["235800"], roof=["000300"], mast=["235900"])
+    assert not looked_at(site, NIGHT, Seen(tmp_path / "memo")).stale
+    deliver(folder, NIGHT + DAY, gate=["040000"], roof=["235000"], mast=["235900"])
+    found = looked_at(site, NIGHT + DAY, Seen(tmp_path / "memo"))
+    assert found.stale.keys() == {"gate"}
+    assert found.stale["gate"].figures["hours_off"] == pytest.approx(4.1, abs=0.1)
+
+
+def test_names_without_a_date_are_stale_only_where_others_are_new(tmp_path: Path) -> None:
+    site, folder, seen = a_site(tmp_path, "{camera}.jpg"), tmp_path / "in", Seen(tmp_path / "memo")
+    for camera in ("gate", "roof", "mast"):
+        (folder / f"{camera}.jpg").write_text(camera)
+    looked_at(site, NIGHT, seen)
+    assert not looked_at(site, NIGHT + DAY, seen).stale, "photographs that are meant to stay"
+    (folder / "gate.jpg").write_text("new")
+    assert looked_at(site, NIGHT + 2 * DAY, seen).stale.keys() == {"roof", "mast"}
+
+
+@pytest.mark.parametrize(
+    ("figures", "words"),
+    [
+        ({"unchanged": 0.999}, "frozen"),
+        ({"unchanged": 0.6, "taken_first": "2026-11-12T14:00:00", "taken_last": "2026-11-12T14:05:00"}, "2026-11-12"),
+        ({"taken_first": "2026-11-19T14:00:00", "taken_last": "2026-11-19T15:00:00", "taken_in_order": False}, "order"),
+        ({"taken_first": "2026-11-19T22:00:00", "taken_last": "2026-11-20T04:00:00", "taken_in_order": True}, None),
+        ({"unchanged": 0.3}, None),
+        ({}, None),
+    ],
+)
+def test_pictures_themselves_say_that_they_are_of_another_time(figures: dict[str, object], words: str | None) -> None:
+    health = by_picture(figures, "2026-11-19")
+    assert (health is None) == (words is None)
+    assert health is None or (health.state == "stale" and words is not None and words in health.text)
+
+
+def test_nights_are_caught_up_with_in_order_and_the_worst_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(HELPERS))
+    toy = ToySite(tmp_path / "toy", ["a", "b", "c"])
+    text = toy.file.read_text().replace('"{camera}.txt"', '"{camera}/{date}_{time}.txt"')
+    toy.file.write_text(text)
+    folder = toy.folder / "captures"
+    for back, content in ((2, "one"), (1, "two"), (0, "three")):
+        for camera in toy.cameras:
+            (folder / camera).mkdir(exist_ok=True)
+            (folder / camera / f"{NIGHT - back * DAY}_140000.txt").write_text(f"a view from {camera}: {content}")
+    (folder / "b" / f"{NIGHT}_140000.txt").write_text("a view from b: two")
+    records = toy.run("--since", str(NIGHT - DAY), code=3)
+    assert isinstance(records, list)
+    assert [(record["date"], record["exit_code"]) for record in records] == [(str(NIGHT - DAY), 0), (str(NIGHT), 3)]
+    assert records[1]["verdict"]["findings"][0]["kind"] == "camera-stale"
+    assert len({record["run"] for record in records}) == 2
+    again = toy.run("--date", str(NIGHT), code=3)
+    assert again["cameras"][1]["health"]["state"] == "stale", "a night that is run again is judged as it was"

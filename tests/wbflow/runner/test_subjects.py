@@ -1,0 +1,34 @@
+"""Which cameras a task looks at."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+from wbflow.pipeline.rows import Role
+from wbflow.pipeline.stages import stage_with
+from wbflow.runner.state import State
+from wbflow.runner.subjects import Subjects
+from wbflow.task import Task
+
+
+def subjects(cameras: str, pairs: list[str]) -> Subjects:
+    """Of a site with cameras of one letter each and these pairs."""
+    graph = stage_with(Role.PAIR_GRAPH)
+    receipt: Any = SimpleNamespace(figures={graph.lists: [list(pair) for pair in pairs]})
+    site: Any = SimpleNamespace(views=[SimpleNamespace(id=camera) for camera in cameras])
+    return Subjects(cast(Any, site), {Task(graph.name): State("ran", receipt=receipt)})
+
+
+def test_near_a_camera_are_its_partners_and_theirs() -> None:
+    row = subjects("abcde", ["ab", "bc", "cd", "de"])
+    assert row.around("a") == ["b"] and row.near("a") == ["b", "c"]
+    assert row.near("c") == ["a", "b", "d", "e"]
+
+
+def test_near_a_camera_are_eight_at_most_but_for_its_partners() -> None:
+    hub = subjects("abcdefghijkl", [f"a{c}" for c in "bcdefghijkl"])
+    assert len(hub.near("a")) == 11, "all its partners"
+    assert hub.near("l") == list("abcdefgh"), "of those that share as many partners the first"
+    more = subjects("abcdefghijkl", [f"a{c}" for c in "bcdefghijkl"] + ["bk", "bl"])
+    assert "k" in more.near("l"), "two ways lead there"

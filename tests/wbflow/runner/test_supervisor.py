@@ -1,0 +1,222 @@
+"""What a task does to its process costs that task alone, however many workers there are."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from tests.helpers.toy_site import ToySite
+from wbflow.cli.main import main
+from wbflow.records.costs import Past
+from wbflow.runner import limits
+from wbflow.runner.holding import Holding
+from wbflow.runner.limits import Limits
+from wbflow.runner.supervisor import Report, Supervisor
+from wbflow.task import Task
+
+WICKED = '''
+import os, sys, time
+import numpy as np
+from toy_stages import detect as well
+
+def detect(frame, *, at: float = 0.0):
+    """Does to its process what the file `wicked` beside the faults says."""
+    features = well(frame)
+    with open(os.path.join(os.environ["TOY_FAULTS"], "did"), "a") as did:
+        did.write(f"{features.xy[0, 0]}\\n")
+    what, _, where = open(os.path.join(os.environ["TOY_FAULTS"], "wicked")).read().partition(" ")
+    if what == "hold":
+        held = np.ones(300_000_000, np.uint8)
+        time.sleep(0.6)
+    if str(int(features.xy[0, 1])) == where:
+        if what == "hang":
+            time.sleep(3600)
+        if what == "leave":
+            os._exit(3)
+        if what == "exit":
+            sys.exit("enough")
+        if what == "fill":
+            held = [np.ones(20_000_000, np.uint8) for _ in range(30)]
+            time.sleep(3600)
+        if what == "shout":
+            raise ValueError("\\x1b[2J" + "x" * 5_000_000)
+    return features
+'''
+
+
+@pytest.fixture
+def wicked(toy: ToySite) -> ToySite:
+    """A site one of whose tasks, `features roof`, behaves as the test says."""
+    (toy.folder / "wicked_stage.py").write_text(WICKED)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "wicked_stage:detect"}
+    toy.file.write_text(json.dumps(site))
+    return toy
+
+
+def behave(site: ToySite, what: str) -> None:
+    import hashlib
+
+    site.fault("wicked", f"{what} {hashlib.sha256(b'a view from roof').digest()[0]}")
+
+
+def reason_of(record: dict[str, Any]) -> str:
+    assert record["tasks"]["failed"] == 1
+    assert record["cloud"] is not None, "three cameras are left"
+    reason: str = next(camera for camera in record["cameras"] if camera["id"] == "roof")["reason"]
+    return reason
+
+
+@pytest.mark.parametrize(
+    ("what", "said", "options"),
+    [
+        ("hang", "took longer than 20 s", ("--jobs", "1", "--time-limit", "20")),  # a busy machine takes seconds for an import
+        ("leave", "exit code 3, twice", ("--jobs", "1")),
+        ("leave", "exit code 3, twice", ("--jobs", "2")),
+        ("exit", "sys.exit('enough')", ("--jobs", "1")),
+        ("fill", "ran out of memory: it held", ("--jobs", "2", "--memory", "500MB")),
+    ],
+)
+def test_a_task_at_fault_costs_itself_and_the_reason_is_said(
+    wicked: ToySite, what: str, said: str, options: tuple[str, ...]
+) -> None:
+    behave(wicked, what)
+    assert said in reason_of(wicked.run(*options, code=3))
+
+
+def test_of_quick_lanes_handed_out_together_one_loses_its_worker_and_the_others_are_done_once(tmp_path: Path) -> None:
+    site = ToySite(tmp_path / "toy", [f"c{k:02d}" for k in range(11)] + ["roof"])
+    (site.folder / "wicked_stage.py").write_text(WICKED)
+    described = json.loads(site.file.read_text())
+    described["stages"]["features"] = {"use": "wicked_stage:detect"}
+    described["cameras"] = ["c00", "c01", "c02", "roof", *site.cameras[3:-1]]
+    site.file.write_text(json.dumps(described))
+    behave(site, "leave")
+    result = site.wbflow("run", "--jobs", "1", "--until", "features")
+    assert result.returncode == 3, result.stderr
+    done = sorted(Counter((site.folder / "faults" / "did").read_text().split()).values())
+    assert done == [1] * 11 + [2], "once more alone, and nobody else for its sake"
+
+
+def test_five_megabytes_of_escape_codes_are_a_short_reason(wicked: ToySite) -> None:
+    behave(wicked, "shout")
+    result = wicked.wbflow("run", "--jobs", "1")
+    assert result.returncode == 3
+    assert "\x1b" not in result.stdout + result.stderr and r"\x1b[2J" in result.stderr
+    assert len(result.stderr) < 5000
+    newest = max((wicked.work / "runs").glob("2*"))
+    assert all(len(file.read_bytes()) < 500_000 for file in newest.iterdir())
+
+
+def test_what_a_lane_had_finished_before_its_worker_was_lost_is_kept(toy: ToySite) -> None:
+    toy.fault("once", "geometry")
+    result = toy.wbflow("run", "--jobs", "1")
+    assert result.returncode == 0, result.stderr
+    lost = [line for line in result.stderr.splitlines() if "SIGKILL" in line]
+    assert len(lost) == 1 and " warning: geometry " in lost[0], "the task that was at work is named"
+    assert "memory" not in lost[0]
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
+    toy.fault("slow", "30")
+    process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), start_new_session=True)
+    until(lambda: len(list((toy.folder / "faults").glob("slow-*"))) == 2)  # both are at work: one that starts finds itself alone
+    workers = workers_of(process.pid)
+    assert len(workers) == 2
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+    theirs = {str(pid) for pid in (process.pid, *workers)}
+    assert not [path for path in Path("/dev/shm").glob("*") if theirs & set(re.findall(r"\d+", path.name))]
+
+
+def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_half_written_is_left(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy.fault("slow", "0.1")
+
+    def interrupted(supervisor: Supervisor) -> Iterator[Report]:
+        """Ctrl-C, when a worker has told of a task of its lane, and is at the next."""
+        supervisor._assign()
+        until(lambda: any(toy.work.rglob(".*.json.*.tmp")) or any(toy.work.rglob("frames/*/*.json")))  # quick, or not
+        time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Supervisor, "reports", interrupted)
+        assert CliRunner().invoke(main, ["run", str(toy.file), "--jobs", "1", "-q"], env=toy.env()).exit_code == 130
+    assert not list(toy.work.rglob("*.tmp"))
+    assert list((toy.work / "cache").glob("frames/*/*.json"))
+    (toy.folder / "faults" / "slow").unlink()
+    assert toy.run()["tasks"]["cached"] >= 1
+
+
+def workers_of(parent: int) -> list[int]:
+    """Processes whose parent is this one."""
+    return [int(child) for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+
+
+def until(so: Any, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not so():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy.run()
+
+    def refuse(*arguments: object, **more: object) -> None:
+        raise AssertionError("a worker was started")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    assert toy.run()["tasks"]["ran"] == 0
+
+
+def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
+    past = Past({"quick": 0.1, "slow": 300.0, "endless": 1e5})
+    told = Limits(past=past)
+    assert told.seconds_for(Task("quick")) == limits.SHORTEST
+    assert told.seconds_for(Task("slow")) == limits.TIMES * 300
+    assert told.seconds_for(Task("endless")) == told.seconds_for(Task("new")) == limits.LONGEST
+    assert Limits(seconds=5.0, past=past).seconds_for(Task("slow")) == 5
+
+
+def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked: ToySite) -> None:
+    behave(wicked, "hold")
+    wicked.run("--jobs", "1", "--until", "features")
+    held = [json.loads(path.read_text())["peak_rss_mb"] for path in (wicked.work / "cache" / "features").glob("*/*.json")]
+    assert all(286 < mb < 450 for mb in held), held
+    (wicked.folder / "faults" / "did").unlink()
+    again = wicked.wbflow("run", "--jobs", "2", "--until", "features", "--force", "features", "--memory", "500MB")
+    assert again.returncode == 0 and "alone" not in again.stderr, again.stderr
+    assert len((wicked.folder / "faults" / "did").read_text().split()) == len(held), "nobody was ended for another's sake"
+
+
+def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
+    fuse, gate, roof = Task("fuse"), Task("depth", ("gate",)), Task("depth", ("roof",))
+    past = Past(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
+    holding = Holding(Limits(memory=1000 * 2**20, past=past))
+    assert holding.fits([], [fuse]) and holding.fits([[fuse]], [roof])
+    assert not holding.fits([[fuse]], [gate]), "it held 300 MB the last time"
+    assert holding.fits([[fuse]], [Task("new", ("roof",))]), "nobody knows"
+    holding.learn("new", 700.0)
+    assert not holding.fits([[Task("new", ("roof",))]], [Task("new", ("gate",))])
+
+
+def test_a_limit_of_memory_that_is_no_size_is_refused(toy: ToySite) -> None:
+    result = toy.wbflow("run", "--memory", "4 apples")
+    assert result.returncode == 2
+    assert "--memory: '4 apples' is no size" in result.stderr

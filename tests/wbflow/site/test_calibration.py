@@ -1,0 +1,88 @@
+"""COLMAP's text model and orientations in words mean the same cameras as K, R, C."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wbflow.site.calibration import CalibrationError, read_calibration
+from wbflow.site.rotations import look_at, yaw_pitch_roll
+
+
+def colmap(folder: Path, camera: str, image: str) -> Path:
+    (folder / "cameras.txt").write_text(f"# Camera list\n{camera}\n")
+    (folder / "images.txt").write_text(f"# Image list\n{image}\n\n")
+    return folder
+
+
+def test_a_colmap_text_model(tmp_path: Path) -> None:
+    """A quarter turn about z, half a pixel off the principal point, and C = -R^T t."""
+    half = 0.5**0.5
+    model = colmap(
+        tmp_path, "7 OPENCV 640 480 500 510 320 240 -0.1 0.02 0.001 0.002", f"1 {half} 0 0 {half} 1 2 3 7 gate/a b.jpg"
+    )
+    camera = read_calibration(model)["gate/a b.jpg"]
+    assert camera.K == [[500, 0, 319.5], [0, 510, 239.5], [0, 0, 1]]
+    assert camera.distortion == [-0.1, 0.02, 0.001, 0.002, 0.0]
+    assert camera.R is not None and camera.C is not None
+    assert np.allclose(camera.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert np.allclose(camera.C, [-2, 1, -3])
+
+
+@pytest.mark.parametrize(("key", "value"), [("rotation_sigma_deg", 0.3), ("position_sigma_m", "wide"), ("position_sigma_m", -1)])
+def test_a_sigma_of_nothing_or_that_is_none_is_refused(tmp_path: Path, key: str, value: object) -> None:
+    entry = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "width": 640, "height": 480, "C": [1, 2, 3], key: value}
+    (tmp_path / "cameras.json").write_text(json.dumps({"gate": entry}))
+    with pytest.raises(CalibrationError, match=f"gate.{key}"):
+        read_calibration(tmp_path / "cameras.json")
+
+
+@pytest.mark.parametrize(
+    ("camera", "image", "said"),
+    [
+        ("1 MIRROR 640 480 1 2 3 4", "1 1 0 0 0 0 0 0 1 a.jpg", "cameras.txt:2: camera model MIRROR"),
+        ("1 PINHOLE 640 480 500 500 320 240", "1 1 0 0 0 0 0 a.jpg", "images.txt:2: not an image line"),
+    ],
+)
+def test_a_colmap_model_that_cannot_be_used_says_where(tmp_path: Path, camera: str, image: str, said: str) -> None:
+    with pytest.raises(CalibrationError, match=said):
+        read_calibration(colmap(tmp_path, camera, image))
+
+
+angles = st.floats(-179, 179)
+
+
+@given(angles, st.floats(-89, 89), angles)
+def test_yaw_pitch_roll_is_a_rotation_that_looks_where_it_says(yaw: float, pitch: float, roll: float) -> None:
+    R = np.array(yaw_pitch_roll(yaw, pitch, roll))
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1)
+    assert R[2, 2] == pytest.approx(np.sin(np.radians(pitch)), abs=1e-12)
+
+
+def test_headings_are_those_of_a_compass() -> None:
+    assert np.allclose(yaw_pitch_roll(0, 0, 0), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    assert np.allclose(np.array(yaw_pitch_roll(90, 0, 0))[2], [1, 0, 0])
+
+
+points = st.tuples(*[st.floats(-50, 50)] * 3)
+
+
+@given(points, points)
+def test_look_at_puts_the_target_on_the_optical_axis_and_keeps_the_camera_upright(
+    position: tuple[float, ...], target: tuple[float, ...]
+) -> None:
+    across = np.hypot(target[0] - position[0], target[1] - position[1])
+    if across < 0.1:
+        return
+    R = np.array(look_at(list(position), list(target)))
+    x = R @ (np.array(target) - position)
+    assert np.allclose(x[:2], 0, atol=1e-9)
+    assert x[2] > 0
+    assert R[1, 2] < 0, "down in the image is down in the world"
+    assert abs(R[0, 2]) < 1e-12, "the horizon is level"

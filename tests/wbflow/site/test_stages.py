@@ -1,0 +1,114 @@
+"""The section `stages`: parameters of the chosen method only, and names of earlier versions."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from wbflow.pipeline import stages as pipeline
+from wbflow.pipeline.rows import Renamed
+from wbflow.site.load import Site, load_site
+from wbflow.site.places import SiteError
+
+SITE = """\
+site: yard
+captures: {root: ., pattern: "{camera}.jpg"}
+cameras:
+  - gate
+  - roof
+"""
+
+
+def loaded(folder: Path, section: str) -> Site:
+    file = folder / "site.yaml"
+    file.write_text(f"{SITE}stages: {{{section}}}\n")
+    return load_site(file)
+
+
+def problem(folder: Path, section: str) -> str:
+    with pytest.raises(SiteError) as caught:
+        loaded(folder, section)
+    return str(caught.value)
+
+
+def test_a_parameter_that_the_chosen_method_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
+    told = problem(tmp_path, "matches: {ratio: 0.7}")
+    assert "site.yaml:6:20: stages.matches.ratio: 'ratio' is not read by the chosen matcher" in told
+    assert "leave it out, or choose matcher: dominant or mutual or kdtree" in told
+    assert loaded(tmp_path, "matches: {matcher: mutual, ratio: 0.7}").stages["matches"].parameters["ratio"] == 0.7
+
+
+def test_a_wrong_value_of_a_method_s_parameter_is_an_error(tmp_path: Path) -> None:
+    assert "'wide' is not of type float" in problem(tmp_path, "matches: {matcher: mutual, ratio: wide}")
+
+
+@pytest.mark.parametrize("stage", ["matches: {matcher: magic}", "rectify: {method: magic}", "disparity: {matcher: magic}"])
+def test_an_unknown_method_is_an_error_that_lists_the_known_ones(tmp_path: Path, stage: str) -> None:
+    told = problem(tmp_path, stage)
+    assert "'magic' is not one of " in told
+    assert "package.module:function" in told
+
+
+def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def find(left_frame, right_frame, *, reach: int = 3):\n    return None\n")
+    site = loaded(tmp_path, "matches: {matcher: 'mine:find', reach: 5}")
+    assert site.stages["matches"].parameters == {"matcher": "mine:find", "reach": 5}
+    (tmp_path / "mine.py").write_text("def find(left_frame, right_frame, depth, *, reach: int = 3):\n    return None\n")
+    assert "mine:find asks for 'depth', which is not there" in problem(tmp_path, "matches: {matcher: 'mine:find'}")
+
+
+def test_old_names_and_values_are_understood_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    renamed = {"range": Renamed("range_margin"), "method": Renamed("method", {"seed": "literal"})}
+    rows = tuple(dataclasses.replace(row, renamed=renamed) if row.name == "rectify" else row for row in pipeline.STAGES)
+    monkeypatch.setattr("wbflow.site.stages.STAGES", rows)
+    site = loaded(tmp_path, "rectify: {range: 0.2, method: seed}")
+    assert site.stages["rectify"].parameters == {"range_margin": 0.2, "method": "literal"}
+    first, second = map(str, site.notes)
+    assert "site.yaml:6:20: stages.rectify.range: 'range' is written 'range_margin' now" in first
+    assert "'method: seed' is written 'method: literal' now" in second
+    assert loaded(tmp_path, "rectify: {method: literal}").notes == ()
+    assert "stands here too" in problem(tmp_path, "rectify: {range: 0.2, range_margin: 0.1}")
+    assert "'far' is not of type float" in problem(tmp_path, "rectify: {range: far}")
+
+
+def test_a_function_of_one_s_own_keeps_its_names(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def detect(frame, *, keypoints: int = 3):\n    return None\n")
+    site = loaded(tmp_path, "features: {use: 'mine:detect', keypoints: 5}")
+    assert site.stages["features"].parameters == {"keypoints": 5}
+    assert site.notes == ()
+
+
+def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
+    """Of the stage or of one of its methods; else an old name would lead nowhere."""
+    from wbflow.cache.functions import FunctionReader
+    from wbflow.pipeline.binding import method_parameters
+
+    reader = FunctionReader()
+    for stage in pipeline.STAGES:
+        known = set(reader.signature(stage.function).parameters)
+        known |= {name for parameters in method_parameters(stage, reader).values() for name in parameters}
+        for old, row in stage.renamed.items():
+            assert row.now in known or old in known, (stage.name, old)
+
+
+def test_a_matcher_that_needs_a_model_says_so_and_where_it_is_given(tmp_path: Path) -> None:
+    told = problem(tmp_path, "matches: {matcher: onnx}")
+    assert "site.yaml:6:29: stages.matches.matcher: " in told and "needs a file: model" in told
+    assert "give its path, relative to the site file: model: models/matcher.onnx" in told
+    assert "stages.matches.model: 5 is no path" in problem(tmp_path, "matches: {matcher: onnx, model: 5}")
+
+
+def test_a_model_that_is_not_there_is_an_error_that_names_what_is_nearly_called_so(tmp_path: Path) -> None:
+    (tmp_path / "glue.onnx").write_bytes(b"weights")
+    told = problem(tmp_path, "matches: {matcher: onnx, model: glu.onnx}")
+    assert "site.yaml:6:42: stages.matches.model: there is no file" in told and "did you mean 'glue.onnx'?" in told
+    settings = loaded(tmp_path, "matches: {matcher: onnx, model: glue.onnx, min_score: 0.3}").stages["matches"]
+    assert settings.files == {"model": tmp_path / "glue.onnx"}
+    assert settings.parameters == {"matcher": "onnx", "min_score": 0.3}
+
+
+def test_a_model_that_the_chosen_matcher_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
+    told = problem(tmp_path, "matches: {model: glue.onnx}")
+    assert "'model' is not read by the chosen matcher" in told and "choose matcher: onnx" in told

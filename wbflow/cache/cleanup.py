@@ -1,0 +1,177 @@
+"""Removing what nobody asks for any more: artifacts, and published runs only where somebody has said so."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..records.events import TaskEvent
+from ..records.ledger import Ledger
+from ..records.pinned import BadReference, read_reference
+from ..records.run_folder import NoSuchRun, RunFolder
+from .keep import Keep
+from .layout import WorkFolder
+
+_QUARANTINED = 20
+"""So many damaged files are kept, for whoever wants to know why, when nobody has asked for a cleaning."""
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """What goes, or went."""
+
+    files: int = 0
+    bytes: int = 0
+    runs: tuple[str, ...] = ()
+    """Whose folders go."""
+    over: int = 0
+    """Bytes of the cache that are more than may stay, and are needed."""
+
+
+def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = True) -> Cleaning:
+    """Remove what need not stay.  The caller holds the lock.
+
+    Parameters
+    ----------
+    work : WorkFolder
+        Where.
+    keep : Keep
+        What stays.  The runs that links show always do, with all that they use.
+    dry_run : bool
+        Only say what would go.
+    asked : bool
+        Somebody has asked for it: damaged files that were put aside go, too.
+    """
+    with Ledger(work, writes=True) as ledger:
+        nights = _Nights(work, ledger)
+        doomed, keys, over = _artifacts(work, keep, nights, ledger)
+        doomed += _quarantined(work, 0 if asked else _QUARANTINED)
+        folders = nights.beyond(keep.clouds) & nights.beyond(keep.reports)
+        for run in sorted(nights.beyond(keep.clouds) - folders):
+            doomed += work.run(run).clouds()
+        for run in sorted(nights.beyond(keep.reports) - folders):
+            doomed += [path for path in (work.run(run).report, work.run(run).log) if path.is_file()]
+        inside = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
+        size = _size([*doomed, *inside])
+        if not dry_run:
+            for path in doomed:
+                path.unlink(missing_ok=True)
+            for run in sorted(folders):
+                _remove_run(work, run)
+            if keys or folders:
+                ledger.forget(sorted(folders | nights.artifacts_gone), keys)
+            _remove_empty(work, doomed)
+    return Cleaning(len(doomed) + len(inside), size, tuple(sorted(folders)), over)
+
+
+class _Nights:
+    """Published runs by night."""
+
+    def __init__(self, work: WorkFolder, ledger: Ledger) -> None:
+        self.runs = work.run_ids()
+        """Oldest first."""
+        self.shown = {run for link in work.links() if (run := work.led_to(link))} | set(self.runs[-1:])
+        """Runs that stay whatever is said."""
+        self.artifacts_gone: set[str] = set()
+        """Runs whose artifacts go."""
+        dates = {run.run: run.date for run in ledger.runs()}
+        self._dates = {run: dates.get(run, run) for run in self.runs}  # what the ledger can't read is a night of its own
+
+    def beyond(self, count: int | None) -> set[str]:
+        """Runs of nights before the last so many."""
+        if count is None:
+            return set()
+        newest = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
+        return {run for run in self.runs if self._dates[run] not in newest} - self.shown
+
+    def using(self, keep: Keep) -> set[str]:
+        """Runs whose artifacts stay."""
+        gone = self.beyond(keep.nights)
+        if keep.runs is not None:
+            gone |= set(self.runs[: len(self.runs) - keep.runs]) - self.shown
+        self.artifacts_gone = gone
+        return set(self.runs) - gone
+
+
+def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) -> tuple[list[Path], set[str], int]:
+    """Files of the cache that go, their keys, and how many bytes too many stay."""
+    if keep.runs is keep.nights is keep.bytes is None:
+        return [], set(), 0
+    files: dict[str, list[Path]] = defaultdict(list)
+    for path in work.cached():
+        files[path.name.partition(".")[0]].append(path)
+    used = {run: _keys(work, ledger, run) for run in sorted(nights.using(keep))}
+    newest = {key: run for run in sorted(used) for key in used[run]}
+    pinned = _pinned_keys(work)
+    gone = files.keys() - newest.keys() - pinned
+    over = 0
+    if keep.bytes is not None:
+        sizes = {key: _size(files[key]) for key in files.keys() & newest.keys() - pinned}
+        over = sum(sizes.values()) - keep.bytes
+        for key in sorted(sizes, key=lambda key: (newest[key], -sizes[key])):
+            if over <= 0:
+                break
+            if not any(key in used.get(run, ()) for run in nights.shown):
+                over -= sizes[key]
+                gone.add(key)
+    # the receipt goes first: what is left without one is not believed
+    ordered = (path for key in sorted(gone) for path in sorted(files[key], key=lambda path: path != work.receipt_beside(path)))
+    return list(ordered), gone, max(over, 0)
+
+
+def _pinned_keys(work: WorkFolder) -> set[str]:
+    """Keys of what the reference holds: nights read them here, and each copy heals the other."""
+    try:
+        reference = read_reference(work)
+    except BadReference:
+        return set()
+    return {pinned.key for pinned in reference.artifacts.values()} if reference else set()
+
+
+def _keys(work: WorkFolder, ledger: Ledger, run: str) -> set[str]:
+    """Keys of the artifacts that a run used, by the ledger, or by its own log where that knows nothing of it."""
+    if found := ledger.keys_of_runs([run]):
+        return found
+    try:
+        return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
+    except NoSuchRun:  # nobody knows what it used: that is made again if it is asked for
+        return set()
+
+
+def _quarantined(work: WorkFolder, count: int) -> list[Path]:
+    found = [path for path in work.quarantine.glob("*") if path.is_file()]
+    found.sort(key=lambda path: path.stat().st_ctime_ns, reverse=True)
+    return found[count:]
+
+
+def _remove_run(work: WorkFolder, run: str) -> None:
+    """With one rename it is no run any more; what is left of it when this is killed, the next run clears away."""
+    out = work.unfinished_run(run).folder
+    work.run(run).folder.rename(out)
+    shutil.rmtree(out)
+
+
+def _remove_empty(work: WorkFolder, removed: Iterable[Path]) -> None:
+    for folder in sorted({path.parent for path in removed}):
+        for place in (folder, folder.parent):
+            if place.is_relative_to(work.cache) and place != work.cache:
+                with contextlib.suppress(OSError):  # not empty
+                    place.rmdir()
+
+
+def _size(paths: Iterable[Path]) -> int:
+    """What files take; what has two names in here, or elsewhere, counts only where its last one goes."""
+    total = 0
+    seen: dict[tuple[int, int], int] = defaultdict(int)
+    for path in paths:
+        with contextlib.suppress(OSError):
+            status = os.stat(path)  # noqa: PTH116 (many)
+            seen[status.st_dev, status.st_ino] += 1
+            if seen[status.st_dev, status.st_ino] == status.st_nlink:
+                total += status.st_size
+    return total

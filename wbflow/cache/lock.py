@@ -1,0 +1,78 @@
+"""One writer for each work folder: an flock, which the kernel frees when its process dies, however it dies."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import fcntl
+import json
+import os
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from ..errors import ExitCode, WbflowError
+from .atomic import clear
+from .untrusted import read_outside
+
+
+class Locked(WbflowError):
+    """Another run holds the work folder; the message says who and since when."""
+
+    exit_code = ExitCode.LOCKED
+
+
+@contextlib.contextmanager
+def hold(path: Path, wait: bool) -> Iterator[None]:
+    """Hold the lock file while the block runs.
+
+    Raises
+    ------
+    Locked
+        Another process holds it and `wait` is False.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _held(path, wait) as file:
+        since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        with contextlib.suppress(OSError):  # on a full disk it is held without a word
+            file.truncate(0)
+            os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "since": since}).encode())
+        try:
+            yield
+        finally:
+            file.truncate(0)
+
+
+def _held(path: Path, wait: bool) -> IO[str]:
+    """The file, opened and locked; whatever else bears its name (a folder, a pipe) gives way, unless it is held."""
+    while True:
+        if path.is_dir() or (path.is_symlink() and not path.exists()):
+            clear(path)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            if not wait:
+                what = f"another run holds {path.parent}: {_holder(path)}"
+                raise Locked(what, remedy="wait for it (--wait), or stop it") from None
+            time.sleep(0.2)
+            continue
+        status = os.fstat(descriptor)
+        with contextlib.suppress(FileNotFoundError):
+            there = path.stat()
+            if (there.st_dev, there.st_ino) == (status.st_dev, status.st_ino):  # nobody has put another one in its place
+                if stat.S_ISREG(status.st_mode):
+                    return os.fdopen(descriptor, "r+")
+                clear(path)
+        os.close(descriptor)
+
+
+def _holder(path: Path) -> str:
+    try:
+        who = json.loads(read_outside(path))
+        return f"process {who['pid']} on {who['host']} since {who['since']}"
+    except (OSError, ValueError, KeyError):
+        return "its process has not said who it is"

@@ -1,0 +1,203 @@
+"""Bytes from outside, opened in this one place: captures, masks, site files, calibrations.
+
+Whoever puts files where captures are looked for may put anything there.  Only regular files are opened (a pipe or a device is
+named at once, and nobody waits for it), only as large as such a file can sensibly be, and no folder is walked through twice,
+however links lead back to it.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import WbflowError
+from .layout import STAND_IN
+
+MOST_CAPTURE_BYTES = 1_000_000_000
+"""Of an image file, or a mask."""
+MOST_TEXT_BYTES = 50_000_000
+"""Of a site file, or a calibration."""
+MOST_ENTRIES = 1_000_000
+"""Names that one search for captures looks at."""
+
+_KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFDIR: "a folder",
+}
+
+
+class Unreadable(WbflowError, OSError):
+    """What lies under a name cannot be read, or will not be; `what` says why, without the name."""
+
+
+class Unfetched(Unreadable):
+    """It stands for bytes in an object store, and they cannot be had."""
+
+
+def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
+    """All bytes of a file.
+
+    Raises
+    ------
+    Unreadable
+        It is not there, no regular file, too large, or the disk fails.
+    """
+    descriptor = open_outside(path, most)
+    try:  # (without a file object, which takes four more calls of the kernel)
+        size = min(os.fstat(descriptor).st_size, most)
+        data = os.read(descriptor, size + 1)  # room for `most` bytes is not asked for where there are few
+        if len(data) != size:  # of 2 GB and more, or it has changed
+            with os.fdopen(os.dup(descriptor), "rb") as rest:
+                data += rest.read(most + 1 - len(data))
+    except OSError as error:
+        raise Unreadable(f"cannot be read: {error.strerror or error}") from None
+    finally:
+        os.close(descriptor)
+    if len(data) > most:
+        raise Unreadable(_too_large(len(data), most))
+    return data
+
+
+def open_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES, fills: bool = True) -> int:
+    """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_outside` does.
+
+    fills: one that stands for bytes in an object store gets them.
+    """
+    try:
+        _check(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices does something)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    except (OSError, ValueError) as error:
+        if isinstance(error, Unreadable):
+            raise
+        raise Unreadable(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    try:
+        _check(os.fstat(descriptor), most)  # it may have been exchanged since
+    except Unreadable:
+        os.close(descriptor)
+        raise
+    if fills and os.pread(descriptor, len(STAND_IN), 0) == STAND_IN and _filled(path):
+        os.close(descriptor)
+        return open_outside(path, most)
+    return descriptor
+
+
+def _filled(path: Path | str) -> bool:
+    """Have the bytes that a file stands for been fetched (see `remote.standin`)?  Raises Unfetched."""
+    from ..remote.standin import fill  # here: few work folders are mirrors
+
+    try:
+        return fill(path)
+    except OSError as error:
+        raise Unfetched(f"cannot be fetched: {error}") from None
+
+
+def is_file(path: Path) -> bool:
+    """Is there a regular file?  Never raises, whatever the path is like."""
+    return os.path.isfile(path)  # noqa: PTH113  (Path.is_file raises for names that are too long)
+
+
+def is_folder(path: Path) -> bool:
+    """Is there a folder?  Never raises."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
+def find_outside(pattern: str) -> Iterator[str]:
+    """Names of what a pattern finds, as `glob` does (`*`, `?`, `[...]`, and `**` for folders in folders; nothing hidden), but
+    through each folder once only, however many links lead to it.
+
+    Raises
+    ------
+    Unreadable
+        It would have to look at more than `MOST_ENTRIES` names.
+    """
+    parts = Path(pattern).parts
+    yield from _Search().below(parts[0], parts[1:]) if Path(pattern).is_absolute() else _Search().below("", parts)
+
+
+class _Search:
+    """One search, and how much it has looked at."""
+
+    def __init__(self) -> None:
+        self._looked_at = 0
+
+    def below(self, folder: str, parts: tuple[str, ...]) -> Iterator[str]:
+        """What the rest of a pattern finds in a folder."""
+        if not parts:
+            if os.path.lexists(folder):
+                yield folder
+            return
+        first, rest = parts[0], parts[1:]
+        if first == "**":
+            for inner, files in self._folders(folder):
+                yield from self.below(inner, rest) if rest else (inner, *files)
+        elif not any(mark in first for mark in "*?["):
+            yield from self.below(os.path.join(folder, first), rest)  # noqa: PTH118  (names may be no text)
+        else:
+            matches = re.compile(fnmatch.translate(first)).match
+            for entry in self._entries(folder):
+                if (
+                    matches(entry.name)
+                    and (first.startswith(".") or not entry.name.startswith("."))
+                    and (not rest or _is_dir(entry))
+                ):
+                    yield from self.below(entry.path, rest)
+
+    def _folders(self, top: str) -> Iterator[tuple[str, list[str]]]:
+        """A folder and all below it, each once, those that are no links first; with the files in each."""
+        seen: set[tuple[int, int]] = set()
+        waiting = [[top], []]
+        while waiting[0] or waiting[1]:
+            folder = (waiting[0] or waiting[1]).pop(0)
+            try:
+                status = os.stat(folder or ".")  # noqa: PTH116
+            except OSError:
+                continue
+            if (status.st_dev, status.st_ino) in seen:
+                continue
+            seen.add((status.st_dev, status.st_ino))
+            files = []
+            for entry in self._entries(folder):
+                if entry.name.startswith("."):
+                    continue
+                if _is_dir(entry):
+                    waiting[entry.is_symlink()].append(entry.path)
+                else:
+                    files.append(entry.path)
+            yield folder, files
+
+    def _entries(self, folder: str) -> list[os.DirEntry[str]]:
+        try:
+            with os.scandir(folder or ".") as found:
+                entries = sorted(found, key=lambda entry: entry.name)
+        except OSError:
+            return []
+        self._looked_at += len(entries)
+        if self._looked_at > MOST_ENTRIES:
+            remedy = "name the folders in captures.pattern instead of using ** or *"
+            raise Unreadable(f"more than {MOST_ENTRIES:,} files would have to be looked at", where=folder, remedy=remedy)
+        return entries
+
+
+def _is_dir(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        return False
+
+
+def _check(status: os.stat_result, most: int) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        raise Unreadable(f"is {_KINDS.get(stat.S_IFMT(status.st_mode), 'no file')}, not a file")
+    if status.st_size > most:
+        raise Unreadable(_too_large(status.st_size, most))
+
+
+def _too_large(size: int, most: int) -> str:
+    return f"has {size:,} bytes, {most:,} are the most that such a file may have"

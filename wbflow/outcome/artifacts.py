@@ -1,0 +1,180 @@
+"""What a finished run made, by task: from the run's folder and the cache; nothing is run again."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from ..cache.layout import WorkFolder
+from ..cache.store import Cache, Receipt
+from ..errors import UsageError, WbflowError
+from ..records.events import TaskEvent
+from ..records.record import CloudRecord, RunRecord
+from ..records.run_folder import RunFolder
+from ..task import Subject, Task, camera_of
+
+if TYPE_CHECKING:  # and where they are used: a run that is the same as the one before is described without the table of stages
+    from ..pipeline.rows import Role
+
+
+class Gone(WbflowError):
+    """The run made it, but it is not there any more."""
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run with all that it made."""
+
+    work: WorkFolder
+    folder: RunFolder
+    record: RunRecord
+    tasks: Mapping[Task, TaskEvent] = field(repr=False)
+    """How each of its tasks ended."""
+    cache: Cache = field(repr=False)
+
+    @staticmethod
+    def open(work: WorkFolder, folder: RunFolder) -> FinishedRun:
+        """Raises NoSuchRun for a folder that cannot be read."""
+        return FinishedRun(work, folder, folder.record(), folder.tasks(), Cache(work))
+
+    def receipt(self, task: Task) -> Receipt | None:
+        """The receipt of a task that gave a result in this run, or None.
+
+        Raises
+        ------
+        Gone
+            The cache does not hold it any more.
+        """
+        event = self.tasks.get(task)
+        if event is None or not event.usable or event.key is None:
+            return None
+        receipt = self.cache.by_key(task, event.key)
+        if receipt is None:
+            raise Gone(f"the cache no longer holds '{task}' of run {self.folder.id}", remedy="run the night again")
+        return receipt
+
+    def load(self, task: Task) -> Any:
+        """What a task made (a dataclass of `wbflow_stages.types`), or None where it gave nothing.
+
+        Raises
+        ------
+        Gone, DamagedArtifact
+            The cache does not hold it any more, or its disk has lost something.
+        """
+        receipt = self.receipt(task)
+        if receipt is None:
+            return None
+        from ..cache.codec import result_of
+        from ..pipeline.stages import stage_named
+
+        cache = self.cache
+        return result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
+
+    def by_role(self, role: Role, subject: Subject = ()) -> Any:
+        """What the stage with a role made of a subject, or None."""
+        from ..pipeline.stages import stage_with
+
+        return self.load(Task(stage_with(role).name, subject))
+
+    def of_cameras(self, *roles: Role) -> Mapping[str, Any]:
+        """What the first of these roles that gave something made of each camera, or of each of its views; read when it is asked
+        for."""
+        from ..pipeline.rows import Role
+        from ..pipeline.stages import stage_with
+
+        views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
+        for view in (task.subject[0] for task in self.tasks if task.stage == stage_with(Role.FRAME).name):
+            views.setdefault(camera_of(view), []).append(view)
+        names = [
+            view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
+        ]
+        return _OfSubjects(self, {name: (name,) for name in names}, roles)
+
+    def of_pairs(self, *roles: Role) -> Mapping[str, Any]:
+        """The same of each pair, as "left--right"."""
+        return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, roles)
+
+    def cloud(self, cloud: CloudRecord | None = None) -> Any:
+        """A cloud as it was published; the main one if none is named.
+
+        Raises
+        ------
+        Gone
+            The run made none, or its file cannot be read.
+        """
+        cloud = cloud or self.record.cloud
+        path = self.folder.cloud(cloud) if cloud else None
+        if path is None or not path.is_file():
+            raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
+        from ..cache.ply import read_ply
+        from ..pipeline.rows import Role
+        from ..pipeline.stages import stage_with
+
+        table = stage_with(Role.PRODUCT).table
+        assert table is not None
+        try:
+            return function(table.restore)(read_ply(path))
+        except ValueError as error:
+            raise Gone(str(error), remedy="run the night again") from None
+
+
+class LoggedTasks(Mapping[Task, TaskEvent]):
+    """How each task of a run ended, read from its log when somebody asks."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self._folder = folder
+
+    @cached_property
+    def _tasks(self) -> dict[Task, TaskEvent]:
+        return self._folder.tasks()
+
+    def __getitem__(self, task: Task) -> TaskEvent:
+        return self._tasks[task]
+
+    def __iter__(self) -> Iterator[Task]:
+        return iter(self._tasks)
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+
+class _OfSubjects(Mapping[str, Any]):
+    def __init__(self, run: FinishedRun, subjects: Mapping[str, Subject], roles: tuple[Role, ...]) -> None:
+        from ..pipeline.stages import stage_with
+
+        self._run = run
+        tasks = {name: [Task(stage_with(role).name, subject) for role in roles] for name, subject in subjects.items()}
+        made = {name: [t for t in group if (event := run.tasks.get(t)) and event.usable] for name, group in tasks.items()}
+        self._tasks = {name: group[0] for name, group in made.items() if group}
+
+    def __getitem__(self, name: str) -> Any:
+        return self._run.load(self._tasks[name])
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._tasks  # without reading it
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tasks)
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+
+def task_named(name: str) -> Task:
+    """A task as it is written: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
+    from ..pipeline.stages import STAGES
+
+    stage, _, subject = name.partition(" ")
+    if stage not in {row.name for row in STAGES}:
+        remedy = f"stages are {', '.join(row.name for row in STAGES)}; a task is a stage and its subject: 'geometry gate--roof'"
+        raise UsageError(f"{name!r}: there is no stage {stage!r}", remedy=remedy)
+    return Task(stage, tuple(subject.split("--")) if subject else ())
+
+
+def function(dotted: str) -> Any:
+    """A function by its dotted name, package.module:function."""
+    module, _, name = dotted.partition(":")
+    return getattr(importlib.import_module(module), name)

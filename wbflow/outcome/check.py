@@ -1,0 +1,159 @@
+"""A site, its captures and this machine examined without running anything; every finding at once, with its remedy."""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+import importlib
+import re
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from ..cache.layout import WorkFolder
+from ..cache.untrusted import read_outside
+from ..errors import ExitCode, printable
+from ..pipeline.exports import DECODE
+from ..pipeline.rows import SiteValue
+from ..pipeline.site_types import SITE_TYPES
+from ..records.run_folder import NoSuchRun, RunFolder
+from ..runner.captures import CaptureFile, expected, pattern_of
+from ..runner.context import Night, open_night
+from ..site.site import Site, SiteCamera
+from .artifacts import function
+
+Severity = Literal["error", "warning"]
+
+DEBIAN_PACKAGES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libudev.so.1": "libudev1",
+    "libgomp.so.1": "libgomp1",
+}
+"""Shared libraries that open3d needs and the Debian packages that hold them."""
+
+BYTES_PER_PIXEL = 40
+"""Disk that a night takes in the cache, for each pixel of each camera at working resolution (measured, generous)."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found."""
+
+    severity: Severity
+    what: str
+    """Where, and what."""
+    remedy: str
+    """What to do about it."""
+    code: ExitCode
+    """What a run would end with for it."""
+
+
+def check(site: Site, date: datetime.date | None) -> list[Finding]:
+    """Everything that would spoil a run, or part of one."""
+    machine = check_machine()
+    if any(finding.severity == "error" for finding in machine):
+        return machine + _disk(site)
+    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site), *check_published(site.work_folder)]
+
+
+def exit_code(findings: Iterable[Finding]) -> ExitCode:
+    """What `wbflow check` ends with: the worst that a run would."""
+    return min((finding.code for finding in findings if finding.severity == "error"), default=ExitCode.GOOD)
+
+
+def check_captures(site: Site, night: Night) -> list[Finding]:
+    """Is every capture there, whole, and of the size that its intrinsics are for?"""
+    found = []
+    if len(site.cameras) < 2:
+        what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
+        found.append(Finding("error", what, "list the others under cameras:", ExitCode.FAILED))
+    for camera in site.cameras:
+        place = site.document.problem(camera.place, "")
+        where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
+        files = night.captures[camera.id]
+        if not files:
+            what = f"{where}: there is no capture {expected(site, camera, night.date)}"
+            found.append(Finding("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
+        for file in files:
+            size, problem = _look_at(file)
+            stated = (camera.lens.width, camera.lens.height)
+            if problem:
+                found.append(Finding("error", f"{where}: {problem}", "the other cameras go on without it", ExitCode.DEGRADED))
+            elif stated[0] and size != stated:
+                what = f"{where}: {file.name} is {size[0]}x{size[1]}, its intrinsics are for {stated[0]}x{stated[1]}"
+                found.append(Finding("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
+    return found
+
+
+def _remedy_of_missing(site: Site, camera: SiteCamera) -> str:
+    """What to do about a camera without captures: its name may be written otherwise than the files'."""
+    there = pattern_of(site).cameras() - {other.id for other in site.cameras} if camera.images is None else set()
+    close = difflib.get_close_matches(camera.id, there, 1)
+    if close:
+        return f"did you mean {printable(close[0])!r}? There are captures of it"
+    return "check captures.root and pattern, or the camera itself"
+
+
+def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
+    """(width, height) of a capture as it would be used, or what is wrong with it."""
+    import numpy as np
+
+    if not file.digest:
+        return (0, 0), f"{file.name} {file.fault}"
+    try:
+        capture = function(SITE_TYPES[SiteValue.CAPTURES])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
+        image = function(DECODE)(capture)
+    except (ValueError, OSError) as error:
+        return (0, 0), str(error)
+    return (image.shape[1], image.shape[0]), None
+
+
+def check_machine() -> list[Finding]:
+    """Can every library be imported?"""
+    found = []
+    for name in ("numpy", "cv2", "scipy", "numba", "networkx", "poselib", "open3d"):
+        try:
+            importlib.import_module(name)
+        except (ImportError, OSError) as error:
+            found.append(Finding("error", f"{name} cannot be imported: {error}", _remedy(str(error)), ExitCode.FAILED))
+    return found
+
+
+def _remedy(message: str) -> str:
+    library = re.search(r"lib[\w.+-]+\.so[.\d]*", message)
+    package = DEBIAN_PACKAGES.get(library.group(0)) if library else None
+    return (
+        f"as root: apt-get install {package}" if package else "reinstall wbflow: python -m pip install --force-reinstall wbflow"
+    )
+
+
+def check_published(work: WorkFolder) -> list[Finding]:
+    """Are the files of every run as they were published?  Those of runs that links show must be there, too."""
+    shown = {work.led_to(link) for link in work.links()}
+    found = []
+    for name in work.run_ids():
+        remedy = f"the next  wbflow run  publishes intact ones; do not use those of {name}"
+        try:
+            for path in RunFolder.of(work, name).damaged(missing=name in shown):
+                what = "is damaged" if path.exists() else "is gone"
+                found.append(Finding("error", f"{path} {what}", remedy, ExitCode.DEGRADED))
+        except NoSuchRun as error:
+            found.append(Finding("error", error.what, remedy, ExitCode.DEGRADED))
+    return found
+
+
+def _disk(site: Site) -> list[Finding]:
+    folder = site.work
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    width = site.resolution or 4000
+    need = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
+    if free > need:
+        return []
+    what = f"{folder} has {free / 1e9:.1f} GB free; a night of this site takes about {need / 1e9:.1f} GB"
+    return [Finding("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", ExitCode.FAILED)]

@@ -1,0 +1,159 @@
+"""Two nights side by side, from their run.json: what differs by more than figures differ from night to night."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..cache.layout import WorkFolder
+from ..records.record import CameraRecord, PairRecord, RunRecord
+from ..records.run_folder import NoSuchRun, RunFolder
+from .beside import titled
+
+NOISE = 0.05
+"""Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
+NOISE_OF_SHARES = 0.03
+"""The same, of figures that are shares of one themselves."""
+NOISE_OF_TIME = 0.25
+"""The same, of seconds."""
+
+Value = int | float | str | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure, or words, of both runs."""
+
+    what: str
+    """Its name; of a camera or pair: its name, then that of the figure."""
+    a: Value
+    b: Value
+    noise: float = NOISE
+    """Figures that differ by less are alike, as a share of the larger one."""
+
+    @property
+    def change(self) -> float | None:
+        """By which share of a's figure b's differs; None for words, and where a's is 0."""
+        if isinstance(self.a, int | float) and isinstance(self.b, int | float) and self.a:
+            return self.b / self.a - 1
+        return None
+
+    @property
+    def differs(self) -> bool:
+        """Do the two runs differ here, by more than noise?"""
+        a, b = self.a, self.b
+        if not isinstance(a, int | float) or not isinstance(b, int | float):
+            return a != b
+        if isinstance(a, float) and 0 <= min(a, b) <= max(a, b) <= 1:
+            return abs(a - b) > NOISE_OF_SHARES
+        return abs(a - b) > self.noise * max(abs(a), abs(b))
+
+    def __str__(self) -> str:
+        change = f"{100 * self.change:+.0f} %" if self.change is not None and self.differs else ""
+        return f"{self.what:32} {_words(self.a):>24}   {_words(self.b):24} {change}".rstrip()
+
+    def to_json(self) -> dict[str, Any]:
+        change = None if self.change is None else round(self.change, 4)
+        return {"what": self.what, "a": self.a, "b": self.b, "change": change, "differs": self.differs}
+
+
+def compare(a: RunRecord, b: RunRecord) -> list[Row]:
+    """All figures that two runs share: first the night as a whole, then every camera and pair."""
+    rows = [Row("run", a.run, b.run), Row("night", a.date, b.date), Row("verdict", _verdict(a), _verdict(b))]
+    rows += [Row("points", *(r.cloud.points if r.cloud else 0 for r in (a, b)))]
+    rows += [Row("cameras", sum(c.ok for c in a.cameras), sum(c.ok for c in b.cameras), 0.0)]
+    rows += [Row("pairs of cameras", sum(p.ok for p in a.pairs), sum(p.ok for p in b.pairs), 0.0)]
+    rows += _of_site(a, b)
+    rows += [Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), NOISE_OF_TIME)]
+    rows += [Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), NOISE_OF_TIME)]
+    counts = a.tasks.to_json(), b.tasks.to_json()
+    rows += [Row(f"tasks {name}", counts[0][name], counts[1][name], noise=0.0) for name in counts[0]]
+    for ours, theirs in ((_by_name(a.cameras), _by_name(b.cameras)), (_by_name(a.pairs), _by_name(b.pairs))):
+        for name in dict.fromkeys([*ours, *theirs]):
+            rows += _of_subject(name, ours.get(name), theirs.get(name))
+    return rows
+
+
+def told(rows: list[Row]) -> list[Row]:
+    """What is said of them: which runs they are, and what differs."""
+    return rows[:3] + [row for row in rows[3:] if row.differs]
+
+
+def run_named(work: WorkFolder, name: str) -> RunFolder:
+    """A run by its id, "latest", "latest-good", or the night of its captures: the newest run of that night.
+
+    Raises
+    ------
+    NoSuchRun
+        There is none.
+    """
+    if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", name):
+        return RunFolder.of(work, name)
+    for run in reversed(work.run_ids()):
+        folder = RunFolder(work.run(run))
+        if folder.record().date == name:
+            return folder
+    raise NoSuchRun(f"no run has worked on the night of {name}", remedy="wbflow history SITE.yaml  lists all runs")
+
+
+def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:
+    """The newest run, after the newest good one before it.
+
+    Raises
+    ------
+    NoSuchRun
+        There is none.
+    """
+    newest = RunFolder.of(work)
+    for run in reversed(work.run_ids()[:-1]):
+        folder = RunFolder(work.run(run))
+        verdict = folder.record().verdict
+        if folder.is_good() and (verdict is None or verdict.good):
+            return folder, newest
+    raise NoSuchRun(f"there is no good run before {newest.id}", remedy="name two: wbflow compare SITE.yaml RUN_A RUN_B")
+
+
+def _verdict(record: RunRecord) -> str:
+    return record.verdict.level if record.verdict else f"exit {record.exit_code}"
+
+
+def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapping[str, CameraRecord | PairRecord]:
+    return {record.id if isinstance(record, CameraRecord) else record.name: record for record in records}
+
+
+def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
+    """What site-wide stages tell of both nights."""
+    for stage, ours in a.later.items():
+        theirs = b.later.get(stage)
+        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+            both = [name for name in ours if _plain(ours[name]) and _plain(theirs.get(name))]
+            yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in both)
+
+
+def _of_subject(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
+    """The outcome of a camera or pair; its figures where both runs have used it."""
+    rows = [Row(name, _outcome(a), _outcome(b))]
+    if a and b and a.ok and b.ok:
+        both = [figure for figure in a.figures if figure in b.figures]
+        rows += [Row(f"{name} {f}", a.figures[f], b.figures[f]) for f in both if _plain(a.figures[f]) and _plain(b.figures[f])]
+    return rows
+
+
+def _outcome(record: CameraRecord | PairRecord | None) -> str:
+    if record is None:
+        return "absent"
+    if isinstance(record, CameraRecord) and record.health and not record.health.ok:
+        return f"{record.health.state}: {record.health.text}"
+    return "ok" if record.ok else f"{record.outcome}: {record.reason}"
+
+
+def _plain(value: object) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, bool)
+
+
+def _words(value: Value) -> str:
+    if isinstance(value, float):
+        return f"{value:,.2f}"
+    return f"{value:,}" if isinstance(value, int) else str(value)

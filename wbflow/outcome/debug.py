@@ -1,0 +1,138 @@
+"""One task's inputs as ordinary files, its parameters, and a short script that runs it alone."""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from ..cache.plugins import offer
+from ..cache.store import Cache
+from ..errors import UsageError
+from ..pipeline.exports import PLAIN_FILES
+from ..pipeline.rows import Role
+from ..pipeline.stages import stage_named, stage_with
+from ..runner.context import open_night
+from ..runner.obstacles import Impossible, Waiting
+from ..runner.planner import Plan
+from ..runner.spec import Input, Stored, TaskSpec
+from ..runner.state import State
+from ..runner.worker import arguments_of
+from ..site.site import Site
+from ..task import Task
+from .alone import INPUTS, TASK_FILE
+from .artifacts import function
+
+SCRIPT = "run.py"
+
+_SCRIPT = '''\
+"""{task}, night of {night}, alone: what it is handed lies in inputs/, its parameters in task.json."""
+from pathlib import Path
+
+from wbflow.outcome import alone
+
+here = Path(__file__).resolve().parent
+alone.as_a_worker(here)  # one thread, as in a run
+from {module} import {name} as stage  # noqa: E402
+
+result = stage(**alone.inputs(here), **alone.parameters(here))
+print(result)
+print(alone.keep(here, result))
+'''
+
+
+def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = None) -> list[Path]:
+    """Write what a task is handed tonight, and the script that does it.
+
+    Parameters
+    ----------
+    site : Site
+        Whose.
+    task : Task
+        Which.
+    out : Path
+        The folder for the files; it is made.
+    date : date, optional
+        The night; the newest that has captures, if not given.
+
+    Returns
+    -------
+    list of Path
+        The files, the script first.
+
+    Raises
+    ------
+    UsageError
+        There is no such task, or its inputs are not there.
+    DamagedArtifact
+        One of them has been damaged on disk.
+    """
+    night = open_night(site, date)
+    night.plan.refresh()
+    spec = _spec(night.plan, task)
+    (out / INPUTS).mkdir(parents=True, exist_ok=True)
+    offer(spec.folder)
+    values = arguments_of(spec, night.plan.cache)
+    nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, night.plan.cache) for name, value in values.items()}
+    state = night.plan.states.get(task)
+    receipt = Cache(night.plan.cache.work).by_key(task, spec.preimage().key())
+    told: dict[str, Any] = {
+        "stage": task.stage,
+        "subject": list(task.subject),
+        "night": str(night.date),
+        "function": spec.function,
+        "parameters": spec.parameters,
+        "inputs": nodes,
+        "outcome": receipt.outcome if receipt else _otherwise(state),
+        "reason": receipt.reason if receipt else state.reason if state else None,
+        "digest": receipt.digest if receipt and receipt.file else None,
+        "folder": str(spec.folder) if spec.folder else None,
+    }
+    module, _, name = spec.function.partition(":")
+    (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=night.date, module=module, name=name))
+    (out / TASK_FILE).write_text(json.dumps(told, indent=1))
+    return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
+
+
+def _otherwise(state: State | None) -> str:
+    """What became of a task whose inputs have left nothing in the cache."""
+    if state is None:
+        return "not run"
+    return "the night uses the reference's" if state.receipt else state.outcome
+
+
+def _spec(plan: Plan, task: Task) -> TaskSpec:
+    known = [*plan.states, *plan.ready, *plan.waiting]
+    if stage_named(task.stage).scope == "pair" and not plan.pairs_known(stage_named(task.stage)):
+        role = Role.DENSE_PAIRS if plan.pairs_known(stage_with(Role.PAIR_GRAPH)) else Role.PAIR_GRAPH
+        raise _waits(plan, task, Task(stage_with(role).name))
+    if task not in known:
+        of_stage = [str(t) for t in known if t.stage == task.stage]
+        close = difflib.get_close_matches(str(task), of_stage, 1)
+        there = ", ".join(of_stage[:20]) or f"none of the stage {task.stage}"
+        remedy = f"did you mean '{close[0]}'?" if close else f"there are: {there}"
+        raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
+    try:
+        return plan.spec_of(task)
+    except Waiting as waiting:
+        raise _waits(plan, task, waiting.task or Task(stage_with(Role.PAIR_GRAPH).name)) from None
+    except Impossible as impossible:
+        remedy = f"wbflow status {plan.site.file}  says what each task waits for"
+        raise UsageError(f"'{task}' has nothing to work on: {impossible}", remedy=remedy) from None
+
+
+def _waits(plan: Plan, task: Task, first: Task) -> UsageError:
+    remedy = f"first: wbflow run {plan.site.file} --date {plan.night} --until {first.stage}"
+    return UsageError(f"'{task}' waits for '{first}', which has not been made yet", remedy=remedy)
+
+
+def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any:
+    """Write an input; one that the cache keeps as a file that people can open is copied."""
+    if isinstance(how, Stored) and not how.part and how.file and (table := stage_named(how.task.stage).table):
+        file = f"{name}{table.suffix}"
+        shutil.copyfile(cache.work.artifact_name(how.task, how.file), folder / file)
+        return {"table": file, "restore": table.restore}
+    return function(PLAIN_FILES)(value, folder, name)

@@ -1,0 +1,134 @@
+"""`wbflow init`: a site file made from a folder of photographs."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..cache.atomic import write_atomic
+from ..errors import UsageError
+
+PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
+"""Suffixes of files that are taken for photographs, whatever their case."""
+
+SITE_FILE = "site.yaml"
+
+
+@dataclass(frozen=True)
+class MadeSite:
+    """A site file that was written."""
+
+    file: Path
+    cameras: tuple[str, ...]
+    notes: tuple[str, ...]
+    """What a person should know of it."""
+
+
+@dataclass(frozen=True)
+class _Camera:
+    source: str
+    """Name of its folder, or of its photograph without suffix."""
+    photographs: tuple[str, ...]
+    """Relative to the folder of the site file."""
+
+
+def write_site(folder: Path) -> MadeSite:
+    """Write `site.yaml` into a folder of photographs.
+
+    Photographs in the folder are one camera each; folders with photographs in it are one camera each, with several captures.
+
+    Raises
+    ------
+    UsageError
+        There is no such folder, a site file already, no two cameras, or both kinds of them.
+    """
+    file = folder / SITE_FILE
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: there is no such folder", remedy="name the folder that holds the photographs")
+    if file.exists():
+        raise UsageError(f"{file} is there already", remedy="move it away if a new one is wanted")
+    found = _cameras(folder)
+    ids = _ids([camera.source for camera in found])
+    pattern = _pattern(folder, found, ids)
+    lines = [f"{identity}: {camera.source}" for identity, camera in zip(ids, found, strict=True) if identity != camera.source]
+    notes = (f"ids were made from names: {', '.join(lines)}",) if lines else ()
+    write_atomic(file, _text(_id(folder.resolve().name) or "site", found, ids, pattern).encode())
+    return MadeSite(file, tuple(ids), notes)
+
+
+def _cameras(folder: Path) -> list[_Camera]:
+    single = [_Camera(path.stem, (path.name,)) for path in _photographs(folder)]
+    folders = [
+        _Camera(inner.name, names)
+        for inner in sorted(folder.iterdir())
+        if inner.is_dir()
+        and not inner.name.startswith(".")
+        and (names := tuple(f"{inner.name}/{path.name}" for path in _photographs(inner)))
+    ]
+    if single and folders:
+        what = f"{folder} holds photographs ({single[0].photographs[0]}) and folders of photographs ({folders[0].source}/)"
+        raise UsageError(what, remedy="keep one kind: one photograph of each camera, or one folder for each camera")
+    found = single or folders
+    if len(found) < 2:
+        have = f"one camera only ({found[0].source})" if found else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
+        raise UsageError(f"{folder} holds {have}", remedy="two cameras that see the same things are needed at least")
+    return found
+
+
+def _photographs(folder: Path) -> list[Path]:
+    files = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    return sorted(path for path in files if path.suffix.lower() in PHOTOGRAPHS)
+
+
+def _id(name: str) -> str:
+    """A name as an id: letters, digits, `_`, `.` and `-`, anything else becomes `-`."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")[:90]
+
+
+def _ids(names: list[str]) -> list[str]:
+    """An id for each name, all different."""
+    found: list[str] = []
+    for position, name in enumerate(names, 1):
+        base = identity = _id(name) or f"camera-{position}"
+        number = 1
+        while identity in found:
+            number += 1
+            identity = f"{base}-{number}"
+        found.append(identity)
+    return found
+
+
+def _pattern(folder: Path, cameras: list[_Camera], ids: list[str]) -> str | None:
+    """A pattern that finds exactly each camera's photographs, where there is one."""
+    suffixes = {Path(name).suffix for camera in cameras for name in camera.photographs}
+    named = all(camera.source == identity for camera, identity in zip(cameras, ids, strict=True))
+    if not named or len(suffixes) > 1:
+        return None
+    suffix = suffixes.pop()
+    inside = "/" in cameras[0].photographs[0]
+    return f"{{camera}}/*{suffix}" if inside else f"{{camera}}{suffix}"
+
+
+def _text(site: str, cameras: list[_Camera], ids: list[str], pattern: str | None) -> str:
+    entries = [f"  - {json.dumps(identity)}" for identity in ids]
+    if pattern is None:
+        files = (json.dumps(list(camera.photographs), ensure_ascii=False) for camera in cameras)
+        entries = [f"  - {{id: {json.dumps(i)}, images: {names}}}" for i, names in zip(ids, files, strict=True)]
+    elif len(", ".join(map(json.dumps, ids))) < 110:
+        entries = []
+    listed = f" [{', '.join(map(json.dumps, ids))}]" if not entries else "".join(f"\n{entry}" for entry in entries)
+    return _SITE.format(site=json.dumps(site), pattern=json.dumps(pattern or "{camera}"), cameras=listed)
+
+
+_SITE = """\
+# Made by `wbflow init`.  Try:  wbflow check .   wbflow run .   wbflow status .
+site: {site}
+captures: {{root: ., pattern: {pattern}}}
+cameras:{cameras}
+# Known intrinsics and poses make the cloud metric and more complete (a JSON file, or a COLMAP text model):
+# calibration: cameras.json
+# Long side in pixels that stages work at:
+resolution: 1600
+"""

@@ -1,0 +1,159 @@
+"""Telling somebody: the command that the site file names, when the state of the site has changed.
+
+A night that is degraded or has failed is told once for each state (its level, and what its findings are about), a good night
+after such a one once; with `heartbeat`, every other night too.  A command that fails or hangs costs the night nothing, and what
+it was not told it is told the next night.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from ..cache.layout import RunPaths, WorkFolder
+from ..cache.signed import Damaged, read_signed, write_signed
+from ..errors import WbflowError
+from ..records.record import RunRecord, Verdict
+from ..site.site import Notify
+
+Occasion = Literal["degraded", "failed", "recovered", "heartbeat"]
+
+MOST_WORDS = 300
+"""A summary has at most so many characters."""
+
+
+_OF = "notified"
+"""Whose signed file it is that holds what was told last."""
+
+
+class NotTold(WbflowError):
+    """The command could not be started, failed, or took too long."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """The state that was told last."""
+
+    level: str = "good"
+    findings: tuple[str, ...] = ()
+    """Kind and subject of each."""
+
+    @staticmethod
+    def of(verdict: Verdict) -> Known:
+        """The state of a night."""
+        if verdict.good:
+            return Known()
+        return Known(verdict.level, tuple(sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})))
+
+
+def notify(how: Notify, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
+    """Tell of a run that is published; returns what for, or None where there was nothing to tell.
+
+    Parameters
+    ----------
+    how : Notify
+        As the site file says.
+    work : WorkFolder
+        Where it stands what was told last.
+    run : RunPaths
+        The run's files.
+    record : RunRecord
+        The run.
+
+    Raises
+    ------
+    NotTold
+        With what the command said last.
+    """
+    assert record.verdict
+    state = Known.of(record.verdict)
+    occasion = _occasion(state, _last(work), how.heartbeat)
+    if occasion:
+        _tell(how, occasion, run, record)
+        write_signed(work.notified, _OF, {"level": state.level, "findings": state.findings})
+    return occasion
+
+
+def _occasion(state: Known, last: Known, heartbeat: bool) -> Occasion | None:
+    if state != last:
+        return "recovered" if state.level == "good" else "failed" if state.level == "failed" else "degraded"
+    return "heartbeat" if heartbeat else None
+
+
+def _last(work: WorkFolder) -> Known:
+    try:
+        data = read_signed(work.notified, _OF)
+    except Damaged:  # nobody knows what was told: what is wrong is told once more
+        data = None
+    return Known(str(data["level"]), tuple(map(str, data["findings"]))) if data else Known()
+
+
+def summary(record: RunRecord) -> str:
+    """A run in one line, for the subject of a message."""
+    verdict = record.verdict or Verdict("good")
+    head = f"{record.site} {record.date}: {verdict.level}"
+    more = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
+    words = f"{head}: {verdict.findings[0]}{more}" if verdict.findings else head
+    return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]
+
+
+def _message(occasion: Occasion, run: RunPaths, record: RunRecord) -> dict[str, Any]:
+    head = {"event": occasion, "site": record.site, "date": record.date, "run": record.run, "summary": summary(record)}
+    told = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
+    cloud = str(run.folder / record.cloud.path) if record.cloud else None
+    points = record.cloud.points if record.cloud else 0
+    return {**head, **told, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
+
+
+def _tell(how: Notify, occasion: Occasion, run: RunPaths, record: RunRecord) -> None:
+    message = _message(occasion, run, record)
+    plain = {name: value for name, value in message.items() if isinstance(value, str | int)}
+    environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in plain.items()}
+    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as said:  # pipes could be held open by what outlives it
+        told.write(json.dumps(message).encode())
+        told.seek(0)
+        try:
+            process = subprocess.Popen(
+                how.command,
+                shell=isinstance(how.command, str),
+                stdin=told,
+                stdout=said,
+                stderr=said,
+                env=environment,
+                cwd=how.folder,
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            raise NotTold(f"notify: {_shown(how)} could not be started: {error}") from error
+        try:
+            code = process.wait(timeout=how.seconds)
+        except subprocess.TimeoutExpired:
+            raise NotTold(f"notify: {_shown(how)} had not ended after {how.seconds:g} s, and was killed") from None
+        finally:
+            _end(process)
+        if code:
+            said.seek(0)
+            raise NotTold(f"notify: {_shown(how)} ended with {code}: {_last_line(said.read(100_000))}")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Of a command that has not ended by itself, nothing is left."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def _shown(how: Notify) -> str:
+    command = how.command if isinstance(how.command, str) else how.command[0]
+    return repr(command if len(command) < 60 else f"{command[:57]}...")
+
+
+def _last_line(said: bytes) -> str:
+    lines = said.decode(errors="replace").strip().splitlines()
+    words = lines[-1] if lines else "it said nothing"
+    return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]

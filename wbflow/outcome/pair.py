@@ -1,0 +1,90 @@
+"""Two photographs and nothing else: the same stages and cache as a site's, the results as files that other programs read."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from mimetypes import guess_type
+from pathlib import Path
+from typing import Any
+
+from ..cache.atomic import write_atomic
+from ..errors import UsageError
+from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
+from ..pipeline.rows import Role
+from ..pipeline.stages import stage_with
+from ..site.load import load_site
+from ..site.site import Site
+from .artifacts import FinishedRun, function
+
+PAIR = ("left", "right")
+
+LAST_STAGE = stage_with(Role.DISPARITY).name
+"""Where a run of a pair ends."""
+
+
+def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Site:
+    """A site of the two photographs, written to out/site.yaml (from where it can be taken further).
+
+    Parameters
+    ----------
+    left, right : Path
+        The photographs.
+    out : Path
+        The folder for the results.
+    resolution : int, optional
+        Long side in pixels to work at.
+
+    Raises
+    ------
+    UsageError
+        A photograph is not there.
+    """
+    for path in (left, right):
+        if not path.is_file():
+            raise UsageError(f"{path}: there is no such file", remedy="wbflow pair LEFT.jpg RIGHT.jpg --out DIR")
+    out.mkdir(parents=True, exist_ok=True)
+    cameras = [{"id": name, "images": [str(path.resolve())]} for name, path in zip(PAIR, (left, right), strict=True)]
+    description = {
+        "site": "pair",
+        "captures": {"root": ".", "pattern": "{camera}"},
+        "cameras": cameras,
+        "resolution": resolution,
+        "pairs": {"min_angle": 0.0, "max_angle": 180.0, "include": [list(PAIR)]},
+        "stages": {stage_with(Role.WORLD).name: False},
+        "work": "work",
+    }
+    write_atomic(out / "site.yaml", json.dumps(description, indent=1).encode())
+    return load_site(out)
+
+
+def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
+    """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
+    left, right = (run.by_role(Role.FRAME, (name,)) for name in PAIR)
+    results = {name: run.by_role(role, PAIR) for name, role in PAIR_RESULTS.items()}
+    if left is None or right is None or next(iter(results.values())) is None:
+        return ()
+    made, summary = function(PAIR_FILES)(left, right, **results)
+    told = run.record.pairs[0].to_json() | summary
+    made["index.html"] = _page(list(made), told).encode()
+    made["pair.json"] = json.dumps(told, indent=1).encode()
+    for name, data in made.items():
+        write_atomic(out / name, data)
+    return tuple(out / name for name in made)
+
+
+def _page(names: list[str], told: dict[str, Any]) -> str:
+    """A page of the pictures, as large as they are, with the figures behind them and links to the files."""
+    from jinja2 import Environment, StrictUndefined
+
+    words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = words.from_string((files(__package__) / "report" / "assets" / "pair.html").read_text(encoding="utf-8"))
+    pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
+    rows = [(name.replace("_", " "), value) for name, value in told.items() if isinstance(value, str | int | float)]
+    return template.render(pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
+
+
+def failure(run: FinishedRun) -> str | None:
+    """Why there is no disparity, if there is none."""
+    ended = (event for event in run.tasks.values() if event.outcome in {"failed", "rejected"})
+    return next((f"{event.task} {event.outcome}: {event.reason}" for event in ended), None)

@@ -1,0 +1,162 @@
+"""A stage bound to the function, and the method, that a site has it done by: what these are handed, and their parameters.
+
+What a function receives is decided by the names of its arguments: any input that the stage's row needs or offers.  Everything
+else that it takes is a parameter, and stands after a bare `*`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from ..cache.functions import FunctionInfo, FunctionReader
+from ..cache.modules import FunctionError
+from .rows import FromSite, FromStage, Need, SiteValue, Stage
+from .signature import Parameter, Signature
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A stage as a site has it done."""
+
+    stage: Stage
+    function: FunctionInfo
+    method: FunctionInfo | None
+    """Where the function chooses among methods, the chosen one."""
+    needs: dict[str, Need]
+    """Inputs that are handed over, by argument name."""
+    parameters: dict[str, Parameter]
+    """The function's own, and those of the chosen method."""
+
+    @cached_property
+    def code(self) -> str:
+        """Fingerprint of all code that runs."""
+        if self.method is None:
+            return self.function.code
+        return hashlib.sha256(f"{self.function.code} {self.method.code}".encode()).hexdigest()[:32]
+
+    def defaults(self) -> dict[str, Any]:
+        """Values of the parameters that have a literal default."""
+        return {name: p.default for name, p in self.parameters.items() if not p.source and not p.required}
+
+    def left_to_function(self) -> dict[str, str]:
+        """Text of the defaults that only the function can work out."""
+        return {name: f"default {p.source}" for name, p in self.parameters.items() if p.source}
+
+    def faults(self) -> list[str]:
+        """What is wrong with the signatures, in words."""
+        offered = {*self.stage.needs, *self.stage.offers}
+        found = _faults(self.function, self.stage, offered)
+        if self.method and self.stage.method:
+            handed_on = _handed_on(self.function.signature, self.stage)
+            found += _faults(self.method, self.stage, handed_on | set(self.stage.method.given))
+        return found
+
+
+def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: FunctionReader) -> Binding:
+    """Bind a stage.
+
+    Parameters
+    ----------
+    stage : Stage
+        Its row.
+    use : str or None
+        The function that the site file names for it; None for the row's own.
+    values : mapping
+        Parameters that the site file sets, by name.
+    reader : FunctionReader
+        Knows the functions.
+
+    Raises
+    ------
+    FunctionError
+        There is no such function, or no such method.
+    """
+    chooser = stage.method if use is None else None
+    function = reader.read(use or stage.function, chooser.table if chooser else "")
+    inputs = {**stage.needs, **stage.offers}
+    own = function.signature
+    parameters = {name: p for name, p in own.parameters.items() if name not in inputs}
+    if chooser is None:
+        asked = _asked(own) | (set(stage.needs) if own.takes_any else set())
+        return Binding(stage, function, None, _wanted(inputs, asked, own), parameters)
+    method = reader.read(_chosen(stage, values, parameters, reader))
+    given = {*inputs, *chooser.given}
+    parameters |= {n: p for n, p in method.signature.parameters.items() if n not in given and n not in parameters}
+    asked = (_asked(own) & set(stage.needs)) | (_asked(method.signature) & _handed_on(own, stage))
+    return Binding(stage, function, method, _wanted(inputs, asked, own), parameters)
+
+
+def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
+    """Parameters of each method of a stage's table that the stage has not itself.  Raises FunctionError."""
+    if stage.method is None:
+        return {}
+    taken = {*stage.needs, *stage.offers, *stage.method.given, *reader.signature(stage.function).parameters}
+    return {
+        name: {n: p for n, p in reader.signature(dotted).parameters.items() if n not in taken}
+        for name, dotted in reader.table(stage.method.table).items()
+    }
+
+
+def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[str]:
+    """The methods of a stage's table that read a file of this name.  Raises FunctionError."""
+    need = stage.offers.get(name)
+    if stage.method is None or need is None or not is_file(need):
+        return []
+    return [method for method, dotted in reader.table(stage.method.table).items() if name in _asked(reader.signature(dotted))]
+
+
+def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Parameter], reader: FunctionReader) -> str:
+    """Dotted name of the method that the site file, or the default, chooses."""
+    assert stage.method
+    name = stage.method.parameter
+    wanted = values.get(name, parameters[name].default)
+    table = reader.table(stage.method.table)
+    if isinstance(wanted, str) and wanted in table:
+        return table[wanted]
+    if isinstance(wanted, str) and ":" in wanted:
+        return wanted
+    raise FunctionError(f"{wanted!r} is not one of {', '.join(table)}, and not a package.module:function")
+
+
+def _handed_on(own: Signature, stage: Stage) -> set[str]:
+    """Inputs that a stage's function hands to the method that it chooses: those that it names, and files, which go with the
+    parameters that it only passes through."""
+    files = {name for name, need in stage.offers.items() if is_file(need)} if own.takes_any else set()
+    return (_asked(own) & {*stage.needs, *stage.offers}) | files
+
+
+def is_file(need: Need) -> bool:
+    """Is it a file that the stage's section names?"""
+    return isinstance(need, FromSite) and need.value is SiteValue.FILE
+
+
+def _asked(signature: Signature) -> set[str]:
+    return {a.name for a in signature.arguments} | set(signature.parameters)
+
+
+def _wanted(inputs: Mapping[str, Need], names: set[str], own: Signature) -> dict[str, Need]:
+    """The inputs of these names.  What the function has no default for must be there, whatever else is."""
+    required = {argument.name for argument in own.arguments if argument.required}
+    found = {name: need for name, need in inputs.items() if name in names}
+    for name in required & set(found):
+        need = found[name]
+        if isinstance(need, FromStage) and need.unless:
+            found[name] = replace(need, unless=())
+    return found
+
+
+def _faults(info: FunctionInfo, stage: Stage, offered: set[str]) -> list[str]:
+    found = []
+    inputs = f"{stage.name} can hand over {', '.join(sorted(offered))}"
+    for argument in info.signature.arguments:
+        if not argument.by_name:
+            found.append(f"{info.dotted} takes {argument.name!r} by position only: remove the '/', inputs come by name")
+        elif argument.name not in offered and argument.required:
+            found.append(f"{info.dotted} asks for {argument.name!r}, which is not there; {inputs}")
+        elif argument.name not in offered:
+            found.append(f"{info.dotted} has {argument.name!r} among its inputs; {inputs}; a parameter stands after a bare *")
+    return found

@@ -1,0 +1,125 @@
+"""Every parameter of every stage and of its methods: default, unit, meaning; from signatures and docstrings alone."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+
+from ..cache.functions import FunctionReader
+from .binding import method_parameters
+from .docs import ParameterDoc, parameter_docs, summary, unit_of
+from .rows import Stage
+from .signature import Parameter
+from .stages import STAGES
+
+WIDTH = 110
+"""Of the lines that are printed."""
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter."""
+
+    name: str
+    default: str
+    """In words; of a parameter that is set elsewhere, where."""
+    choices: tuple[str, ...]
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class MethodRow:
+    """A method of a stage, and the parameters that only it reads."""
+
+    name: str
+    meaning: str
+    chosen: bool
+    """It is the default."""
+    parameters: tuple[ParameterRow, ...]
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """A stage: what it does, its inputs, its parameters, its methods."""
+
+    name: str
+    scope: str
+    function: str
+    meaning: str
+    needs: tuple[str, ...]
+    offers: tuple[str, ...]
+    """Further inputs that another function in its place may ask for."""
+    parameters: tuple[ParameterRow, ...]
+    methods: tuple[MethodRow, ...]
+
+
+def describe(stage: Stage, reader: FunctionReader) -> StageRow:
+    """A stage and its methods."""
+    _, _, node = reader.modules.function(stage.function)
+    inputs = {*stage.needs, *stage.offers}
+    own = reader.signature(stage.function).parameters
+    docs = parameter_docs(node)
+    rows = tuple(_row(p, docs, _elsewhere(stage, name)) for name, p in own.items() if name not in inputs)
+    return StageRow(
+        stage.name,
+        stage.scope,
+        stage.function,
+        summary(node),
+        tuple(stage.needs),
+        tuple(stage.offers),
+        rows,
+        _methods(stage, own, reader),
+    )
+
+
+def describe_all(reader: FunctionReader) -> list[StageRow]:
+    """All stages, in the order of the pipeline."""
+    return [describe(stage, reader) for stage in STAGES]
+
+
+def lines(row: StageRow) -> list[str]:
+    """A stage as a person reads it at a terminal."""
+    offers = f"; a function of one's own may also ask for {', '.join(row.offers)}" if row.offers else ""
+    found = [f"{row.name}  (each {row.scope})  {row.meaning}", f"  {row.function}, from {', '.join(row.needs)}{offers}"]
+    found += [line for parameter in row.parameters for line in _lines(parameter, "  ")]
+    for method in row.methods:
+        found.append(f"  {method.name}{' (default)' if method.chosen else ''}: {method.meaning}")
+        found += [line for parameter in method.parameters for line in _lines(parameter, "    ")]
+    return found
+
+
+def _methods(stage: Stage, own: dict[str, Parameter], reader: FunctionReader) -> tuple[MethodRow, ...]:
+    if stage.method is None:
+        return ()
+    table, default = reader.table(stage.method.table), own[stage.method.parameter].default
+    found = []
+    for name, parameters in method_parameters(stage, reader).items():
+        _, _, node = reader.modules.function(table[name])
+        docs = parameter_docs(node)
+        rows = tuple(_row(p, docs, "") for p in parameters.values())
+        found.append(MethodRow(name, summary(node), name == default, rows))
+    return tuple(found)
+
+
+def _elsewhere(stage: Stage, name: str) -> str:
+    """Where in a site file a parameter is set that is not set in the stage's section."""
+    if stage.section:
+        return f", set by {name} in the section {stage.section}"
+    if name in stage.site_parameters:
+        return f", set by {name} at the top of the site file"
+    return ", each component in turn" if name == stage.component_parameter else ""
+
+
+def _row(parameter: Parameter, docs: dict[str, ParameterDoc], elsewhere: str) -> ParameterRow:
+    doc = docs.get(parameter.name, ParameterDoc(unit_of(parameter.name)))
+    choices = tuple(map(str, parameter.choices))
+    return ParameterRow(parameter.name, f"{parameter.shown}{elsewhere}", choices, doc.unit, doc.meaning)
+
+
+def _lines(row: ParameterRow, indent: str) -> list[str]:
+    unit = f" [{row.unit}]" if row.unit else ""
+    head = f"{indent}{row.name} = {row.default}{unit}"
+    untold = [choice for choice in row.choices if choice not in row.meaning]
+    words = f"{row.meaning} One of {', '.join(row.choices)}.".strip() if untold else row.meaning
+    return [head, *textwrap.wrap(words, WIDTH, initial_indent=f"{indent}    ", subsequent_indent=f"{indent}    ")]

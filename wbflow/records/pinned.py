@@ -1,0 +1,309 @@
+"""The pinned reference of a work folder: which results of which run later nights are compared with, and copies of them.
+
+`reference.json` says what is pinned, for people and programs; beside it lie copies of the artifacts, so that nothing that happens
+to the cache takes them away.  The record is written last, by rename: at any moment there is the old reference or the new one.
+All of it is there twice, the record as its twin, the artifacts in the cache: what one has lost is put back from the other.
+No night changes what is pinned.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..cache.artifact import file_digest
+from ..cache.atomic import clear, copy_atomic, copy_new, sync_all, write_atomic
+from ..cache.layout import WorkFolder
+from ..cache.signed import Damaged, read_signed, signed
+from ..cache.store import Cache, Receipt
+from ..cache.untrusted import Unfetched, read_outside
+from ..errors import WbflowError
+from ..task import Subject, Task
+
+_OF = "reference"
+
+
+_ANEW = "wbflow pin SITE.yaml  makes it anew, from the last good run; so does the next good night"
+
+
+class BadReference(WbflowError):
+    """The record of the reference cannot be read."""
+
+
+@dataclass(frozen=True)
+class PinnedArtifact:
+    """What a task made, or rejected, in the reference's run."""
+
+    task: Task
+    key: str
+    outcome: str
+    """ran or rejected."""
+    digest: str
+    """Of the artifact's bytes; "" where it was rejected."""
+
+    def to_json(self) -> dict[str, str]:
+        return {"task": str(self.task), "key": self.key, "outcome": self.outcome, "digest": self.digest}
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What later nights are compared with."""
+
+    run: str
+    """Id of the run that it was taken from."""
+    date: str
+    """The night of its captures."""
+    cameras: Mapping[str, Mapping[str, Any]]
+    """The cameras of the site by id, each as the run has solved it (K, R, C, ...: see cameras.json); empty where it has not."""
+    artifacts: Mapping[Task, PinnedArtifact] = field(default_factory=dict)
+    automatic: bool = False
+    """Nobody has asked for it: the first good run became it."""
+
+    @property
+    def placed(self) -> frozenset[str]:
+        """The cameras whose poses are known."""
+        return frozenset(camera for camera, solved in self.cameras.items() if solved)
+
+    def lines(self) -> list[str]:
+        """What is pinned, for people."""
+        how = "automatically" if self.automatic else "by hand"
+        found = [f"run {self.run}, night of {self.date}, pinned {how}"]
+        for subject in dict.fromkeys(task.subject for task in self.artifacts):
+            pinned = [p for t, p in self.artifacts.items() if t.subject == subject]
+            kept = ", ".join(p.task.stage for p in pinned if p.outcome != "rejected")
+            lost = ", ".join(p.task.stage for p in pinned if p.outcome == "rejected")
+            unsolved = " (not placed)" if subject and subject[0] in self.cameras and not self.cameras[subject[0]] else ""
+            found.append(f"  {'--'.join(subject) or 'site':24} {kept}{f'; rejected: {lost}' if lost else ''}{unsolved}")
+        return found
+
+    def to_json(self) -> dict[str, Any]:
+        """Artifacts stand with what they are of: a camera, a pair, the site."""
+        of: dict[tuple[str, ...], list[dict[str, str]]] = {}
+        for task, pinned in self.artifacts.items():
+            of.setdefault(task.subject, []).append(pinned.to_json())
+        cameras = [{"id": c, "camera": solved, "artifacts": of.pop((c,), [])} for c, solved in self.cameras.items()]
+        pairs = [{"left": s[0], "right": s[1], "artifacts": of.pop(s)} for s in [s for s in of if len(s) == 2]]
+        site = [entry for entries in of.values() for entry in entries]
+        how = "automatically" if self.automatic else "by hand"
+        return {"run": self.run, "date": self.date, "pinned": how, "cameras": cameras, "pairs": pairs, "site": site}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Reference:
+        """Raises KeyError, TypeError or ValueError for what is no reference.json."""
+        artifacts: dict[Task, PinnedArtifact] = {}
+        groups: list[tuple[Subject | None, Any]] = [((c["id"],), c["artifacts"]) for c in data["cameras"]]
+        groups += [((p["left"], p["right"]), p["artifacts"]) for p in data["pairs"]]
+        groups += [(None, data["site"])]
+        for subject, entries in groups:
+            for entry in entries:
+                stage, _, name = entry["task"].partition(" ")
+                task = Task(stage, subject if subject is not None else (name,) if name else ())
+                artifacts[task] = PinnedArtifact(task, entry["key"], entry["outcome"], entry["digest"])
+        cameras = {camera["id"]: dict(camera["camera"]) for camera in data["cameras"]}
+        return Reference(data["run"], data["date"], cameras, artifacts, data["pinned"] == "automatically")
+
+
+def read_reference(work: WorkFolder) -> Reference | None:
+    """The reference of a work folder, or None.
+
+    Raises
+    ------
+    BadReference
+        Its record is damaged, and so is the record's twin.
+    """
+    try:
+        return _read(work.reference_record) or _read(work.reference_twin)
+    except BadReference:
+        if twin := _read(work.reference_twin):
+            return twin
+        raise
+
+
+def _read(path: Path) -> Reference | None:
+    try:
+        told = read_signed(path, _OF)
+        return Reference.from_json(told) if told else None
+    except Damaged as damage:
+        raise BadReference(damage.what, remedy=_ANEW) from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadReference(f"{path} cannot be read: {type(error).__name__}: {error}", remedy=_ANEW) from None
+
+
+def mend_record(work: WorkFolder) -> str | None:
+    """Make the record and its twin the same again, from the one that is whole; returns what was wrong, in words.
+
+    Where neither is, both are taken out of use, so that the next good night is pinned.  The caller holds the lock.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    record, twin = work.reference_record, work.reference_twin
+    whole, fault = None, None
+    for path in (record, twin):
+        try:
+            whole = whole or (path if _read(path) else None)
+        except BadReference as bad:
+            fault = bad.what
+    if whole is None:
+        for path in (record, twin):
+            clear(path)
+        return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
+    other, data = (twin if whole is record else record), read_outside(whole)
+    if not _differ(whole, other) and read_outside(other) == data:
+        return None
+    fault = fault or f"{other} is {'not as it was' if os.path.lexists(other) else 'gone'}"
+    clear(other)
+    write_atomic(other, data)
+    return f"{fault}: taken from {whole.name}"
+
+
+def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Receipt]) -> None:
+    """Put a reference in the place of the one that is there.  The caller holds the lock.
+
+    Parameters
+    ----------
+    cache : Cache
+        Of the work folder whose reference it is.
+    reference : Reference
+        What it is.
+    receipts : iterable of Receipt
+        Of its artifacts, which the cache holds.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    work = cache.work
+    kept, anew = {str(work.reference_record), str(work.reference_twin)}, work.reference.exists()
+    for receipt in receipts:
+        for name in _names(cache, receipt):
+            copy = work.pinned_beside(name)
+            copy_new(name, copy)  # nothing is looked for there before the record names it
+            kept.add(copy)
+    if work.reference.is_dir():
+        sync_all(work.reference)
+    told = signed(_OF, reference.to_json(), in_lines=True)
+    for path in (work.reference_twin, work.reference_record):
+        write_atomic(path, told, ours=True)
+    if anew:
+        _remove_all_but(work.reference, kept)
+
+
+def _remove_all_but(reference: Path, kept: set[str]) -> None:
+    """What was there for an earlier reference goes."""
+    for folder, _, names in os.walk(reference):
+        for name in names:
+            if (old := f"{folder}/{name}") not in kept and os.path.isfile(old):  # noqa: PTH113 (hot path)
+                os.unlink(old)  # noqa: PTH108
+    _remove_empty(reference)
+
+
+def drop_reference(work: WorkFolder) -> bool:
+    """Forget the reference; False where there is none.  The caller holds the lock."""
+    there = work.reference_record.exists() or work.reference_twin.exists()
+    for path in (work.reference_twin, work.reference_record):
+        path.unlink(missing_ok=True)
+    if work.reference.exists():
+        shutil.rmtree(work.reference)
+    return there
+
+
+@dataclass(frozen=True)
+class Restored:
+    """What was done for the results of a reference that somewhere were missing."""
+
+    to_cache: tuple[Task, ...] = ()
+    """Put back from the reference's copies."""
+    copied: tuple[Task, ...] = ()
+    """Copied anew from the cache."""
+    lost: tuple[Task, ...] = ()
+    """They are nowhere."""
+
+
+def restore(cache: Cache, reference: Reference) -> Restored:
+    """Put back what the cache or the reference has lost, as far as the other still has it.  The caller holds the lock.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    work = cache.work
+    to_cache: list[Task] = []
+    copied: list[Task] = []
+    lost: list[Task] = []
+    for task, pinned in reference.artifacts.items():
+        receipt = cache.by_key(task, pinned.key)
+        if receipt is None:
+            (to_cache if put_back(work, pinned) else lost).append(task)
+        elif any(_differ(path, work.pinned(path)) for path in _files(cache, receipt)) and _is_whole(cache, receipt):
+            for path in _files(cache, receipt):
+                clear(work.pinned(path))
+                copy_atomic(path, work.pinned(path))
+            copied.append(task)
+    return Restored(tuple(to_cache), tuple(copied), tuple(lost))
+
+
+def put_back(work: WorkFolder, pinned: PinnedArtifact) -> bool:
+    """Put a result of the reference back into the cache; False where the reference's own copy is damaged or gone.
+
+    The caller holds the lock.  Raises OSError.
+    """
+    receipt = work.receipt(pinned.task, pinned.key)
+    copies = sorted(work.pinned(receipt).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == receipt.suffix)
+    artifacts = [copy for copy in copies if copy.suffix != receipt.suffix]
+    try:
+        whole = read_signed(work.pinned(receipt), work.place(receipt)) is not None
+    except Damaged:
+        whole = False
+    if not whole or (pinned.digest and [_digest(copy) for copy in artifacts if copy.is_file()] != [pinned.digest]):
+        return False
+    for copy in copies:  # the receipt last
+        copy_atomic(copy, receipt.with_suffix(copy.suffix))
+    return True
+
+
+def _is_whole(cache: Cache, receipt: Receipt) -> bool:
+    """Are the bytes of a cached artifact those that its receipt promises?"""
+    return receipt.file is None or _digest(cache.path(receipt)) == receipt.digest
+
+
+def _digest(path: Path) -> str | None:
+    """Of a file's bytes; None where they cannot be had."""
+    try:
+        return file_digest(path)
+    except Unfetched:
+        return None
+
+
+def _differ(path: Path, copy: Path) -> bool:
+    """At first sight: is the copy gone, or of another size?"""
+    try:
+        return path.stat().st_size != copy.stat().st_size or not copy.is_file()
+    except OSError:
+        return True
+
+
+def _files(cache: Cache, receipt: Receipt) -> list[Path]:
+    """An artifact, if there is one, and its receipt."""
+    return [Path(name) for name in _names(cache, receipt)]
+
+
+def _names(cache: Cache, receipt: Receipt) -> list[str]:
+    """The same as text."""
+    task = receipt.preimage.task
+    artifact = [cache.work.artifact_name(task, receipt.file)] if receipt.file else []
+    return [*artifact, cache.work.receipt_name(task, receipt.key)]
+
+
+def _remove_empty(folder: Path) -> None:
+    for inner, _, names in os.walk(folder, topdown=False):
+        if not names and inner != str(folder) and not os.listdir(inner):  # noqa: PTH208 (hot path)
+            os.rmdir(inner)  # noqa: PTH106

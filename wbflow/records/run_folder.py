@@ -1,0 +1,318 @@
+"""A run's folder: read, and put together so that `runs/latest` never shows half a run."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..cache.atomic import sync_folder, write_atomic
+from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
+from ..cache.share import write_product
+from ..cache.signed import Unsigned, lines_of, signed, unsigned
+from ..cache.untrusted import open_outside, read_outside
+from ..errors import ExitCode, WbflowError
+from ..task import Task
+from .events import Event, TaskEvent, event_from_json
+from .record import CloudRecord, RunRecord, Verdict
+
+_OF = "run"
+
+
+class NoSuchRun(WbflowError, ValueError):
+    """There is no run of that name, or its folder cannot be read."""
+
+    exit_code = ExitCode.USAGE
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """What a finished run left."""
+
+    paths: RunPaths
+
+    @staticmethod
+    def at(path: Path) -> RunFolder:
+        """The run in a folder (or of the run.json in it).
+
+        Raises
+        ------
+        NoSuchRun
+            It is not the folder of a run.
+        """
+        folder = RunFolder(RunPaths((path if path.is_dir() else path.parent).resolve()))
+        if not RunFolder.is_one(path):
+            raise NoSuchRun(f"{path} is not the folder of a run: it holds no {folder.paths.record.name}")
+        return folder
+
+    @staticmethod
+    def is_one(path: Path) -> bool:
+        """Is this the folder of a run, or the run.json in it?"""
+        return path == RunPaths(path.parent).record if path.is_file() else RunPaths(path).record.is_file()
+
+    @staticmethod
+    def of(work: WorkFolder, name: str | None = None) -> RunFolder:
+        """A run by id; "latest-good" is the newest with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
+
+        Raises
+        ------
+        NoSuchRun
+            There is none.
+        """
+        known = work.run_ids()
+        if not known:
+            raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
+        if name == work.latest_good.name:
+            newest_first = (RunFolder(work.run(run)) for run in reversed(known))
+            shown = work.led_to(work.latest_good) or next((run.id for run in newest_first if run.is_good()), None)
+            if shown is None:
+                raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {known[-1]}: its report says why")
+            return RunFolder(work.run(shown))
+        name = None if name == work.latest.name else name
+        if name is not None and name not in known:
+            raise NoSuchRun(f"there is no run {name!r}; the last ones are {', '.join(known[-3:])}")
+        return RunFolder(work.run(name or known[-1]))
+
+    @property
+    def id(self) -> str:
+        """The run's id."""
+        return self.paths.folder.name
+
+    def __repr__(self) -> str:
+        return f"RunFolder({str(self.paths.folder)!r})"
+
+    def record(self) -> RunRecord:
+        """run.json.  Raises NoSuchRun for one that cannot be read."""
+        try:
+            return record_of(read_outside(self.paths.record))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
+            raise NoSuchRun(what) from None
+
+    def events(self) -> list[Event]:
+        """What happened, in order.  Raises NoSuchRun for a log that cannot be read."""
+        try:
+            lines = [json.loads(line) for line in read_outside(self.paths.log).splitlines()]
+            return [event for event in map(event_from_json, lines) if event]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise NoSuchRun(f"{self.paths.log} cannot be read: {type(error).__name__}: {error}") from None
+
+    def tasks(self) -> dict[Task, TaskEvent]:
+        """How each task ended (the last word of one that was done again)."""
+        return {event.task: event for event in self.events() if isinstance(event, TaskEvent)}
+
+    def cameras(self) -> dict[str, Any]:
+        """Cameras by id in the form of a calibration (K, R, C, width, height, ...); empty where none were solved.
+
+        Raises NoSuchRun for a file that cannot be read.
+        """
+        try:
+            if not os.path.lexists(self.paths.cameras):
+                return {}
+            found: dict[str, Any] = json.loads(read_outside(self.paths.cameras))
+        except (OSError, ValueError) as error:
+            raise NoSuchRun(f"{self.paths.cameras} cannot be read: {error}") from None
+        return found
+
+    def damaged(self, missing: bool) -> list[Path]:
+        """Products of the run that are not as they were published.
+
+        missing: count those, too, that are not there any more.
+
+        Raises
+        ------
+        NoSuchRun
+            run.json itself is damaged.
+        """
+        files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
+        return [path for path, digest in files if (path.is_file() or missing) and _sha256(path) != digest]
+
+    def cloud(self, cloud: CloudRecord) -> Path:
+        """The file of one of the record's clouds."""
+        return self.paths.folder / cloud.path
+
+    def is_good(self) -> bool:
+        """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions have a cloud, and no verdict.)"""
+        if not self.paths.cloud.is_file():
+            return False
+        try:
+            verdict = self.record().verdict
+        except NoSuchRun:
+            return False
+        return _may_be_shown(verdict)
+
+    def add(self, event: Event) -> None:
+        """Add to the log of a finished run what has happened after it."""
+        write_atomic(self.paths.log, read_outside(self.paths.log) + log_of([event]))
+
+    def write_report(self, page: str) -> Path:
+        """Put a report in the place of the one that is there."""
+        write_atomic(self.paths.report, page.encode(errors="backslashreplace"))
+        return self.paths.report
+
+
+@dataclass(frozen=True)
+class UnfinishedRun:
+    """A run's folder while it is put together, under another name."""
+
+    work: WorkFolder
+    name: str
+    files: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of the products that have been written, by name."""
+
+    def write_cameras(self, cameras: Mapping[str, Any]) -> None:
+        """The cameras in the form of a calibration.  Raises OSError."""
+        self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
+
+    def write(self, name: str, data: bytes) -> None:
+        """A product that is not changed after the run; what the run before has just the same takes no room.
+
+        Parameters
+        ----------
+        name : str
+            Of the file.
+        data : bytes
+            What it holds.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
+        """
+        places = (self.work.run(run).folder / name for run in self._earlier)
+        earlier = next((path for path in places if path.is_file()), None)
+        write_product(self.paths.folder / name, data, earlier)
+        self.files[name] = hashlib.sha256(data).hexdigest()
+
+    def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
+        """Add what is told of the run and give the folder its name; the links lead there.
+
+        Parameters
+        ----------
+        record : RunRecord
+            The run in figures.
+        events : iterable of Event
+            What happened.
+        report : str
+            The run for people, HTML.
+        metrics : str
+            The run for Prometheus.
+
+        Raises
+        ------
+        OSError
+            The disk is full, or there is no right to write.
+        """
+        write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
+        return self.tell(log_of(events), signed(_OF, record.to_json(), in_lines=True), metrics, record.verdict)
+
+    def tell(self, log: bytes, record: bytes, metrics: str, verdict: Verdict | None) -> RunFolder:
+        """The same with all that is told of the run in bytes, besides the report, which is there.
+
+        Parameters
+        ----------
+        log, record : bytes
+            What happened; run.json.
+        metrics : str
+            The run for Prometheus.
+        verdict : Verdict or None
+            What the night came to.
+        """
+        write_atomic(self.paths.log, log, settle=False)
+        write_atomic(self.paths.record, record, settle=False)
+        write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
+        final = self.work.run(self.name)
+        self.paths.folder.rename(final.folder)
+        sync_folder(self.work.runs)
+        turn_links(self.work, {self.name: verdict})
+        return RunFolder(final)
+
+    @property
+    def paths(self) -> RunPaths:
+        """Where it is put together."""
+        return self.work.unfinished_run(self.name)
+
+    @cached_property
+    def _earlier(self) -> list[str]:
+        """The newest runs, newest first."""
+        return self.work.newest_runs()
+
+
+def turn_links(work: WorkFolder, verdicts: Mapping[str, Verdict | None] | None = None) -> None:
+    """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
+    killed in between.  verdicts: of runs whose record need not be read.  Raises OSError."""
+
+    def good(run: RunFolder) -> bool:
+        if verdicts is None or run.id not in verdicts:
+            return run.is_good()
+        return run.paths.cloud.is_file() and _may_be_shown(verdicts[run.id])
+
+    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: good}
+    runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
+    for link, suits in may_show.items():
+        shown = work.led_to(link)
+        for run in runs:
+            if run.id == shown:
+                break
+            if suits(run):
+                work.turn(link, run.id)
+                break
+
+
+def _may_be_shown(verdict: Verdict | None) -> bool:
+    return verdict is None or verdict.level != "failed"
+
+
+def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
+    """An id for a run that starts now, and that moment.
+
+    No id is used twice, and ids sort as the runs did: one that starts within the second of the newest run, or after the clock has
+    been set back, takes the next free second.
+    """
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
+    free = now if newest is None else max(now, newest + datetime.timedelta(seconds=1))
+    while work.run(run_id(free)).folder.exists():
+        free += datetime.timedelta(seconds=1)
+    return run_id(free), now
+
+
+def _told(data: bytes) -> dict[str, Any]:
+    """What run.json says; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
+    try:
+        return unsigned(data, _OF)
+    except Unsigned:
+        told: dict[str, Any] = json.loads(data)
+        if told.get("of") == _OF:
+            raise
+        return told
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        with os.fdopen(open_outside(path, most=sys.maxsize), "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def text_of(record: RunRecord) -> str:
+    """run.json without its checksum."""
+    return lines_of({"of": _OF, **record.to_json()})
+
+
+def record_of(data: bytes) -> RunRecord:
+    """The record in the bytes of a run.json.  Raises ValueError, KeyError, TypeError, AttributeError."""
+    return RunRecord.from_json(_told(data))
+
+
+def log_of(events: Iterable[Event]) -> bytes:
+    """The lines of a log."""
+    return "".join(json.dumps(event.to_json()) + "\n" for event in events).encode()

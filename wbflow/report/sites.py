@@ -1,0 +1,144 @@
+"""One page over all sites and their nights: how each is, what is to be looked at, and where the reports are."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from ..cache.layout import WorkFolder
+from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
+from ..errors import WbflowError
+from ..outcome.history import Entry, history
+from ..pipeline.rows import Role
+from ..pipeline.stages import stage_with
+from ..records.findings import Finding
+from ..records.run_folder import NoSuchRun, RunFolder
+from ..site.load import load_site
+from ..site.site import Site
+from ..task import Task
+from .sources import NIGHTS
+
+_ASSETS = files(__package__) / "assets"
+_NO_LEVEL = ""
+MOST_FINDINGS = 5
+
+
+@dataclass(frozen=True)
+class Night:
+    """One night of a site, by its last run."""
+
+    date: str
+    level: str
+    points: str
+    words: str
+    href: str
+    """Its report; "" where there is none any more."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A site on the page."""
+
+    name: str
+    file: str
+    fault: str = ""
+    """Why nothing else is known of it."""
+    nights: tuple[Night, ...] = ()
+    """Oldest first."""
+    findings: tuple[Finding, ...] = ()
+    """Of the last one."""
+    left_out: int = 0
+    """Findings that are not listed here."""
+    picture: str = ""
+    """The last cloud, as a data address."""
+
+    @property
+    def last(self) -> Night | None:
+        """The newest night."""
+        return self.nights[-1] if self.nights else None
+
+    @property
+    def order(self) -> tuple[int, str]:
+        """What needs somebody stands first."""
+        level = "failed" if self.fault else self.last.level if self.last else _NO_LEVEL
+        return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
+
+
+def site_files(places: Sequence[Path]) -> list[Path]:
+    """The site files that are meant: files as they are; of a folder its site.yaml, else all site files in it and one below."""
+    found: list[Path] = []
+    for place in places:
+        own = place / "site.yaml"
+        if not place.is_dir() or own.is_file():
+            found.append(own if place.is_dir() else place)
+        else:
+            below = [*place.glob("*.yaml"), *place.glob("*/site.yaml")]
+            found += [path for path in sorted(below) if _is_one(path)]
+    return list(dict.fromkeys(found))
+
+
+def page(places: Sequence[Path], out: Path) -> str:
+    """HTML of all sites.  out: the file that it will be, for links from there."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    rows = sorted((_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
+    words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    style = Markup((_ASSETS / "style.css").read_text(encoding="utf-8"))
+    return words.from_string((_ASSETS / "sites.html").read_text(encoding="utf-8")).render(rows=rows, style=style)
+
+
+def _is_one(file: Path) -> bool:
+    """Does a YAML file describe a site?  (Others may lie beside it; one that is meant to, and is wrong, is told of.)"""
+    try:
+        text = read_outside(file, MOST_TEXT_BYTES).decode(errors="replace")
+    except OSError:
+        return False
+    return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None
+
+
+def _row(file: Path, folder: Path) -> Row:
+    try:
+        site = load_site(file)
+        return _of_site(site, folder)
+    except WbflowError as error:
+        return Row(file.parent.name, str(file), fault=str(error))
+
+
+def _of_site(site: Site, folder: Path) -> Row:
+    work = site.work_folder
+    entries = history(work) if work.run_ids() else []
+    by_night = {entry.run.date: entry for entry in entries}
+    nights = [by_night[date] for date in sorted(by_night)][-NIGHTS:]
+    found = nights[-1].verdict.findings if nights and nights[-1].verdict else ()
+    shown, left = tuple(found[:MOST_FINDINGS]), max(0, len(found) - MOST_FINDINGS)
+    told = tuple(_night(work, entry, folder) for entry in nights)
+    return Row(site.name, str(site.file), "", told, shown, left, _picture(work))
+
+
+def _night(work: WorkFolder, entry: Entry, folder: Path) -> Night:
+    report = work.run(entry.run.run).report
+    href = Path(os.path.relpath(report, folder)).as_posix() if report.is_file() else ""
+    points = f"{entry.run.points:,}" if entry.run.points else "no cloud"
+    return Night(entry.run.date, entry.verdict.level if entry.verdict else _NO_LEVEL, points, entry.words, href)
+
+
+def _picture(work: WorkFolder) -> str:
+    """The cloud of the last run that made one."""
+    try:
+        run = RunFolder.of(work, work.latest_good.name)
+        event = run.tasks().get(task := Task(stage_with(Role.PRODUCT).name))
+    except NoSuchRun:
+        return ""
+    path = work.picture(task, event.key) if event and event.key else None
+    if path is None or not path.is_file():
+        return ""
+    try:
+        return f"data:image/jpeg;base64,{base64.b64encode(read_outside(path)).decode()}"
+    except OSError:
+        return ""

@@ -1,0 +1,157 @@
+"""Which files are tonight's, and what is in them (by digest, remembered as long as a file does not change)."""
+
+from __future__ import annotations
+
+import datetime
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..cache.digests import Digests
+from ..errors import UsageError, WbflowError, printable
+from ..site.site import Site, SiteCamera
+from .names import Pattern
+
+
+@dataclass(frozen=True)
+class CaptureFile:
+    """A capture of the night, as it lies on disk."""
+
+    name: str
+    """Relative to the captures' root."""
+    path: Path
+    digest: str
+    """Of its bytes, "" where it cannot be read."""
+    fault: str = ""
+    """Why it cannot."""
+
+
+def pattern_of(site: Site) -> Pattern:
+    """How a site's captures are called."""
+    return _pattern(site.root, site.pattern)
+
+
+@functools.cache
+def _pattern(root: Path, text: str) -> Pattern:
+    return Pattern(root, text)
+
+
+def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date]:
+    """The nights for which any camera has a capture by its name, in order."""
+    pattern = pattern_of(site)
+    if not pattern.dated:
+        return []
+    found = {date for camera in site.cameras if camera.images is None for date in pattern.dates(camera.id)}
+    return sorted(date for date in found if since is None or date >= since)
+
+
+def look_again(site: Site) -> None:
+    """See what has arrived in an object store, where the captures lie in one.  Raises StoreError, OSError."""
+    if site.captures_store:
+        from ..remote.delivery import bring  # here: most captures lie in folders
+
+        bring(site.root, site.captures_store)
+
+
+def night(site: Site, date: datetime.date | None) -> datetime.date:
+    """The night to work on: `date`, else the newest for which any camera has a capture, else today.
+
+    A name that tells of days to come (a camera whose clock is wrong) says nothing, unless all names do.
+    """
+    today = datetime.date.today()
+    if date is not None:
+        return date
+    found = nights(site)
+    return max((d for d in found if d <= today + datetime.timedelta(days=1)), default=max(found, default=today))
+
+
+def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
+    """The nights that have captures from a day on, in order.
+
+    Raises
+    ------
+    UsageError
+        The captures' names don't say which night they are of, or there are none.
+    """
+    if not pattern_of(site).dated:
+        what = "--since needs {date} in captures.pattern: the names of captures don't say which night they are of"
+        raise UsageError(what, remedy="for example: pattern: '{camera}/{date:%Y-%m-%d}.jpg'; or run without --since")
+    look_again(site)
+    found = nights(site, since)
+    if not found:
+        raise UsageError(f"there are no captures since {since}", remedy="check captures.root and pattern, or the cameras")
+    return found
+
+
+def find_captures(
+    site: Site, date: datetime.date, digests: Digests, tell: Callable[[int], None] | None = None
+) -> dict[str, list[CaptureFile]]:
+    """Tonight's files of each camera, in the order of their times or names; an empty list where there are none.
+
+    Parameters
+    ----------
+    site : Site
+        Whose.
+    date : date
+        The night.
+    digests : Digests
+        Of their bytes.
+    tell : callable, optional
+        Is told how many cameras have been looked at, after each.
+    """
+    found = {}
+    for camera in site.cameras:
+        found[camera.id] = captures_of(site, camera, date, digests)
+        if tell:
+            tell(len(found))
+    return found
+
+
+def captures_of(site: Site, camera: SiteCamera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
+    """The files of one camera in a night.
+
+    Parameters
+    ----------
+    site, camera : Site, SiteCamera
+        Whose.
+    date : date
+        The night.
+    digests : Digests
+        Of their bytes.
+    """
+    named = camera.images
+    paths = pattern_of(site).files(camera.id, date) if named is None else [site.root / name for name in named]
+    return [_file(site, path, digests) for path in paths]
+
+
+def expected(site: Site, camera: SiteCamera, date: datetime.date) -> str:
+    """What a camera's captures would be called tonight, for messages."""
+    return ", ".join(camera.images) if camera.images else pattern_of(site).expected(camera.id, date)
+
+
+def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
+    """The files that the site file names: the masks of cameras by id, and those of stages by `file_of_stage`."""
+    paths = {camera.id: camera.mask for camera in site.cameras if camera.mask}
+    paths |= {
+        file_of_stage(stage, name): path for stage, settings in site.stages.items() for name, path in settings.files.items()
+    }
+    return {named: _digested(path.name, path, digests) for named, path in paths.items()}
+
+
+def file_of_stage(stage: str, name: str) -> str:
+    """Under which key a file is found that a stage's section names; no camera is called so."""
+    return f"{stage} {name}"
+
+
+def _file(site: Site, path: Path, digests: Digests) -> CaptureFile:
+    return _digested(str(path).removeprefix(f"{site.root}/"), path, digests)
+
+
+def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
+    """name: as it is shown, whatever whoever named the file put into it."""
+    try:
+        return CaptureFile(printable(name), path, digests.of(path))
+    except (OSError, ValueError) as error:
+        why = error.what if isinstance(error, WbflowError) else getattr(error, "strerror", None) or str(error)
+        return CaptureFile(printable(name), path, "", printable(why))

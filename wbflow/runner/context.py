@@ -1,0 +1,108 @@
+"""One night of a site made ready: captures found, work folder known, plan made.  What `run`, `status` and `check` start from."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..cache.digests import Digests
+from ..cache.layout import WorkFolder
+from ..cache.seen import Seen
+from ..cache.store import Cache
+from ..records.pinned import BadReference, Reference, read_reference
+from ..site.site import Site
+from .arrivals import Arrivals, arrivals
+from .captures import CaptureFile, expected
+from .planner import Plan
+
+
+@dataclass
+class Night:
+    """A site on one night: its plan, and what is to be kept of the search for captures."""
+
+    site: Site
+    date: datetime.date
+    """The captures' date."""
+    captures: dict[str, list[CaptureFile]]
+    digests: Digests
+    """To be saved by a run."""
+    seen: Seen
+    """To be saved by a run that comes to its end."""
+    notes: dict[str, str]
+    """What is to be said of a camera's captures."""
+    plan: Plan
+
+    def remember(self) -> None:
+        """Keep what was learnt of files, for the next run.  Raises OSError."""
+        self.digests.save()
+        self.seen.save()
+        self.site.reader.save()
+
+    def look_again(self, path: Path) -> None:
+        """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
+        self.digests.forget(path)
+        self.plan.look_again()
+        for files in self.captures.values():
+            files[:] = [_now(file, self.digests) if file.path == path else file for file in files]
+        for name, file in self.plan.named.items():
+            if file.path == path:
+                self.plan.named[name] = _now(file, self.digests)
+
+
+def _now(file: CaptureFile, digests: Digests) -> CaptureFile:
+    try:
+        return replace(file, digest=digests.of(file.path))
+    except OSError:  # gone since
+        return replace(file, digest="")
+
+
+def open_night(
+    site: Site,
+    date: datetime.date | None = None,
+    until: str | None = None,
+    force: tuple[str, ...] = (),
+    arrived: Arrivals | None = None,
+) -> Night:
+    """Find a night's captures and plan its work; nothing is written.
+
+    Parameters
+    ----------
+    site : Site
+        Whose captures.
+    date : date, optional
+        The night; the newest that has captures, if not given.
+    until : str, optional
+        Stop after this stage.
+    force : tuple of str
+        Stages or tasks to be done again.
+    arrived : Arrivals, optional
+        What there is for that night, where somebody has looked already.
+    """
+    work, there = site.work_folder, arrived or arrivals(site, date)
+    captures = there.captures
+    lost = [camera for camera in site.cameras if not captures[camera.id]]
+    missing = {camera.id: expected(site, camera, there.date).replace(f"{site.root}/", "") for camera in lost}
+    reference, misfit = _reference(site, work)
+    plan = Plan(
+        site,
+        captures,
+        str(there.date),
+        Cache(work),
+        there.named,
+        missing,
+        until,
+        frozenset(force),
+        reference=reference,
+        misfit=misfit,
+        stale=there.stale,
+    )
+    return Night(site, there.date, captures, there.digests, there.seen, there.notes, plan)
+
+
+def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
+    """The reference, and why there is none where there should be."""
+    try:
+        return (read_reference(work) if site.pin != "none" else None), ""
+    except BadReference as error:
+        return None, error.what

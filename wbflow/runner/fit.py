@@ -1,0 +1,102 @@
+"""Is the reference one of the site as its file describes it now?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+from ..cache.store import Cache, Receipt
+from ..pipeline.binding import Binding, is_file
+from ..pipeline.rows import FromSite, Held, Rework, Role, SiteValue, Stage, Which
+from ..records.pinned import Reference
+from ..site.site import Site
+from ..task import Task, camera_of
+from .captures import CaptureFile, file_of_stage
+from .spec import Files, Value, input_digests
+from .stated import stated, stated_of_site
+
+_COMPARED = {SiteValue.LENS, SiteValue.PLACEMENT, SiteValue.SURVEY}
+
+Settings = Callable[[Stage, Task], Mapping[str, Any]]
+"""What the site file sets for a task, by parameter."""
+
+
+def misfit(
+    reference: Reference,
+    site: Site,
+    stages: Collection[Stage],
+    bound: Callable[[Stage], Binding],
+    settings: Settings,
+    cache: Cache,
+    named: Mapping[str, CaptureFile],
+) -> str:
+    """What has changed since the reference was pinned that takes it out of use, in words; "" where nothing has.
+
+    Code may change: a reference outlives a new version.  What the site file says of cameras, and of the stages whose results the
+    reference answers for, may not.
+
+    Parameters
+    ----------
+    reference : Reference
+        What is pinned.
+    site : Site
+        The site as it is now.
+    stages : collection of Stage
+        Those that take part tonight.
+    bound, settings : callable
+        A stage as the site has it done, and the parameters that it sets for a task.
+    cache : Cache
+        Holds the receipts.
+    named : mapping
+        The files that the site file names now, see `captures.find_named`.
+    """
+    ids = {camera.id for camera in site.cameras}
+    if other := sorted(ids ^ set(reference.cameras)):
+        return f"cameras have come or gone since it was pinned: {', '.join(other)}"
+    for stage in stages:
+        if not (stage.held or stage.role is Role.FRAME):
+            continue
+        files = {name: named.get(file_of_stage(stage.name, name)) for name, need in bound(stage).needs.items() if is_file(need)}
+        tasks = [task for task in reference.artifacts if task.stage == stage.name]
+        for task in tasks if stage.scope == "camera" else tasks[:1]:
+            receipt = cache.by_key(task, reference.artifacts[task].key)
+            if receipt and (why := _changed(receipt, stage, task, site, bound(stage), settings(stage, task))):
+                return f"it was pinned with other settings: {why}"
+            for name, file in files.items():
+                if receipt and file and receipt.preimage.inputs.get(name) != Files("", (file,)).digest():
+                    return f"it was pinned with another {name} in {stage.name}"
+    return ""
+
+
+def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
+    then = receipt.preimage
+    if then.function in _reworks(stage.held):
+        return ""
+    if then.function not in {bound.function.dotted, stage.pooled}:
+        return f"{stage.name}: function {then.function} → {bound.function.dotted}"
+    now = {**bound.defaults(), **settings}
+    for name, value in now.items():
+        new = name not in then.parameters
+        if (new and name in settings) or (not new and json.dumps(value) != json.dumps(then.parameters[name])):
+            return f"parameter {stage.name}.{name} {then.parameters.get(name)} → {value}"
+    for name, need in bound.needs.items():
+        if isinstance(need, FromSite) and need.value in _COMPARED:
+            everywhere = need.which is Which.ALL or need.value is SiteValue.SURVEY
+            said = stated_of_site(site, need.value) if everywhere else _stated(site, need.value, task)
+            if said is None:
+                return f"the views of camera {camera_of(task.subject[0])}"
+            for entry, digest in input_digests({name: said}).items():
+                if then.inputs.get(entry) != digest:
+                    return f"what the site file says of {entry}"
+    return ""
+
+
+def _stated(site: Site, what: SiteValue, task: Task) -> Value | None:
+    """None of a view that its camera has no longer."""
+    return next((stated(view, what) for view in site.views if view.id == task.subject[0]), None)
+
+
+def _reworks(held: Held | None) -> set[str]:
+    """Functions that make a result of a stage from that of an earlier reference."""
+    return {place.function for place in (held.nudged, held.moved) if isinstance(place, Rework)} if held else set()

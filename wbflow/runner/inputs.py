@@ -1,0 +1,249 @@
+"""Where the inputs of a task come from: from tasks that are settled, from the site file and the captures, from the reference."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+
+from ..cache.store import Receipt
+from ..pipeline.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
+from ..pipeline.site_types import SITE_TYPES
+from ..pipeline.stages import stage_named, stage_with
+from ..site.site import Site, SiteCamera
+from ..task import Subject, Task
+from .captures import CaptureFile, file_of_stage
+from .obstacles import Impossible, Waiting, because
+from .pinned import Pinned
+from .spec import Absent, Files, Input, Joined, Stored, Value
+from .state import Cause, State
+from .stated import side, stated, stated_of_site, subject_of
+from .subjects import Subjects
+
+_MANY = frozenset({Which.ALL, Which.AROUND, Which.NEAR})
+"""What is handed on as a mapping."""
+
+
+@dataclass
+class Inputs:
+    """Finds the inputs of a night's tasks."""
+
+    site: Site
+    captures: dict[str, list[CaptureFile]]
+    named: dict[str, CaptureFile]
+    expectations: dict[str, str]
+    subjects: Subjects
+    stages: Collection[str]
+    """Names of those that take part tonight."""
+    states: dict[Task, State]
+    """Settled tasks: the plan's own, which it changes."""
+    pinned: Pinned
+    _resolved: dict[tuple[Task, Part | None], tuple[Receipt, Stored]] = field(default_factory=dict, repr=False)
+    """Inputs that were found before, and the receipts that they are of: a frame is an input of many tasks."""
+
+    def of(self, stage: Stage, task: Task, needs: Mapping[str, Need], among: set[Task]) -> dict[str, Input]:
+        """All inputs of a task by argument name.
+
+        Parameters
+        ----------
+        stage, task : Stage, Task
+            Whose.
+        needs : mapping
+            What it needs, by argument name.
+        among : set of Task
+            Inputs made by these may still be unresolved.
+
+        Raises
+        ------
+        Waiting, Impossible
+            One depends on what is not settled yet, or will not come.
+        """
+        found: dict[str, Input] = {}
+        impossible: dict[str, Impossible] = {}
+        for name, need in needs.items():
+            try:
+                found[name] = self.one(stage, task, need, among)
+            except Impossible as error:
+                if not (isinstance(need, FromStage) and need.unless):
+                    raise
+                found[name], impossible[name] = Absent(), error
+        for name, why in impossible.items():
+            need = needs[name]
+            if isinstance(need, FromStage) and any(isinstance(found.get(other, Absent()), Absent) for other in need.unless):
+                raise why
+        return found
+
+    def one(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
+        """An input of a task.
+
+        Parameters
+        ----------
+        stage, task : Stage, Task
+            Whose.
+        need : Need
+            What it needs.
+        among : set of Task
+            An input made by one of these may still be unresolved.
+
+        Raises
+        ------
+        Waiting, Impossible
+            It depends on what is not settled yet, or will not come.
+        """
+        if isinstance(need, FromSite):
+            return self._from_site(need, task)
+        if isinstance(need, FromReference):
+            return self.pinned.input(need, stage, task)
+        if isinstance(need, FromPast):
+            return self.pinned.observed(need, task)
+        if self._needless(need):
+            return Joined({})
+        origin = stage_named(need.stage)
+        if need.which in _MANY:
+            return self._join(origin, need, task)
+        part = need.part
+        if part and origin.scope == "site" and stage.scope != "site":
+            camera = side(need, task)
+            part = Part(part.field, "--".join(camera or task.subject))
+        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, among)
+
+    def upstreams(self, task: Task, needs: Mapping[str, Need]) -> list[Task]:
+        """The tasks that a task takes its inputs from, as far as they are listed yet."""
+        found: list[Task] = []
+        for need in needs.values():
+            if not isinstance(need, FromStage) or self._needless(need):
+                continue
+            origin = stage_named(need.stage)
+            if need.optional and need.stage not in self.stages:
+                continue
+            if need.which in _MANY and origin.scope != "site":
+                found += self.subjects.joined(origin, need, task)
+            else:
+                found.append(Task(origin.name, subject_of(origin, need, task)))
+        return list(dict.fromkeys(found))
+
+    def _needless(self, need: FromStage) -> bool:
+        """Does what the site file says of poses make it an empty mapping?"""
+        return (need.unless_posed and self.site.posed) or (need.only_if_rough and not self.site.rough)
+
+    def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
+        if upstream in among:
+            return Stored(upstream, part)
+        if need.optional and upstream.stage not in self.stages:
+            return Absent()
+        state = self.states.get(upstream)
+        if state is None:
+            if not self.subjects.unmatched(upstream):
+                raise Waiting(upstream)
+            if need.optional:
+                return Absent()
+            raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
+        if not state.usable or state.receipt is None:
+            if need.optional:
+                return Absent()
+            raise because(upstream, state)
+        if part and str(part) not in state.receipt.parts:
+            if need.optional:
+                return Absent()
+            raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
+        return self._found(upstream, part, state.receipt)
+
+    def _found(self, upstream: Task, part: Part | None, receipt: Receipt) -> Stored:
+        known = self._resolved.get((upstream, part))
+        if known is None or known[0] is not receipt:
+            known = receipt, Stored(upstream, part).resolved(receipt)
+            self._resolved[upstream, part] = known
+        return known[1]
+
+    def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
+        if need.optional and need.stage not in self.stages:
+            return Joined({})
+        of_pairs = origin.scope == "pair" or need.which in {Which.AROUND, Which.NEAR}
+        if of_pairs and self.subjects.pairs(origin.dense or origin.scope != "pair") is None:
+            raise Waiting(None)
+        if origin.scope == "site":
+            return self._entries(origin, need, task)
+        items: dict[Subject, Value | Stored] = {}
+        faults: list[Impossible] = []
+        joined = self.subjects.joined(origin, need, task)
+        for upstream in reversed(joined):  # most are settled in order: who waits for the last one is not asked for each
+            if upstream not in self.states:
+                raise Waiting(upstream)
+        useless = self.pinned.useless() if stage_named(task.stage).role is not Role.HEALTH else frozenset()
+        for upstream in joined:
+            state = self.states[upstream]
+            if useless & set(upstream.subject):
+                faults.append(self.pinned.unfit(upstream.subject))
+            elif state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):
+                items[upstream.subject] = self._found(upstream, need.part, state.receipt)
+            else:
+                faults.append(because(upstream, state))
+        if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):
+            raise self._nothing(origin, faults)
+        return Joined(items)
+
+    def _entries(self, origin: Stage, need: FromStage, task: Task) -> Input:
+        """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question, or near it."""
+        assert need.part
+        items: dict[Subject, Value | Stored] = {}
+        optional = dataclasses.replace(need, optional=True)
+        for camera in self.subjects.among(need.which, task.subject[0]):
+            stored = self._stored(Task(origin.name), optional, Part(need.part.field, camera), set())
+            if isinstance(stored, Stored):
+                items[camera,] = stored
+        if not items:
+            raise because(Task(origin.name), self.states[Task(origin.name)])
+        return Joined(items)
+
+    def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
+        """Why a stage that joins many has none to join."""
+        frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
+        first = f": {faults[0]}" if faults else ""
+        frames = {view.id: self.states.get(Task(frame, (view.id,))) for view in self.site.views}
+        views = [view for view in self.site.views if (state := frames[view.id]) and state.usable]
+        usable = list(dict.fromkeys(view.camera for view in views))
+        if len(usable) < 2:
+            why = f"no camera has a usable capture{first}"
+            if usable:
+                why = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first}"
+            elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
+                why = f"no camera has a usable capture: there is none of this night in {self.site.root}"
+            return Impossible(why, Cause.TOO_FEW_CAMERAS)
+        pairs = self.states.get(graph)
+        if origin.scope == "pair" and not faults:
+            if pairs and not pairs.usable:
+                return because(graph, pairs)
+            return Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
+        return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
+
+    def _from_site(self, need: FromSite, task: Task) -> Input:
+        what = need.value
+        if what is SiteValue.SURVEY or need.which is Which.ALL:
+            return stated_of_site(self.site, what)
+        if what is SiteValue.FILE:
+            return self._named(what, need.named, file_of_stage(task.stage, need.named))
+        camera = self.subjects.camera(task.subject[0])
+        if what is SiteValue.MASK:
+            return self._named(what, "mask", camera.camera)
+        if what is SiteValue.PRIVACY and not camera.privacy.counts:
+            return Absent()
+        if what is SiteValue.CAPTURES:
+            return Files(SITE_TYPES[what], self._captured(camera))
+        return stated(camera, what)
+
+    def _named(self, what: SiteValue, words: str, key: str) -> Input:
+        """A file that the site file names.  words: what it is."""
+        file = self.named.get(key)
+        if file and not file.digest:
+            raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
+        return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+
+    def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
+        """A camera's files that can be read."""
+        files = self.captures[camera.camera]
+        if not files:
+            raise Impossible(f"no capture: there is no file {self.expectations.get(camera.camera, 'for it')}", Cause.NO_CAPTURE)
+        readable = tuple(file for file in files if file.digest)
+        if not readable:
+            raise Impossible(f"no capture: {files[0].name} {files[0].fault}", Cause.NO_CAPTURE)
+        return readable

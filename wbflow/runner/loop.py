@@ -1,0 +1,222 @@
+"""The night's work: plan, do what is ready, plan again, until nothing is left and the products are safely in hand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import takewhile
+from typing import TYPE_CHECKING, Any
+
+from ..cache.disk import DiskFloor
+from ..cache.room import REMEDY
+from ..cache.store import Cache, DamagedArtifact, Receipt
+from ..pipeline.rows import Role
+from ..pipeline.stages import stage_with
+from ..task import Task
+from .changes import Changes
+from .context import Night
+from .deadline import Deadline
+from .journal import Costs, Journal
+from .options import Options
+from .planner import Plan
+from .spec import TaskSpec
+from .state import Cause, State
+from .worker import Done
+
+if TYPE_CHECKING:
+    from .executor import Executor
+    from .supervisor import Report
+
+MOST_REPAIRS = 3
+"""How often one task's damaged artifact is made again in one run, before its disk is given up."""
+
+
+@dataclass(frozen=True)
+class Product:
+    """An artifact that is published, found intact."""
+
+    task: Task
+    receipt: Receipt
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Worked:
+    """What a night's work came to (its tasks are in the plan)."""
+
+    products: Mapping[Task, Product] = field(default_factory=dict)
+    """What is published."""
+    interrupted: bool = False
+
+
+def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Worked:
+    """Do all that is to be done.  The caller holds the lock.
+
+    Parameters
+    ----------
+    night : Night
+        Its plan, not yet refreshed.
+    options : Options
+        Where tasks run, and how many at once.
+    journal : Journal
+        Is told of everything that happens.
+    costs : Costs
+        To which the costs of what runs are added.
+    """
+    try:
+        with _Hands(options, night.plan.cache, journal) as hands:
+            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at)))
+    except KeyboardInterrupt:
+        return Worked(interrupted=True)
+    finally:
+        try:
+            night.remember()
+        except OSError as error:  # costs time only
+            journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
+
+
+class _Hands:
+    """The run's executor, which is only there once there is something to do; none is left at work behind it."""
+
+    def __init__(self, options: Options, cache: Cache, journal: Journal) -> None:
+        self._options = options
+        self._cache = cache
+        self._journal = journal
+        self._executor: Executor | None = None
+
+    def __enter__(self) -> _Hands:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._executor:
+            self._executor.close()
+
+    def submit(self, lanes: list[list[TaskSpec]]) -> None:
+        if self._executor is None:
+            from .executor import executor  # here: a night with nothing to do has no use for it
+
+            journal = self._journal
+            self._executor = executor(self._options, self._cache, lambda what, task: journal.warn(what, task=task), journal.begun)
+        self._executor.submit(lanes)
+
+    def drop(self) -> None:
+        """Leave whatever is at work; what is finished is kept."""
+        if self._executor:
+            self._executor.close()
+        self._executor = None
+
+    def settle(self) -> None:
+        """Whatever was done lasts."""
+        if self._executor:
+            with suppress(OSError):  # it is there all the same, as long as the power does not go
+                self._cache.settle()
+
+    def reports(self) -> Iterator[Report]:
+        return self._executor.reports() if self._executor else iter(())
+
+
+def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline) -> dict[Task, Product]:
+    """Do all tasks; returns what is published.
+
+    Parameters
+    ----------
+    night : Night
+        Its plan.
+    hands : _Hands
+        Who do it.
+    journal, costs : Journal, Costs
+        Are told.
+    deadline : Deadline
+        From then on only what is there is put together.
+    """
+    plan, floor = night.plan, DiskFloor(night.plan.cache.work)
+    repairs, changes = _Repairs(plan, journal), Changes(night, journal)
+    journal.planned(plan)
+    while True:
+        plan.refresh()
+        if deadline.over:
+            if not deadline.struck:
+                deadline.struck = True
+                hands.drop()
+                plan.take_back()
+            if deadline.settle(plan):
+                continue
+        journal.tell(plan)
+        journal.planned(plan)
+        mine = map(deadline.shortened, plan.lanes())
+        lanes = [free for lane in mine if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
+        if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):
+            full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
+            for first, *_ in lanes:
+                plan.settle(first.task, plan.states[first.task] if first.redraw else full)
+        elif lanes:
+            plan.hand_out(lanes)
+            hands.submit(lanes)
+        elif not plan.busy:
+            try:
+                hands.settle()
+                return _products(plan)
+            except DamagedArtifact as damage:
+                repairs.make_again(damage.task, damage.what)
+                continue
+        for report in hands.reports():
+            if report.done is None:
+                plan.take_back(report.lane)
+            elif report.done.changed is not None:
+                changes.look_again(report.done)
+            else:
+                _settle(report.done, plan, repairs, journal, costs)
+
+
+def _settle(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: Costs) -> None:
+    for warning in done.warnings:
+        journal.warn(warning, task=done.task)
+    if done.outcome == "damaged" and done.damaged is not None:
+        repairs.make_again(done.damaged, done.reason or "")
+        return
+    before = plan.states.get(done.task)
+    if done.outcome == "failed" and before and before.usable:  # only its picture was to be drawn
+        plan.settle(done.task, before)
+        journal.warn(f"its picture could not be drawn: {done.reason}", task=done.task)
+        return
+    costs.add(done)
+    outcome: Any = done.outcome
+    state = State(outcome, done.reason, done.code, done.receipt)
+    plan.settle(done.task, state)
+    plan.force -= {str(done.task)}
+    journal.finished(done.task, state, done)
+
+
+def _products(plan: Plan) -> dict[Task, Product]:
+    """What is published of a plan that is settled.  Raises DamagedArtifact."""
+    published = {stage_with(Role.WORLD).name, stage_with(Role.PRODUCT).name}
+    found = {}
+    for task, state in plan.states.items():
+        if task.stage in published and state.usable and state.receipt:
+            data = plan.cache.read(task, plan.cache.path(state.receipt), state.receipt.digest)
+            found[task] = Product(task, state.receipt, data)
+    return found
+
+
+@dataclass
+class _Repairs:
+    """Damaged artifacts made again."""
+
+    plan: Plan
+    journal: Journal
+    _counts: Counter[Task] = field(default_factory=Counter)
+
+    def make_again(self, task: Task, reason: str) -> None:
+        """Have an artifact made again.  One with several readers is reported by each of them, and counts once."""
+        if task not in self.plan.states:
+            return
+        self.journal.retract(task)
+        self._counts[task] += 1
+        if self._counts[task] > MOST_REPAIRS:
+            why = f"{reason}; damaged {MOST_REPAIRS} times: is the disk failing?"
+            self.plan.settle(task, State("failed", why, Cause.DAMAGED))
+        else:
+            self.journal.repaired(f"{reason}; made again", task=task)
+            self.plan.forget(task)

@@ -1,0 +1,123 @@
+"""Pinning: a run becomes the reference that later nights are compared with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..cache.layout import WorkFolder
+from ..cache.store import Cache, Receipt
+from ..errors import ExitCode, WbflowError
+from ..pipeline.stages import STAGES
+from ..records.pinned import PinnedArtifact, Reference, mend_record, restore, write_reference
+from ..records.record import RunRecord
+from ..records.run_folder import NoSuchRun, RunFolder
+from .context import Night
+from .journal import Journal
+
+
+class CannotPin(WbflowError, ValueError):
+    """A run is no reference."""
+
+    exit_code = ExitCode.USAGE
+
+
+def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
+    """Make a run the reference.  The caller holds the lock.
+
+    Parameters
+    ----------
+    cache : Cache
+        Of the work folder whose reference it becomes.
+    run : RunFolder
+        Which of its runs.
+    automatic : bool
+        Nobody has asked for it.
+
+    Raises
+    ------
+    CannotPin
+        The run has made no cloud, or the cache no longer holds what it made.
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    record = run.record()
+    if record.cloud is None:
+        why = record.reason or "it was not asked to"
+        raise CannotPin(f"run {run.id} made no cloud: {why}", remedy="pin a run that did: wbflow history SITE.yaml")
+    receipts = _receipts(cache, run)
+    artifacts = {
+        receipt.preimage.task: PinnedArtifact(receipt.preimage.task, receipt.key, receipt.outcome, receipt.digest)
+        for receipt in receipts
+    }
+    reference = Reference(run.id, record.date, _cameras(record, run), artifacts, automatic)
+    write_reference(cache, reference, receipts)
+    return reference
+
+
+def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
+    """The run that is to be pinned: the named one, else the newest good one.
+
+    Raises
+    ------
+    CannotPin, NoSuchRun
+        There is none.
+    """
+    if name is not None:
+        return RunFolder.of(work, name)
+    for run in reversed(work.run_ids()):
+        folder = RunFolder.of(work, run)
+        try:
+            if fit_to_pin(folder.record()):
+                return folder
+        except NoSuchRun:  # not to be read: an older one may be
+            continue
+    remedy = "name one that is good enough: wbflow pin SITE.yaml RUN; wbflow history SITE.yaml lists them"
+    raise CannotPin(f"{work.root} has no good run yet", remedy=remedy)
+
+
+def fit_to_pin(record: RunRecord) -> bool:
+    """Is a run good enough to be pinned without being named?"""
+    return record.exit_code == ExitCode.GOOD and record.cloud is not None
+
+
+def prepare(night: Night, journal: Journal) -> None:
+    """Have at hand what the reference holds, and tell where it cannot be used.  The caller holds the lock."""
+    plan, work = night.plan, night.plan.cache.work
+    fault = mend_record(work) if night.site.pin != "none" else None
+    if fault:
+        journal.repaired(fault)
+    if plan.misfit and not fault:
+        what = f"the reference is not used: {plan.misfit}"
+        remedy = "this night makes everything anew; wbflow pin SITE.yaml  makes a good night the reference"
+        journal.warn(what, remedy=remedy)
+    if plan.reference is None:
+        return
+    restored = restore(plan.cache, plan.reference)
+    for tasks, how in ((restored.to_cache, "put back from the reference"), (restored.copied, "copied to the reference again")):
+        if tasks:
+            journal.repaired(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {how}")
+    for task in restored.lost:
+        what = f"'{task}' of the reference is damaged, or gone"
+        journal.warn(what, remedy="it is done without; wbflow pin SITE.yaml  makes a whole one")
+
+
+def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
+    """Of all that a run made or rejected and the reference keeps."""
+    kept = {stage.name for stage in STAGES if stage.kept}
+    found = []
+    for task, event in run.tasks().items():
+        if task.stage not in kept or event.key is None:
+            continue
+        receipt = cache.by_key(task, event.key)
+        if receipt is None:
+            remedy = f"run its night again (wbflow run SITE.yaml --date {run.record().date}), and pin that run"
+            raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
+        found.append(receipt)
+    return found
+
+
+def _cameras(record: RunRecord, run: RunFolder) -> dict[str, dict[str, Any]]:
+    """All cameras of the site, each as the run has solved it."""
+    solved = run.cameras()
+    solved = solved.get("cameras", solved)
+    return {camera.id: dict(solved.get(camera.id, {})) for camera in record.cameras}

@@ -1,0 +1,269 @@
+"""What tonight takes from the pinned reference: inputs, whole results, and how each camera stands compared with it.
+
+The reference answers for the results of a row with `held` as long as the cameras in question stand as they did; the stage with
+the role HEALTH says of each camera whether it does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..cache.store import Cache, Receipt
+from ..pipeline.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
+from ..pipeline.stages import STAGES, ancestors, stage_named, stage_with
+from ..records.pinned import Reference, put_back
+from ..records.record import Health
+from ..task import Subject, Task, camera_of
+from .obstacles import Impossible, Waiting, because
+from .past import Past
+from .spec import Absent, Input, Joined, Stored, Value
+from .state import Cause, State
+from .stated import subject_of
+
+_STILL, _TURNED, _LOST = "still", "turned", "lost"
+"""A camera's pose is that of the reference, is known from it, or is not known."""
+USELESS = frozenset({"blind", "stale", "foreign"})
+"""States of a camera that shows nothing of the site tonight."""
+_HEALTH = stage_with(Role.HEALTH).name
+FEWEST = 2
+"""So many cameras must stand where they did, for the reference to tell where the others are."""
+
+
+@dataclass
+class Pinned:
+    """The reference as tonight's plan sees it."""
+
+    cache: Cache
+    cameras: Collection[str]
+    """Of the site, and views of those that have several."""
+    stages: Collection[Stage]
+    """Those that take part tonight."""
+    states: dict[Task, State]
+    """Settled tasks: the plan's own, which it changes."""
+    reference: Reference | None = None
+    past: Past = field(default_factory=Past)
+    forced: frozenset[str] = frozenset()
+    """Stages that are to be done again."""
+    known: Mapping[str, Health] = field(default_factory=dict)
+    """What is wrong with cameras by what is known of their captures."""
+    frame_keys: dict[Subject, str] = field(default_factory=dict)
+    """Keys of tonight's frames by camera, as far as they are known."""
+    _views: dict[str, list[str]] = field(default_factory=dict, repr=False)
+    """By camera."""
+    _force: bool | None = field(default=None, repr=False)
+    """Do enough cameras stand where they did, once the health of all is known?"""
+    _all_own: bool | None = field(default=None, repr=False)
+    """Are all frames those of the reference itself, by the keys that are known?"""
+    _useless: frozenset[str] | None = field(default=None, repr=False)
+    """The cameras that show nothing of the site, until the health of another one is known."""
+    _judged: dict[str, tuple[State | None, Health | None]] = field(default_factory=dict, repr=False)
+    """What was read from the health of a camera, and of which state of its task."""
+
+    def input(self, need: FromReference, stage: Stage, task: Task) -> Input:
+        """An input that the reference holds.  Raises Waiting."""
+        everywhere = need.which is Which.ALL
+        if self.reference is None or self._own_night(task.subject or tuple(self.cameras)):
+            return Joined({}) if everywhere else Absent()
+        origin = stage_named(need.stage)
+        if everywhere and origin.scope != "site":
+            tasks = [t for t in self.reference.artifacts if t.stage == origin.name]
+            found = {t.subject: self._stored(need, t, False) for t in tasks}
+            return Joined({subject: item for subject, item in found.items() if isinstance(item, Stored)})
+        whole = origin.scope != "site" or stage.scope == "site"
+        subject = subject_of(origin, need, task)
+        return self._stored(need, Task(origin.name, subject), not whole, task.subject)
+
+    def observed(self, need: FromPast, task: Task) -> Input:
+        """What earlier nights found of a camera.  Raises Waiting."""
+        if self.reference is None or self._own_night(task.subject):
+            return Absent()
+        return Value(need.kind, self.past.figures(camera_of(task.subject[0]), need.figures, need.nights))
+
+    def instead(self, stage: Stage, task: Task) -> Receipt | Rework | None:
+        """What takes the place of working a task out: the reference's result, or another function.
+
+        Raises
+        ------
+        Waiting
+            The health of a camera is not known yet.
+        Impossible
+            A camera shows nothing of the site.
+        """
+        if stage.held is None or self.reference is None or not any(s.role is Role.HEALTH for s in self.stages):
+            return None
+        for camera in task.subject:
+            if self.state_of(camera) in USELESS:
+                raise self.unfit((camera,))
+        if not self._in_force() or self.forced & _held_before(stage):
+            return None
+        place = self._place(stage.held, task)
+        if place == "kept":
+            return self._receipt(task)
+        return place if isinstance(place, Rework) else None
+
+    def state_of(self, camera: str) -> str:
+        """How a camera is; a view that shows nothing is of no use, else it is as its camera is.  Raises Waiting."""
+        if health := self.known.get(camera_of(camera)):
+            return health.state
+        own = self._own_state(camera)
+        others = [self._own_state(view) for view in self._views_of(camera) if view != camera] if own not in USELESS else []
+        return next((state for state in (own, *others) if state not in USELESS | {"ok"}), own)
+
+    def _own_state(self, view: str) -> str:
+        """How a view is, by itself.  Raises Waiting."""
+        task = Task(stage_with(Role.HEALTH).name, (view,))
+        state = self.states.get(task)
+        if state is None:
+            raise Waiting(task)
+        if not state.usable:
+            frame = self.states.get(Task(stage_with(Role.FRAME).name, (view,)))
+            return "ok" if frame and frame.usable else "blind"
+        health = self._read(view, state)
+        return health.state if health else "ok"
+
+    def health(self, camera: str) -> Health | None:
+        """What is known of a camera's health, or of that of the camera of a view; None where nobody has looked.
+
+        Of several views, that of the first that has turned; the camera shows nothing of the site where none of them does.
+        """
+        if known := self.known.get(camera_of(camera)):
+            return known
+        found = [health for view in self._views_of(camera) if (health := self._own_health(view))]
+        of_use = [health for health in found if health.state not in USELESS]
+        return next((health for health in of_use if not health.ok), next(iter(of_use or found), None))
+
+    def _own_health(self, view: str) -> Health | None:
+        return self._read(view, self.states.get(Task(stage_with(Role.HEALTH).name, (view,))))
+
+    def _views_of(self, camera: str) -> Sequence[str]:
+        """A camera's views, or those of the camera of a view; most have one."""
+        if not self._views:
+            for view in self.cameras:
+                self._views.setdefault(camera_of(view), []).append(view)
+        return self._views.get(camera_of(camera), [camera])
+
+    def _read(self, camera: str, state: State | None) -> Health | None:
+        known = self._judged.get(camera)
+        if known is None or known[0] is not state:
+            known = self._judged[camera] = state, judged(state)
+        return known[1]
+
+    def useless(self) -> frozenset[str]:
+        """The cameras of which it is known that they show nothing of the site tonight."""
+        if self.reference is None:
+            return frozenset()
+        if self._useless is None:
+            stale = {c for c in self.cameras if camera_of(c) in self.known}
+            looked = ((c, self._own_health(c)) for c in self.cameras if c not in stale)
+            self._useless = frozenset({c for c in stale if self.known[camera_of(c)].state in USELESS}).union(
+                c for c, health in looked if health and health.state in USELESS
+            )
+        return self._useless
+
+    def unfit(self, subject: Subject) -> Impossible:
+        """Why what one of these cameras shows is not used."""
+        camera = next((c for c in subject if c in self.useless()), subject[0])
+        if health := self.known.get(camera_of(camera)) or self._own_health(camera):
+            return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
+        frame = Task(stage_with(Role.FRAME).name, (camera,))
+        return because(frame, self.states[frame])
+
+    def settled(self, task: Task) -> None:
+        """A task is settled: that may have been the health of a camera."""
+        if task.stage == _HEALTH:
+            self._useless = None
+
+    def note_frame(self, subject: Subject, key: str) -> None:
+        """The key of tonight's frame of a camera."""
+        self.frame_keys[subject], self._all_own = key, None
+
+    def lose(self, task: Task) -> None:
+        """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
+        self._force = self._all_own = self._useless = None
+        if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
+            if put_back(self.cache.work, pinned):
+                return
+            left = {t: p for t, p in self.reference.artifacts.items() if t != task}
+            self.reference = dataclasses.replace(self.reference, artifacts=left)
+
+    def _place(self, held: Held, task: Task) -> Any:
+        if self._all_own is None:
+            self._all_own = self._own_night(tuple(self.cameras))
+        if self._all_own:
+            return "kept"
+        cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
+        standing = {self._standing(c) for c in cameras}
+        if _LOST in standing:
+            return "kept" if self._of_many_nights(task) and {self.state_of(c) for c in cameras} == {"ok"} else held.moved
+        return held.nudged if _TURNED in standing else "kept"
+
+    def _of_many_nights(self, task: Task) -> bool:
+        """Is the reference's result of a pair pooled from many nights, or made from one that is?
+
+        Its cameras need not be placed for that, only stand there still.
+        """
+        receipt = self._receipt(task)
+        for stage in STAGES if receipt and len(task.subject) == 2 else ():
+            pooled = self._receipt(Task(stage.name, task.subject)) if stage.pooled and stage.scope == "pair" else None
+            if pooled and receipt and pooled.preimage.function == stage.pooled:
+                return pooled.digest in {receipt.digest, *receipt.preimage.inputs.values()}
+        return False
+
+    def _standing(self, camera: str) -> str:
+        """Is a camera's pose that of the reference, or known from it?  Raises Waiting."""
+        if self.reference is None or camera_of(camera) not in self.reference.placed:
+            return _LOST
+        state = self.state_of(camera)
+        judges = stage_with(Role.HEALTH).judges
+        for view in self._views_of(camera):
+            task = self.states.get(Task(stage_with(Role.HEALTH).name, (view,)))
+            if task and task.usable and task.receipt and judges and task.receipt.figures.get(judges.corrected):
+                return _TURNED
+        return _STILL if state == "ok" else _LOST
+
+    def _in_force(self) -> bool:
+        """Do enough cameras stand where they did?  Raises Waiting."""
+        if self._force is None:
+            self._force = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
+        return self._force
+
+    def _own_night(self, cameras: Subject) -> bool:
+        """Are the frames of these cameras those of the reference itself?"""
+        if self.reference is None:
+            return False
+        frame = stage_with(Role.FRAME).name
+        keys = [(self.frame_keys.get((c,)), self.reference.artifacts.get(Task(frame, (c,)))) for c in cameras]
+        return all(pinned is not None and key == pinned.key for key, pinned in keys)
+
+    def _receipt(self, task: Task) -> Receipt | None:
+        pinned = self.reference.artifacts.get(task) if self.reference else None
+        return self.cache.by_key(task, pinned.key) if pinned else None
+
+    def _stored(self, need: FromReference, upstream: Task, entry: bool, subject: Subject = ()) -> Input:
+        receipt = self._receipt(upstream)
+        if receipt is None or receipt.outcome == "rejected":
+            return Absent()
+        part = need.part
+        if part and entry:
+            part = dataclasses.replace(part, entry="--".join(subject))
+        if part and str(part) not in receipt.parts:
+            return Absent()
+        return Stored(upstream, part).resolved(receipt)
+
+
+def judged(state: State | None) -> Health | None:
+    """What a task of the stage with the role HEALTH found."""
+    judges = stage_with(Role.HEALTH).judges
+    if state is None or not state.usable or state.receipt is None or judges is None:
+        return None
+    told = state.receipt.figures
+    numbers = told.get(judges.figures) or {}, told.get(judges.expected) or {}
+    return Health(told[judges.state], told.get(judges.text) or "", *numbers, told.get(judges.remedy) or "")
+
+
+def _held_before(stage: Stage) -> set[str]:
+    """Names of a stage and of those before it that the reference may answer for."""
+    return {name for name in ancestors(stage.name) if stage_named(name).held}

@@ -1,0 +1,320 @@
+"""The plan: every task of a site with its state, derived again and again from the table of stages, the captures and the cache.
+
+A task is settled (cached, ran, rejected, failed, skipped), ready, or waiting for others.  Nothing is stored: a plan made after
+a crash finds in the cache exactly what was finished.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..cache.pictures import is_drawn
+from ..cache.store import Cache, Receipt
+from ..pipeline.binding import Binding, bind
+from ..pipeline.rows import Rework, Role, Stage
+from ..pipeline.stages import STAGES, ancestors, stage_named, stage_with
+from ..records.pinned import Reference
+from ..records.record import Health
+from ..site.site import Site
+from ..task import Task, component_name, names_of
+from .agenda import Agenda
+from .captures import CaptureFile
+from .fit import misfit
+from .inputs import Inputs
+from .obstacles import Impossible, Waiting
+from .past import Past
+from .pinned import Pinned
+from .spec import Absent, Input, PictureSpec, TaskSpec, ViewSpec
+from .state import State, cached_state
+from .subjects import Subjects
+
+
+@dataclass
+class Plan:
+    """The tasks of one night.  `refresh` derives all of it from the cache."""
+
+    site: Site
+    captures: dict[str, list[CaptureFile]]
+    night: str
+    cache: Cache
+    named: dict[str, CaptureFile] = field(default_factory=dict)
+    expectations: dict[str, str] = field(default_factory=dict)
+    until: str | None = None
+    force: frozenset[str] = frozenset()
+    states: dict[Task, State] = field(default_factory=dict)
+    """Settled tasks."""
+    ready: dict[Task, TaskSpec] = field(default_factory=dict)
+    """Tasks whose inputs are all there."""
+    waiting: dict[Task, Task | None] = field(default_factory=dict)
+    """The rest, with what they wait for (None: for the pair graph)."""
+    undrawn: dict[Task, TaskSpec] = field(default_factory=dict)
+    """Settled tasks whose picture is missing, or out of date."""
+    busy: set[Task] = field(default_factory=set)
+    """Tasks that workers have in hand: neither looked up nor handed out again."""
+    reference: Reference | None = None
+    """What tonight is compared with."""
+    misfit: str = ""
+    """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
+    stale: dict[str, Health] = field(default_factory=dict)
+    """Cameras whose captures are not of tonight."""
+    _agenda: Agenda = field(default_factory=Agenda)
+    _bindings: dict[str, Binding] = field(default_factory=dict)
+    _known_parameters: dict[str, tuple[dict[str, Any], dict[str, str]]] = field(default_factory=dict)
+    """By stage, or by the function in its place."""
+    _stages: list[Stage] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
+        settings = self.site.stages
+        self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
+        self._folder = self.site.file.resolve().parent
+        off = {name for name, stage in settings.items() if not stage.enabled}
+        off |= {stage.name for stage in STAGES if stage.unless_posed and self.site.posed}
+        for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
+            off |= {stage.name} if stage.optional and off & stage.needed() else set()
+        self._stages = [stage for stage in STAGES if stage.name in wanted - off]
+        self._subjects = Subjects(self.site, self.states, any(stage.role is Role.DENSE_PAIRS for stage in self._stages))
+        if self.reference:
+            self.misfit = misfit(
+                self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache, self.named
+            )
+        self.reference = None if self.misfit else self.reference
+        past = Past(self.cache.work, self.night, self.reference.run) if self.reference else Past()
+        cameras = [view.id for view in self.site.views]
+        forced = frozenset(name.split(" ")[0] for name in self.force)
+        self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
+        known = self.site, self.captures, self.named, self.expectations
+        taking_part = frozenset(stage.name for stage in self._stages)
+        self._from = Inputs(*known, self._subjects, taking_part, self.states, self._pinned)
+
+    def refresh(self) -> None:
+        """Settle what the cache has, and find what is ready.  Only what may have changed since the last time is looked at."""
+        named = {stage.name: stage for stage in self._stages}
+        while True:
+            if self._agenda.all_anew:
+                self._list()
+            task = self._agenda.next()
+            if task is None:
+                return
+            if not (task in self.states or task in self.busy or task in self.ready):
+                self._settle(named[task.stage], task)
+
+    def settle(self, task: Task, state: State) -> None:
+        """Record how a task of this run ended."""
+        self.states[task] = state
+        self.ready.pop(task, None)
+        self.waiting.pop(task, None)
+        self.undrawn.pop(task, None)
+        self._pinned.settled(task)
+        self._agenda.settled(task)
+
+    def forget(self, task: Task) -> None:
+        """Take a settled task back (its artifact turned out damaged)."""
+        self.states.pop(task, None)
+        self._pinned.lose(task)
+        self._agenda.all_anew = True
+
+    def look_again(self) -> None:
+        """What the plan rests on has changed: whatever is not settled is derived anew."""
+        self._agenda.all_anew = True
+
+    def hand_out(self, lanes: list[list[TaskSpec]]) -> None:
+        """Workers have these in hand."""
+        for spec in (spec for lane in lanes for spec in lane):
+            self.busy.add(spec.task)
+            self.ready.pop(spec.task, None)
+            self.waiting.pop(spec.task, None)
+
+    def take_back(self, lane: list[TaskSpec] | None = None) -> None:
+        """A lane has come to an end: what it has not settled is to be looked at again.  None: whatever workers have in hand."""
+        for task in [spec.task for spec in lane] if lane is not None else list(self.busy):
+            self.busy.discard(task)
+            self._agenda.add(task)
+            if (state := self.states.get(task)) and state.receipt and state.outcome != "cached":
+                self.cache.learn(state.receipt)
+
+    def news(self) -> list[tuple[Task, State]]:
+        """The tasks that have been settled since somebody asked last."""
+        return [(task, state) for task in self._agenda.news() if (state := self.states.get(task))]
+
+    def lanes(self) -> Iterator[list[TaskSpec]]:
+        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call; when there are none,
+        pictures that are missing or were drawn by another function than the present one."""
+        for task, spec in self.ready.items():
+            lane = [spec]
+            if task.subject:
+                for stage in self._stages:
+                    follower = Task(stage.name, task.subject)
+                    if follower in self.waiting:
+                        try:
+                            instead = self._pinned.instead(stage, follower)
+                            if not isinstance(instead, Receipt):
+                                lane.append(self._spec(stage, follower, {s.task for s in lane}, instead))
+                        except (Waiting, Impossible):
+                            continue
+            yield lane
+        if not self.ready:
+            yield from ([spec] for spec in self.undrawn.values())
+
+    def pairs_known(self, stage: Stage | None = None) -> bool:
+        """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
+        return all(self._subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
+
+    def tasks(self, stage: Stage) -> list[Task]:
+        """The tasks of a stage, as far as they are listed yet."""
+        return self._subjects.tasks(stage)
+
+    def spec_of(self, task: Task) -> TaskSpec:
+        """How a task would be done, whether it has been or not.
+
+        Raises
+        ------
+        Waiting, Impossible
+            Its inputs are not there yet, or will not come.
+        """
+        stage = stage_named(task.stage)
+        instead = self._pinned.instead(stage, task)
+        return self._spec(stage, task, rework=None if isinstance(instead, Receipt) else instead)
+
+    def likely_pairs(self, dense: bool = False) -> int | None:
+        """About how many pairs will be matched, or made dense; None where that is known."""
+        if self._subjects.pairs(dense) is not None:
+            return None
+        if (matched := self._subjects.pairs()) is not None:
+            return len(matched)
+        stage = stage_with(Role.PAIR_GRAPH)
+        count = len(self.site.views)
+        wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")
+        most = count * (count - 1) // 2
+        return min(most, count * wanted // 2) if isinstance(wanted, int) else most
+
+    def upstreams(self, task: Task) -> list[Task]:
+        """The tasks that a task takes its inputs from, as far as they are listed yet."""
+        return self._from.upstreams(task, self._bound(stage_named(task.stage)).needs)
+
+    def health(self, camera: str) -> Health | None:
+        """What became of a camera; None where nobody knows."""
+        return self._pinned.health(camera)
+
+    def stages(self) -> list[Stage]:
+        """The stages that take part tonight."""
+        return list(self._stages)
+
+    def _list(self) -> None:
+        """List every task that is known of, to be looked at in the order of the table."""
+        self.ready, self.waiting = {}, {}
+        self._agenda.begin(task for stage in self._stages for task in self._subjects.tasks(stage))
+
+    def _settle(self, stage: Stage, task: Task) -> None:
+        self.waiting.pop(task, None)
+        try:
+            instead = self._pinned.instead(stage, task)
+            if isinstance(instead, Receipt):
+                self._found(task, cached_state(instead))
+                return
+            spec = self._spec(stage, task, rework=instead)
+        except Waiting as waiting:
+            self.waiting[task] = waiting.task
+            self._agenda.wait(task, waiting.task)
+            return
+        except Impossible as impossible:
+            self._found(task, State(stage.missing, str(impossible), impossible.code))
+            return
+        preimage = spec.preimage()
+        key = preimage.key()
+        if stage.role is Role.FRAME:
+            self._pinned.note_frame(task.subject, key)
+        receipt = None if spec.force else self.cache.find(preimage, key)
+        if receipt is None:
+            self.ready[task] = spec
+            return
+        self._found(task, cached_state(receipt))
+        picture = spec.picture if receipt.file else None
+        if picture and not is_drawn(self.cache, task, receipt.key, picture.digest(receipt.key)):
+            self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
+
+    def _found(self, task: Task, state: State) -> None:
+        self.states[task] = state
+        self._pinned.settled(task)
+        self._agenda.settled(task)
+
+    def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, rework: Rework | None = None) -> TaskSpec:
+        """The spec of a task; inputs made by tasks `among` may still be unresolved.  rework: what takes the function's place."""
+        bound = self._bound(stage, rework)
+        inputs = self._from.of(stage, task, bound.needs, among or set())
+        parameters, left_to_function = self._parameters(stage, task, rework)
+        return TaskSpec(
+            task,
+            bound.function.dotted,
+            bound.code,
+            parameters,
+            inputs,
+            stage.table,
+            self._picture(stage, task, inputs, among or set()),
+            self._view(stage, task),
+            bool(self.force & names_of(task)) if self.force else False,
+            left_to_function,
+            folder=self._folder,
+        )
+
+    def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
+        """How a task's result is shown: with those of its inputs that the function asks for."""
+        if not stage.picture:
+            return None
+        info = self._read(stage.picture.function)
+        result, *asked = (argument.name for argument in info.signature.arguments)
+        drawn: dict[str, Input] = {}
+        for name in asked:
+            if name in stage.picture.needs:
+                try:
+                    drawn[name] = self._from.one(stage, task, stage.picture.needs[name], among)
+                except (Waiting, Impossible):
+                    drawn[name] = Absent()
+            elif name in inputs:
+                drawn[name] = inputs[name]
+        return PictureSpec(info.dotted, info.code, result, drawn)
+
+    def _view(self, stage: Stage, task: Task) -> ViewSpec | None:
+        """How a result's points are packed: the page shows those of the main component."""
+        if not stage.view or task.subject:
+            return None
+        info = self._read(stage.view)
+        return ViewSpec(info.dotted, info.code)
+
+    def _bound(self, stage: Stage, rework: Rework | None = None) -> Binding:
+        name = rework.function if rework else stage.name
+        if name not in self._bindings:
+            settings = self.site.stages.get(stage.name)
+            use, values = (settings.use, settings.parameters) if settings else (None, {})
+            if rework:
+                use, values = None, {}
+                stage = dataclasses.replace(stage, function=rework.function, needs=rework.needs, offers={}, method=None)
+            self._bindings[name] = bind(stage, use, values, self.site.reader)
+        return self._bindings[name]
+
+    def _parameters(self, stage: Stage, task: Task, rework: Rework | None) -> tuple[dict[str, Any], dict[str, str]]:
+        """Parameters of a task, and the text of those that its function works out: the same for all subjects of a stage."""
+        name = rework.function if rework else stage.name
+        known = self._known_parameters.get(name)
+        if known is None or stage.component_parameter:
+            bound = self._bound(stage, rework)
+            stated = self._stated_parameters(stage, task)
+            stated = stated if rework is None else {name: v for name, v in stated.items() if name in bound.parameters}
+            left = {name: text for name, text in bound.left_to_function().items() if name not in stated}
+            known = self._known_parameters[name] = bound.defaults() | stated, left
+        return known
+
+    def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
+        """Parameters that the site file sets, in the stage's section or elsewhere."""
+        values: dict[str, Any] = dict(getattr(self.site, stage.section)) if stage.section else {}
+        values |= {name: getattr(self.site, name) for name in stage.site_parameters}
+        if stage.component_parameter:
+            numbers = range(1, self._subjects.components())
+            values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+        known = self._bound(stage).parameters
+        settings = self.site.stages.get(stage.name)
+        return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})

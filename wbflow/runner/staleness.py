@@ -1,0 +1,181 @@
+"""Is what a camera delivers of tonight?  A frozen camera repeats itself; one whose clock is wrong delivers another night.
+
+Nothing is looked at here but digests, names and what is remembered of earlier nights; what the pictures themselves tell comes
+with the frame (`by_picture`).
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..cache.artifact import digest
+from ..cache.digests import Digests
+from ..cache.seen import Seen
+from ..records.record import Health
+from ..site.site import Site, SiteCamera
+from .captures import CaptureFile, captures_of, pattern_of
+
+FAR_OFF_HOURS = 3.0
+"""A camera whose captures are further than this from those of the others shows another light, or its clock is wrong."""
+NIGHT_HOURS = 36.0
+"""A capture that was taken further than this from noon of the night's date is of another night."""
+SAME_PIXELS = 0.98
+"""Two pictures of a live sensor never agree in so many pixels to the last grey level."""
+_OF_NOTHING = digest(b"")
+"""Of an empty file: that two cameras or nights have one does not say that a picture is frozen."""
+_REMEDY = "restart the camera or what fetches its pictures; it is used again by itself as soon as its captures are new"
+_CLOCK = "set the camera's clock, or look at what fetches and names its pictures"
+
+
+@dataclass
+class Delivered:
+    """The night's captures, looked at."""
+
+    captures: dict[str, list[CaptureFile]]
+    """By camera: those that are used."""
+    stale: dict[str, Health] = field(default_factory=dict)
+    """Cameras none of whose captures are of tonight."""
+    notes: dict[str, str] = field(default_factory=dict)
+    """What else is to be said, by camera."""
+
+
+def look_at(
+    site: Site, date: datetime.date, captures: Mapping[str, list[CaptureFile]], digests: Digests, seen: Seen
+) -> Delivered:
+    """Leave out captures that come again, and name cameras that deliver nothing else.
+
+    Parameters
+    ----------
+    site : Site
+        Whose captures.
+    date : date
+        The night.
+    captures : mapping
+        All files of the night, by camera.
+    digests : Digests
+        To look at the files of the night before.
+    seen : Seen
+        What cameras have delivered before; tonight is noted there.
+    """
+    delivered = Delivered({camera: list(files) for camera, files in captures.items()})
+    repeated: dict[str, Health] = {}
+    for camera in site.cameras:
+        files = delivered.captures[camera.id]
+        earlier = _earlier(site, camera, date, digests, seen) if files else {}
+        seen.note(camera.id, str(date), [file.digest for file in files])
+        health = _repeats(camera.id, files, earlier, delivered)
+        if health:
+            repeated[camera.id] = health
+    if not pattern_of(site).dated and all(health.figures["earlier"] for health in repeated.values()):
+        # names without a date: where nothing is new, the pictures are meant to stay
+        with_files = [camera for camera, files in captures.items() if files]
+        repeated = {} if set(with_files) <= set(repeated) else repeated
+    delivered.stale = {**_far_off(site, delivered.captures), **repeated}
+    return delivered
+
+
+def _earlier(site: Site, camera: SiteCamera, date: datetime.date, digests: Digests, seen: Seen) -> dict[str, str]:
+    """Digests of what a camera delivered in earlier nights, with the night: as remembered, and as far as it lies there still."""
+    if camera.images is not None:  # the site file names them: they are what is meant
+        return {}
+    known = seen.before(camera.id, str(date))
+    pattern = pattern_of(site)
+    if pattern.dated:
+        before = max((night for night in pattern.dates(camera.id) if night < date), default=None)
+        if before is not None and str(before) not in known.values():
+            known |= {file.digest: str(before) for file in captures_of(site, camera, before, digests) if file.digest}
+    return known
+
+
+def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], delivered: Delivered) -> Health | None:
+    """A camera that repeats itself; single captures that come again are left out.
+
+    Parameters
+    ----------
+    camera : str
+        Its id.
+    files : list of CaptureFile
+        Its captures.
+    earlier : mapping
+        Night by digest.
+    delivered : Delivered
+        Where captures are left out, and notes are added.
+    """
+    readable = [file for file in files if file.digest not in {"", _OF_NOTHING}]
+    if not readable:
+        return None
+    different = {file.digest: file for file in reversed(readable)}
+    old = [found for found in different if found in earlier]
+    figures = {"captures": len(readable), "different": len(different), "earlier": len(old)}
+    kept = [file for file in readable if different[file.digest] is file and file.digest not in earlier]
+    if not kept:
+        when = max(earlier[found] for found in old)
+        delivered.captures[camera] = [file for file in readable if different[file.digest] is file]
+        text = f"it delivers again what it delivered on {when}: the picture is frozen"
+        return Health("stale", text, figures, {"earlier": 0}, _REMEDY)
+    delivered.captures[camera] = [file for file in files if file not in readable or file in kept]
+    if len(different) == 1 and len(readable) > 1:
+        text = f"all {len(readable)} captures of the night are the same picture: it is frozen"
+        return Health("stale", text, figures, {"different": len(readable)}, _REMEDY)
+    if len(kept) < len(readable):
+        what = f"{len(readable) - len(kept)} of {len(readable)} captures come again, or are of an earlier night; left out"
+        delivered.notes[camera] = what
+    return None
+
+
+def _far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:
+    """Cameras whose captures were taken at another time of day than those of the others, as their names tell."""
+    pattern = pattern_of(site)
+    hours: dict[str, float] = {}
+    for camera, files in captures.items():
+        moments = [moment for file in files if (moment := pattern.moment(camera, file.path))]
+        if moments:
+            hours[camera] = _middle([m.hour + m.minute / 60 + m.second / 3600 for m in moments])
+    if len(hours) < 3:
+        return {}
+    found = {}
+    usual = _middle(list(hours.values()))
+    for camera, own in hours.items():
+        off = _apart(own, usual)
+        if abs(off) > FAR_OFF_HOURS:
+            text = f"its captures were taken {abs(off):.1f} hours {'after' if off > 0 else 'before'} those of the other cameras"
+            found[camera] = Health("stale", text, {"hours_off": off}, {"hours_off": FAR_OFF_HOURS}, _CLOCK)
+    return found
+
+
+def _apart(hour: float, other: float) -> float:
+    """Hours from one time of day to another, whatever midnight lies between."""
+    return (hour - other + 12) % 24 - 12
+
+
+def _middle(hours: list[float]) -> float:
+    """The time of day that is nearest to all."""
+    return min(hours, key=lambda hour: sum(abs(_apart(hour, other)) for other in hours))
+
+
+def by_picture(figures: Mapping[str, Any], night: str) -> Health | None:
+    """A camera whose pictures themselves say that they are of another time.
+
+    figures: `unchanged`, the share of pixels that agree to the last grey level between captures; `taken_first` and
+    `taken_last`, when the captures were taken by what the camera wrote into them (ISO 8601); `taken_in_order`.
+    """
+    unchanged = figures.get("unchanged")
+    if isinstance(unchanged, float) and unchanged > SAME_PIXELS:
+        text = f"{100 * unchanged:.1f} % of the pixels are the same in all captures of the night: the picture is frozen"
+        return Health("stale", text, {"unchanged": unchanged}, {"unchanged": SAME_PIXELS}, _REMEDY)
+    try:
+        noon = datetime.datetime.combine(datetime.date.fromisoformat(night), datetime.time(12))
+        taken = [datetime.datetime.fromisoformat(str(figures[name])) for name in ("taken_first", "taken_last")]
+    except (KeyError, ValueError):
+        return None
+    off = max(((moment - noon).total_seconds() / 3600 for moment in taken), key=abs)
+    if abs(off) > NIGHT_HOURS:
+        text = f"its captures say that they were taken on {taken[0]:%Y-%m-%d %H:%M}"
+        return Health("stale", text, {"hours_off": off}, {"hours_off": NIGHT_HOURS}, _CLOCK)
+    if figures.get("taken_in_order") is False:
+        text = "its captures say that they were taken in another order than their names"
+        return Health("stale", text, {}, {}, _CLOCK)
+    return None

@@ -1,0 +1,127 @@
+"""What a site file's validation finds, in the words of a site file; and what is left of it without its faults."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..errors import printable
+from ..pipeline.choice import MOST_AT_A_CAMERA
+from .calibrated import COEFFICIENTS
+from .geodesy import PLACE_REMEDY, ControlPoint
+from .places import Document, Place, SiteProblem
+from .schema import (
+    CameraSection,
+    CapturesSection,
+    ExpectSection,
+    IntrinsicsSection,
+    KeepSection,
+    NotifySection,
+    PairsSection,
+    PoseSection,
+    SiteSection,
+    ZoneSection,
+)
+
+_REMEDIES = {
+    "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
+    "pose": f"{PLACE_REMEDY}; where known too, one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3, "
+    "and how well: position_sigma_m, rotation_sigma_deg",
+    "distances": "write [camera, camera, metres], e.g. distances: [[gate, roof, 12.4]]",
+    "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
+    "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
+    "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
+    "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
+    "model": f"name one of {', '.join(COEFFICIENTS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
+    "site": "give the site a name: site: harbour",
+    "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
+    "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
+    "zones": "give name, three corners or more and, if you like, a least size in metres: zones: [{name: quay, polygon: [[0, 0], "
+    "[20, 0], [20, 8]], least_m: 0.5}]",
+    "degree": f"give a whole number from 1 to {MOST_AT_A_CAMERA}, e.g. degree: 6",
+    "min_angle": "give degrees, e.g. min_angle: 4",
+    "max_angle": "give degrees, e.g. max_angle: 60",
+    "keep": "for example keep: {nights: 7, bytes: 50GB, clouds: all, reports: 365}",
+    "expect": "give shares of what is usual, or least counts: expect: {points: 0.7, pairs: 0.7, cameras: 1.0, since: 2026-11-20}",
+    "notify": "give a command, e.g. notify: {command: 'mail -s \"$WBFLOW_SUMMARY\" me@example.org'}",
+    "include": "give two camera ids: include: [[gate, roof]]",
+    "exclude": "give two camera ids: exclude: [[gate, roof]]",
+}
+
+
+def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
+    """pydantic's findings in the words of a site file."""
+    found = []
+    for item in error.errors():
+        place: Place = tuple(item["loc"])
+        kind, last = item["type"], str(item["loc"][-1]) if item["loc"] else ""
+        section = next((str(step) for step in reversed(place) if step in _REMEDIES), "")
+        remedy = _REMEDIES.get(section, "see sites/template.yaml")
+        if kind == "extra_forbidden":
+            allowed = _fields_at(place[:-1])
+            close = difflib.get_close_matches(last, allowed, 1)
+            remedy = f"did you mean {close[0]!r}?" if close else f"known here: {', '.join(allowed)}"
+            found.append(document.problem(place, f"unknown key {last!r}", remedy, key=True))
+        elif kind == "missing":
+            found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
+        elif last == "pattern" and isinstance(item["input"], dict):
+            what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
+            found.append(document.problem(place, what, "put it in quotes: pattern: '{camera}.jpg'"))
+        else:
+            what = item["msg"]
+            if kind not in {"intrinsics", "lens", "pose", "place", "pattern", "notify", "keep"}:
+                shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
+                what = f"{what[0].lower()}{what[1:]}{shown}"
+            found.append(document.problem(place, what, remedy))
+    return sorted(found, key=lambda p: (p.line, p.column))
+
+
+def similar(path: Path) -> str:
+    """A remedy that names what lies beside a path that is not there, and is called nearly the same; "" where nothing is."""
+    try:
+        names = [entry.name for entry in path.parent.iterdir()]
+    except OSError:
+        return ""
+    close = difflib.get_close_matches(path.name, names, 1)
+    return f"did you mean {printable(close[0])!r}?" if close else ""
+
+
+def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:
+    """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
+    cameras = data.get("cameras")
+    data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
+    for item in error.errors():
+        section, *rest = item["loc"] or ("",)
+        if section == "cameras" and rest and isinstance(rest[0], int):
+            camera = data["cameras"][rest[0]]
+            data["cameras"][rest[0]] = (
+                {"id": camera.get("id"), "intrinsics": {"hfov": 60.0}} if isinstance(camera, dict) else None
+            )
+        else:
+            data.pop(str(section), None)
+    try:
+        return SiteSection.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **data})
+    except ValidationError:
+        return None
+
+
+def _fields_at(place: Place) -> list[str]:
+    model: Any = SiteSection
+    sections = {
+        "captures": CapturesSection,
+        "cameras": CameraSection,
+        "intrinsics": IntrinsicsSection,
+        "pose": PoseSection,
+        "pairs": PairsSection,
+        "control_points": ControlPoint,
+        "keep": KeepSection,
+        "expect": ExpectSection,
+        "notify": NotifySection,
+        "zones": ZoneSection,
+    }
+    for step in place:
+        model = sections.get(str(step), model)
+    return list(model.model_fields)

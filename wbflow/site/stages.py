@@ -1,0 +1,189 @@
+"""The section `stages` of a site file, checked against the signatures of the functions that it is about."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+from ..cache.functions import FunctionReader
+from ..cache.modules import FunctionError
+from ..cache.untrusted import is_file as is_file_on_disk
+from ..errors import printable
+from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file
+from ..pipeline.rows import Stage
+from ..pipeline.stages import STAGES
+from .cameras import beside
+from .explain import similar
+from .places import Document, Place, SiteProblem
+from .site import StageSettings
+
+
+def read_stages(
+    sections: dict[str, Any], document: Document, reader: FunctionReader, problems: list[SiteProblem]
+) -> tuple[dict[str, StageSettings], list[SiteProblem]]:
+    """Settings by stage; what is wrong with them is added to `problems`.  Also what still works but is called otherwise now.
+
+    Parameters
+    ----------
+    sections : dict
+        The section `stages` of the site file.
+    document : Document
+        For the places of problems.
+    reader : FunctionReader
+        Knows the signatures of stage functions.
+    problems : list of SiteProblem
+        What is wrong is added here.
+    """
+    found: dict[str, StageSettings] = {}
+    notes: list[SiteProblem] = []
+    known = {stage.name: stage for stage in STAGES}
+    for name, section in sections.items():
+        place: Place = ("stages", name)
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            remedy = f"did you mean {close[0]!r}?" if close else f"stages are {', '.join(known)}"
+            problems.append(document.problem(place, f"unknown stage {name!r}", remedy, key=True))
+        elif section is False:
+            if not known[name].optional:
+                remedy = f"stages that can be: {', '.join(s.name for s in STAGES if s.optional) or 'none'}"
+                problems.append(document.problem(place, f"{name} cannot be switched off", remedy))
+            found[name] = StageSettings(enabled=False)
+        elif section is None or section is True or isinstance(section, dict):
+            values = {str(key): value for key, value in section.items()} if isinstance(section, dict) else {}
+            found[name] = _Section(known[name], document, reader, problems, notes).read(values)
+        else:
+            remedy = f"write {name}: {{parameter: value}}"
+            problems.append(document.problem(place, f"{section!r} is not a mapping of parameters", remedy))
+    return found, notes
+
+
+class _Section:
+    """One stage's section while it is read."""
+
+    def __init__(
+        self, stage: Stage, document: Document, reader: FunctionReader, problems: list[SiteProblem], notes: list[SiteProblem]
+    ) -> None:
+        self.stage = stage
+        self.document = document
+        self.reader = reader
+        self.problems = problems
+        self.notes = notes
+
+    def read(self, values: dict[str, Any]) -> StageSettings:
+        """The settings; faults and notes are added to the lists."""
+        use = values.pop("use", None)
+        if use is not None and not isinstance(use, str):
+            self._problem("use", f"{printable(repr(use), 80)} is no function", _USE)
+            return StageSettings()
+        try:
+            written = {new: old for old, new in self._renamed(values, use).items()}
+            bound = bind(self.stage, use, values, self.reader)
+        except FunctionError as error:
+            chooser = self.stage.method.parameter if self.stage.method and use is None else "use"
+            self._problem(chooser, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
+            return StageSettings()
+        for fault in bound.faults():
+            self._problem("use" if use else self.stage.method.parameter if self.stage.method else "", fault, _SIGNATURE)
+        files = self._files(bound, values)
+        for key, value in values.items():
+            self._check(bound, key, value, written.get(key, key))
+        for name, parameter in bound.parameters.items():
+            if parameter.required and name not in values and name not in self._fed(bound):
+                self._problem("use", f"{bound.function.dotted} has {name!r} without a default", f"set it here: {name}: ...")
+        return StageSettings(use, values, files=files)
+
+    def _files(self, bound: Binding, values: dict[str, Any]) -> dict[str, Path]:
+        """The files that the section names, which are taken out of it: what is in them counts, not what they are called."""
+        found: dict[str, Path] = {}
+        chosen = bound.method or bound.function
+        required = {argument.name for argument in chosen.signature.arguments if argument.required}
+        for name in [name for name, need in bound.needs.items() if is_file(need)]:
+            stated, place = values.pop(name, None), ("stages", self.stage.name, name)
+            if stated is None:
+                if name in required:
+                    self._problem(self._chooser(bound), f"{chosen.dotted} needs a file: {name}", _FILE.format(name=name))
+            elif not isinstance(stated, str):
+                self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
+            else:
+                found[name] = beside(stated, place, self.document, self.problems)
+                if not is_file_on_disk(found[name]):
+                    remedy = similar(found[name]) or "check the path; it is relative to the site file"
+                    self._problem(name, f"there is no file {printable(found[name])}", remedy)
+        return found
+
+    def _chooser(self, bound: Binding) -> str:
+        """The key that says which function is meant."""
+        return self.stage.method.parameter if bound.method and self.stage.method else "use"
+
+    def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
+        """Give parameters of earlier versions their present names and values, in place; present name by old name."""
+        if not self.stage.renamed.keys() & values:
+            return {}
+        known = set(self.reader.signature(use or self.stage.function).parameters)
+        known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
+        found = {}
+        for old, row in self.stage.renamed.items():
+            if old not in values or row.now not in known or (row.now != old and old in known):
+                continue
+            value = values[old]
+            changed = isinstance(value, str) and value in row.values
+            if row.now == old and not changed:
+                continue
+            if row.now != old and row.now in values:
+                self._problem(old, f"{old!r} is the old name of {row.now!r}, which stands here too", "keep the new one")
+            del values[old]
+            values[row.now] = row.values[value] if changed else value
+            found[old] = row.now
+            now = f"{row.now}: {row.values[value]}" if changed else row.now
+            before = f"{old}: {value}" if changed else old
+            place: Place = ("stages", self.stage.name, old)
+            what = f"{before!r} is written {now!r} now; the old way is still understood in this version"
+            self.notes.append(self.document.problem(place, what, f"write {now}", key=True))
+        return found
+
+    def _fed(self, bound: Binding) -> set[str]:
+        """Parameters that are set elsewhere in the site file, or by the plan."""
+        if self.stage.section:
+            return set(bound.parameters)
+        return {*self.stage.site_parameters, self.stage.component_parameter} - {""}
+
+    def _check(self, bound: Binding, key: str, value: Any, written: str) -> None:
+        """One parameter.  written: what it is called in the file."""
+        fed = self._fed(bound)
+        parameter = bound.parameters.get(key)
+        if key in fed and parameter:
+            where = f"in the section {self.stage.section}" if self.stage.section else "at the top of the file"
+            remedy = (
+                f"set {key} {where}" if key != self.stage.component_parameter else "leave it out: each component has its turn"
+            )
+            self._problem(written, f"{key!r} is not set here", remedy, key=True)
+        elif parameter is None:
+            self._unknown(bound, key, written, [name for name in bound.parameters if name not in fed])
+        elif wrong := parameter.problem(value):
+            self._problem(written, wrong, f"the default is {parameter.shown}")
+
+    def _unknown(self, bound: Binding, key: str, written: str, allowed: list[str]) -> None:
+        """A parameter that is not read: by nobody, or by another method than the chosen one."""
+        chooser = self.stage.method
+        if bound.method and chooser:
+            readers = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
+            readers += methods_with_file(self.stage, key, self.reader)
+            if readers:
+                what = f"{key!r} is not read by the chosen {chooser.parameter}, {bound.method.dotted}"
+                self._problem(written, what, f"leave it out, or choose {chooser.parameter}: {' or '.join(readers)}", key=True)
+                return
+        close = difflib.get_close_matches(key, allowed, 1)
+        remedy = (
+            f"did you mean {close[0]!r}?" if close else f"parameters of {bound.function.dotted}: {', '.join(allowed) or 'none'}"
+        )
+        self._problem(written, f"unknown parameter {key!r}", remedy, key=True)
+
+    def _problem(self, name: str, what: str, remedy: str, *, key: bool = False) -> None:
+        place: Place = ("stages", self.stage.name, name) if name else ("stages", self.stage.name)
+        self.problems.append(self.document.problem(place, what, remedy, key))
+
+
+_USE = "write package.module:function; the module is installed, or lies beside the site file"
+_FILE = "give its path, relative to the site file: {name}: models/matcher.onnx"
+_SIGNATURE = "name the inputs as they are offered, and put parameters with defaults behind a bare *"
