@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger
-from ..records.pinned import BadReference, read_reference
+from ..records.reference_folder import BadReference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder
 from .keep import Keep
 from .layout import WorkFolder

@@ -294,7 +294,7 @@ class WorkFolder:
 
     @property
     def reference_record(self) -> Path:
-        """What is pinned; without it nothing is (see `records.pinned`)."""
+        """What is pinned; without it nothing is (see `records.reference_folder`)."""
         return self.reference / "reference.json"
 
     @property

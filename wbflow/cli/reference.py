@@ -40,7 +40,7 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     loaded = load(site, work)
     place = place_of(loaded)
     from ..cache.writing import hold_to_write
-    from ..records.pinned import drop_reference, read_reference
+    from ..records.reference_folder import drop_reference, read_reference
 
     if listed:
         reference = read_reference(place)
@@ -56,8 +56,8 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
             said = _refine(loaded, place)
         else:
             from ..cache.store import Cache
-            from ..runner.pin import good_run
-            from ..runner.pin import pin as make
+            from ..reference.create import good_run
+            from ..reference.create import pin as make
 
             made = make(Cache(place), good_run(place, run_id))
             said = f"run {made.run} (night of {made.date}) is the reference now: {place.reference}"
@@ -68,8 +68,8 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
 
 def _refine(site: Site, place: WorkFolder) -> str:
     from ..cache.store import Cache
-    from ..records.pinned import read_reference, restore
-    from ..runner.pool import pool
+    from ..records.reference_folder import read_reference, restore
+    from ..reference.aggregate import pool
 
     reference = read_reference(place)
     if reference is None:

@@ -39,7 +39,7 @@ def afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
             for fault in ledger.faults:
                 journal.warn(fault)
         if site.pin == "auto" and not run.work.reference_record.exists():
-            from ..runner.pin import fit_to_pin, pin  # here: once in the life of a site, as a rule
+            from ..reference.create import fit_to_pin, pin  # here: once in the life of a site, as a rule
 
             if fit_to_pin(run.record):
                 pin(run.cache, run.folder, automatic=True)

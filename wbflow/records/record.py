@@ -256,7 +256,7 @@ class RunRecord:
     versions: Mapping[str, str] = field(default_factory=dict)
     """Of Python and of the libraries behind the stages, by name; empty of a run of an earlier version."""
     reference: str | None = None
-    """Id of the run that it was compared with, if any (see `records.pinned`)."""
+    """Id of the run that it was compared with, if any (see `records.reference_folder`)."""
     later: Figures = field(default_factory=dict)
     """What site-wide stages report, by stage; and keys of a later version."""
 

@@ -12,8 +12,8 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..outcome.past import looks_of
 from ..records.events import Event, TaskEvent
-from ..records.pinned import BadReference, Reference, read_reference
 from ..records.record import CameraRecord, RunRecord
+from ..records.reference_folder import BadReference, Reference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.site import Site
 from ..task import Task

@@ -10,7 +10,7 @@ from ..cache.digests import Digests
 from ..cache.layout import WorkFolder
 from ..cache.seen import Seen
 from ..cache.store import Cache
-from ..records.pinned import BadReference, Reference, read_reference
+from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.site import Site
 from .arrivals import Arrivals, arrivals
 from .captures import CaptureFile, expected

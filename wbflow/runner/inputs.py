@@ -10,11 +10,11 @@ from ..cache.store import Receipt
 from ..pipeline.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
 from ..pipeline.site_types import SITE_TYPES
 from ..pipeline.stages import stage_named, stage_with
+from ..reference.resolve import Pinned
 from ..site.site import Site, SiteCamera
 from ..task import Subject, Task
 from .captures import CaptureFile, file_of_stage
 from .obstacles import Impossible, Waiting, because
-from .pinned import Pinned
 from .spec import Absent, Files, Input, Joined, Stored, Value
 from .state import Cause, State
 from .stated import side, stated, stated_of_site, subject_of

@@ -17,17 +17,17 @@ from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
 from ..pipeline.rows import Rework, Role, Stage
 from ..pipeline.stages import STAGES, ancestors, stage_named, stage_with
-from ..records.pinned import Reference
 from ..records.record import Health
+from ..records.reference_folder import Reference
+from ..reference.compatibility import misfit
+from ..reference.health_history import Past
+from ..reference.resolve import Pinned
 from ..site.site import Site
 from ..task import Task, component_name, names_of
 from .agenda import Agenda
 from .captures import CaptureFile
-from .fit import misfit
 from .inputs import Inputs
 from .obstacles import Impossible, Waiting
-from .past import Past
-from .pinned import Pinned
 from .spec import Absent, Input, PictureSpec, TaskSpec, ViewSpec
 from .state import State, cached_state
 from .subjects import Subjects

@@ -1,7 +1,7 @@
 """Pooling: what many nights have measured from the same poses becomes the reference's.
 
 Of cameras that is the surface they see; of pairs that the reference's own night had too little of, the points they share.  Such a
-pair's cameras stand where they stood then, or its own night counts alone (see `runner.pinned`).
+pair's cameras stand where they stood then, or its own night counts alone (see `reference.resolve`).
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.rows import FromStage, Role, Stage, Which
 from ..pipeline.stages import STAGES, stage_with
 from ..records.events import TaskEvent
-from ..records.pinned import PinnedArtifact, Reference, write_reference
+from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, RunFolder
+from ..runner.obstacles import Impossible, Waiting
+from ..runner.planner import Plan
+from ..runner.state import cached_state
+from ..runner.worker import run_lane
 from ..site.site import Site
 from ..task import Subject, Task, camera_of
-from .obstacles import Impossible, Waiting
-from .pin import CannotPin
-from .planner import Plan
-from .state import cached_state
-from .worker import run_lane
+from .create import CannotPin
 
 MOST_NIGHTS = 30
 """So many nights are pooled at most, the newest."""

@@ -9,12 +9,12 @@ from typing import Any
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, is_file
 from ..pipeline.rows import FromSite, Held, Rework, Role, SiteValue, Stage, Which
-from ..records.pinned import Reference
+from ..records.reference_folder import Reference
+from ..runner.captures import CaptureFile, file_of_stage
+from ..runner.spec import Files, Value, input_digests
+from ..runner.stated import stated, stated_of_site
 from ..site.site import Site
 from ..task import Task, camera_of
-from .captures import CaptureFile, file_of_stage
-from .spec import Files, Value, input_digests
-from .stated import stated, stated_of_site
 
 _COMPARED = {SiteValue.LENS, SiteValue.PLACEMENT, SiteValue.SURVEY}
 

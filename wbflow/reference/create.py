@@ -8,11 +8,11 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, WbflowError
 from ..pipeline.stages import STAGES
-from ..records.pinned import PinnedArtifact, Reference, mend_record, restore, write_reference
 from ..records.record import RunRecord
+from ..records.reference_folder import PinnedArtifact, Reference, mend_record, restore, write_reference
 from ..records.run_folder import NoSuchRun, RunFolder
-from .context import Night
-from .journal import Journal
+from ..runner.context import Night
+from ..runner.journal import Journal
 
 
 class CannotPin(WbflowError, ValueError):

@@ -14,14 +14,14 @@ from typing import Any
 from ..cache.store import Cache, Receipt
 from ..pipeline.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
 from ..pipeline.stages import STAGES, ancestors, stage_named, stage_with
-from ..records.pinned import Reference, put_back
 from ..records.record import Health
+from ..records.reference_folder import Reference, put_back
+from ..runner.obstacles import Impossible, Waiting, because
+from ..runner.spec import Absent, Input, Joined, Stored, Value
+from ..runner.state import Cause, State
+from ..runner.stated import subject_of
 from ..task import Subject, Task, camera_of
-from .obstacles import Impossible, Waiting, because
-from .past import Past
-from .spec import Absent, Input, Joined, Stored, Value
-from .state import Cause, State
-from .stated import subject_of
+from .health_history import Past
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""

@@ -20,7 +20,7 @@ from wbflow.cache import atomic, signed
 from wbflow.cache import store as cache
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
-from wbflow.records import pinned as reference
+from wbflow.records import reference_folder as reference
 from wbflow.site.load import load_site
 from wbflow.task import Task
 
@@ -254,7 +254,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
 def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_reference(
     toy: ToySite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from wbflow.runner.pool import pool
+    from wbflow.reference.aggregate import pool
 
     work, site = WorkFolder(toy.work), load_site(toy.file)
     for date in (SECOND, THIRD):
@@ -319,7 +319,7 @@ def test_a_run_without_a_cloud_cannot_be_pinned(toy: ToySite) -> None:
 
 
 def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wbflow.runner.pin import good_run, pin
+    from wbflow.reference.create import good_run, pin
 
     work = WorkFolder(toy.work)
     toy.night(SECOND)

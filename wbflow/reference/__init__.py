@@ -1,0 +1,1 @@
+"""The reference: which run later nights are compared with, and what they take from it."""
