@@ -34,7 +34,7 @@ from .runner.interrupt import terminate_as_interrupt
 from .runner.journal import Costs, Journal
 from .runner.options import Options
 from .site.load import load_site as read_site
-from .site.site import Site
+from .site.models import Site
 from .task import Task
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from wbflow.records.record import (
 )
 from wbflow.records.run_folder import UnfinishedRun
 from wbflow.report.page import build_report
-from wbflow.site.site import Site
+from wbflow.site.models import Site
 from wbflow.task import Task
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud

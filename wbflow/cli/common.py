@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import datetime
 
     from ..cache.layout import WorkFolder
-    from ..site.site import Site
+    from ..site.models import Site
 
     _Type = click.ParamType[datetime.date]
     _Moment = click.ParamType[datetime.datetime]
@@ -102,7 +102,7 @@ def load(path: Path, work: str | None, notes: bool = True, look: bool = True) ->
     look : bool
         Bring what others have done from the object store first.
     """
-    from ..site.places import SiteError
+    from ..site.locations import SiteError
 
     try:
         from ..site.load import load_site

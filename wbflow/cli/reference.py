@@ -13,7 +13,7 @@ from .words import say, stop
 
 if TYPE_CHECKING:
     from ..cache.layout import WorkFolder
-    from ..site.site import Site
+    from ..site.models import Site
 
 
 @click.command()

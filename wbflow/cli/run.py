@@ -32,7 +32,7 @@ from .words import findings, next_command, say, summary
 if TYPE_CHECKING:
     import datetime
 
-    from ..site.site import Site
+    from ..site.models import Site
 
 
 @click.command()

@@ -11,7 +11,7 @@ from ..cache.sizes import in_words
 from ..errors import WbflowError
 from ..records.ledger import Ledger
 from ..runner.journal import Journal
-from ..site.site import Site
+from ..site.models import Site
 from .artifacts import FinishedRun
 
 

@@ -20,7 +20,7 @@ from ..pipeline.site_types import SITE_TYPES
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.captures import CaptureFile, expected, pattern_of
 from ..runner.context import Night, open_night
-from ..site.site import Site, SiteCamera
+from ..site.models import Camera, Site
 from .artifacts import function
 
 Severity = Literal["error", "warning"]
@@ -72,7 +72,7 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
         what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
         found.append(Finding("error", what, "list the others under cameras:", ExitCode.FAILED))
     for camera in site.cameras:
-        place = site.document.problem(camera.place, "")
+        place = site.document.problem(camera.location, "")
         where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
         files = night.captures[camera.id]
         if not files:
@@ -89,7 +89,7 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
     return found
 
 
-def _remedy_of_missing(site: Site, camera: SiteCamera) -> str:
+def _remedy_of_missing(site: Site, camera: Camera) -> str:
     """What to do about a camera without captures: its name may be written otherwise than the files'."""
     there = pattern_of(site).cameras() - {other.id for other in site.cameras} if camera.images is None else set()
     close = difflib.get_close_matches(camera.id, there, 1)

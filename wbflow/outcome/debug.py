@@ -21,7 +21,7 @@ from ..runner.planner import Plan
 from ..runner.spec import Input, Stored, TaskSpec
 from ..runner.state import State
 from ..runner.worker import arguments_of
-from ..site.site import Site
+from ..site.models import Site
 from ..task import Task
 from .alone import INPUTS, TASK_FILE
 from .artifacts import function

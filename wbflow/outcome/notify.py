@@ -19,7 +19,7 @@ from ..cache.layout import RunPaths, WorkFolder
 from ..cache.signed import Damaged, read_signed, write_signed
 from ..errors import WbflowError
 from ..records.record import RunRecord, Verdict
-from ..site.site import Notify
+from ..site.models import Notify
 
 Occasion = Literal["degraded", "failed", "recovered", "heartbeat"]
 

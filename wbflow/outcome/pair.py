@@ -14,7 +14,7 @@ from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
 from ..pipeline.rows import Role
 from ..pipeline.stages import stage_with
 from ..site.load import load_site
-from ..site.site import Site
+from ..site.models import Site
 from .artifacts import FinishedRun, function
 
 PAIR = ("left", "right")

@@ -15,7 +15,7 @@ from ..pipeline.rows import Role
 from ..pipeline.stages import STAGES, stage_with
 from ..records.record import CameraRecord, RunRecord, Usual
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..site.site import Measure, Site
+from ..site.models import Measure, Site
 
 MOST_RUNS = 14
 """So many earlier runs are read at most.  What they say of the good nights before them stands in their own records."""

@@ -10,7 +10,7 @@ from ..runner.context import open_night
 from ..runner.journal import Costs, Journal
 from ..runner.loop import work
 from ..runner.options import Options
-from ..site.site import Site
+from ..site.models import Site
 from .afterwards import afterwards
 from .artifacts import FinishedRun
 from .publish import publish

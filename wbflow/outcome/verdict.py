@@ -18,7 +18,7 @@ from ..pipeline.stages import STAGES, stage_with
 from ..records.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
 from ..runner.planner import Plan
 from ..runner.state import Cause, State
-from ..site.site import Expected, Measure
+from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from .at_fault import at_fault
 from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of

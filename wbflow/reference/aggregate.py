@@ -25,7 +25,7 @@ from ..runner.obstacles import Impossible, Waiting
 from ..runner.planner import Plan
 from ..runner.state import cached_state
 from ..runner.worker import run_lane
-from ..site.site import Site
+from ..site.models import Site
 from ..task import Subject, Task, camera_of
 from .create import CannotPin
 

@@ -13,7 +13,7 @@ from ..records.reference_folder import Reference
 from ..runner.captures import CaptureFile, file_of_stage
 from ..runner.spec import Files, Value, input_digests
 from ..runner.stated import stated, stated_of_site
-from ..site.site import Site
+from ..site.models import Site
 from ..task import Task, camera_of
 
 _COMPARED = {SiteValue.LENS, SiteValue.PLACEMENT, SiteValue.SURVEY}

@@ -10,7 +10,7 @@ from ..outcome.past import figures_of
 from ..pipeline.stages import STAGES
 from ..records.record import Finding, RunRecord
 from ..runner.state import Cause
-from ..site.site import Measure
+from ..site.models import Measure
 from ..task import Task
 from .album import Album, Shown
 from .since import since_last_good

@@ -10,7 +10,7 @@ from ..outcome.past import figures_of
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import meaning
 from ..records.record import CameraRecord, RunRecord
-from ..site.site import Measure
+from ..site.models import Measure
 from .charts import Chart, Value, chart
 from .sources import Sources, state_of
 

@@ -17,7 +17,7 @@ from ..pipeline.stages import STAGES, stage_with
 from ..records.events import Event, WarningEvent
 from ..records.record import RunRecord
 from ..records.run_folder import RunFolder
-from ..site.site import Site
+from ..site.models import Site
 from .album import Album
 from .headline import findings, headline
 from .layers import layers

@@ -19,7 +19,7 @@ from ..pipeline.stages import stage_with
 from ..records.findings import Finding
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
-from ..site.site import Site
+from ..site.models import Site
 from ..task import Task
 from .sources import NIGHTS
 

@@ -15,7 +15,7 @@ from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..site.site import Site
+from ..site.models import Site
 from ..task import Task
 
 NIGHTS = 30

@@ -9,7 +9,7 @@ from ..cache.digests import Digests
 from ..cache.seen import Seen
 from ..records.events import ArrivalsEvent, Watcher
 from ..records.record import Health
-from ..site.site import Site
+from ..site.models import Site
 from .captures import CaptureFile, find_captures, find_named, look_again, night
 from .staleness import look_at
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..cache.digests import Digests
 from ..errors import UsageError, WbflowError, printable
-from ..site.site import Site, SiteCamera
+from ..site.models import Camera, Site
 from .names import Pattern
 
 
@@ -108,12 +108,12 @@ def find_captures(
     return found
 
 
-def captures_of(site: Site, camera: SiteCamera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
+def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
     """The files of one camera in a night.
 
     Parameters
     ----------
-    site, camera : Site, SiteCamera
+    site, camera : Site, Camera
         Whose.
     date : date
         The night.
@@ -125,7 +125,7 @@ def captures_of(site: Site, camera: SiteCamera, date: datetime.date, digests: Di
     return [_file(site, path, digests) for path in paths]
 
 
-def expected(site: Site, camera: SiteCamera, date: datetime.date) -> str:
+def expected(site: Site, camera: Camera, date: datetime.date) -> str:
     """What a camera's captures would be called tonight, for messages."""
     return ", ".join(camera.images) if camera.images else pattern_of(site).expected(camera.id, date)
 

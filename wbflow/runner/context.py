@@ -11,7 +11,7 @@ from ..cache.layout import WorkFolder
 from ..cache.seen import Seen
 from ..cache.store import Cache
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..site.site import Site
+from ..site.models import Site
 from .arrivals import Arrivals, arrivals
 from .captures import CaptureFile, expected
 from .planner import Plan

@@ -11,7 +11,7 @@ from ..pipeline.rows import FromPast, FromReference, FromSite, FromStage, Need, 
 from ..pipeline.site_types import SITE_TYPES
 from ..pipeline.stages import stage_named, stage_with
 from ..reference.resolve import Pinned
-from ..site.site import Site, SiteCamera
+from ..site.models import Camera, Site
 from ..task import Subject, Task
 from .captures import CaptureFile, file_of_stage
 from .obstacles import Impossible, Waiting, because
@@ -238,7 +238,7 @@ class Inputs:
             raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
         return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
 
-    def _captured(self, camera: SiteCamera) -> tuple[CaptureFile, ...]:
+    def _captured(self, camera: Camera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""
         files = self.captures[camera.camera]
         if not files:

@@ -14,7 +14,7 @@ from ..task import camera_of, component_name
 from .mounts import Mount
 
 if TYPE_CHECKING:
-    from ..site.site import Site
+    from ..site.models import Site
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from ..records.reference_folder import Reference
 from ..reference.compatibility import misfit
 from ..reference.health_history import Past
 from ..reference.resolve import Pinned
-from ..site.site import Site
+from ..site.models import Site
 from ..task import Task, component_name, names_of
 from .agenda import Agenda
 from .captures import CaptureFile

@@ -15,7 +15,7 @@ from ..cache.artifact import digest
 from ..cache.digests import Digests
 from ..cache.seen import Seen
 from ..records.record import Health
-from ..site.site import Site, SiteCamera
+from ..site.models import Camera, Site
 from .captures import CaptureFile, captures_of, pattern_of
 
 FAR_OFF_HOURS = 3.0
@@ -77,7 +77,7 @@ def look_at(
     return delivered
 
 
-def _earlier(site: Site, camera: SiteCamera, date: datetime.date, digests: Digests, seen: Seen) -> dict[str, str]:
+def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, seen: Seen) -> dict[str, str]:
     """Digests of what a camera delivered in earlier nights, with the night: as remembered, and as far as it lies there still."""
     if camera.images is not None:  # the site file names them: they are what is meant
         return {}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from ..pipeline.rows import FromReference, FromStage, SiteValue, Stage, Which
 from ..pipeline.site_types import SITE_TYPES
-from ..site.site import Site, SiteCamera, plain
+from ..site.models import Camera, Site, plain
 from ..task import Subject, Task
 from .spec import Joined, Value
 
 
-def stated(camera: SiteCamera, what: SiteValue) -> Value:
+def stated(camera: Camera, what: SiteValue) -> Value:
     """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
     if what is SiteValue.PRIVACY:
         return Value(SITE_TYPES[what], plain(camera.privacy))

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..pipeline.rows import FromStage, Role, Stage, Which
 from ..pipeline.stages import stage_named, stage_with
-from ..site.site import Site, SiteCamera
+from ..site.models import Camera, Site
 from ..task import Task, component_name
 from .state import State
 
@@ -90,7 +90,7 @@ class Subjects:
             return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
         return [Task(origin.name, (c,)) for c in self.among(need.which, camera)]
 
-    def camera(self, camera: str) -> SiteCamera:
+    def camera(self, camera: str) -> Camera:
         """What the site file says of a camera, or of one of its views."""
         return self.site.views[self._position[camera]]
 

@@ -14,8 +14,7 @@ from ..cache.untrusted import is_file, is_folder
 from .calibrated import Calibrated, CalibrationError, is_number, is_rotation, is_size, lens_fault, text_of
 from .camera_files import document_of, read_camera_file
 from .colmap import is_colmap, read_colmap
-from .places import SiteError
-from .positions import parse_yaml
+from .locations import SiteError, parse_yaml
 
 __all__ = ["Calibrated", "CalibrationError", "find_camera", "read_calibration"]
 

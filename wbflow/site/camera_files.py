@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .calibrated import Calibrated, CalibrationError, Matrix, is_number, is_rotation, is_size, lens_fault
-from .places import Document, Place, SiteError
-from .positions import parse_yaml
+from .locations import Document, Location, SiteError, parse_yaml
 
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx", "K", "k")
 _D = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "dist", "distortion", "D", "d")
@@ -51,7 +50,7 @@ REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP or wbflow wrote; see si
 class _Faulty(Exception):
     """A file that cannot be used."""
 
-    def __init__(self, what: str, place: Place = (), remedy: str = REMEDY) -> None:
+    def __init__(self, what: str, place: Location = (), remedy: str = REMEDY) -> None:
         super().__init__(what)
         self.what, self.place, self.remedy = what, place, remedy
 
@@ -213,14 +212,16 @@ def _kalibr_camera(name: str, entry: dict[str, Any]) -> Calibrated:
     return _checked(K, width, height, distortion, model, "distortion_coeffs", (name,))
 
 
-def _checked(K: Matrix, width: int, height: int, distortion: list[float], model: str, key: str, place: Place = ()) -> Calibrated:
+def _checked(
+    K: Matrix, width: int, height: int, distortion: list[float], model: str, key: str, place: Location = ()
+) -> Calibrated:
     what, remedy = lens_fault(model, distortion)
     if what:
         raise _Faulty(".".join([*map(str, place), f"{key}: {what}"]), (*place, key), remedy)
     return Calibrated(K, width, height, distortion, model=model)
 
 
-def _size(data: dict[str, Any], place: Place = ()) -> tuple[int, int]:
+def _size(data: dict[str, Any], place: Location = ()) -> tuple[int, int]:
     """Width and height of the pictures that it is for."""
     keys = _key(data, _WIDTH), _key(data, _HEIGHT)
     if keys[0] and keys[1]:
@@ -235,7 +236,7 @@ def _size(data: dict[str, Any], place: Place = ()) -> tuple[int, int]:
     return size[0], size[1]
 
 
-def _numbers(value: Any, key: str, place: Place = ()) -> list[float]:
+def _numbers(value: Any, key: str, place: Location = ()) -> list[float]:
     """All numbers of a matrix: nested lists, or OpenCV's and ROS's rows, cols and data."""
     if isinstance(value, dict):
         rows, columns = value.get("rows"), value.get("cols")

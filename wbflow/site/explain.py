@@ -12,7 +12,7 @@ from ..errors import printable
 from ..pipeline.choice import MOST_AT_A_CAMERA
 from .calibrated import COEFFICIENTS
 from .geodesy import PLACE_REMEDY, ControlPoint
-from .places import Document, Place, SiteProblem
+from .locations import Document, Location, SiteProblem
 from .schema import (
     CameraSection,
     CapturesSection,
@@ -56,26 +56,26 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
     """pydantic's findings in the words of a site file."""
     found = []
     for item in error.errors():
-        place: Place = tuple(item["loc"])
+        location: Location = tuple(item["loc"])
         kind, last = item["type"], str(item["loc"][-1]) if item["loc"] else ""
-        section = next((str(step) for step in reversed(place) if step in _REMEDIES), "")
+        section = next((str(step) for step in reversed(location) if step in _REMEDIES), "")
         remedy = _REMEDIES.get(section, "see sites/template.yaml")
         if kind == "extra_forbidden":
-            allowed = _fields_at(place[:-1])
+            allowed = _fields_at(location[:-1])
             close = difflib.get_close_matches(last, allowed, 1)
             remedy = f"did you mean {close[0]!r}?" if close else f"known here: {', '.join(allowed)}"
-            found.append(document.problem(place, f"unknown key {last!r}", remedy, key=True))
+            found.append(document.problem(location, f"unknown key {last!r}", remedy, key=True))
         elif kind == "missing":
-            found.append(document.problem(place[:-1], f"{last!r} is missing", remedy))
+            found.append(document.problem(location[:-1], f"{last!r} is missing", remedy))
         elif last == "pattern" and isinstance(item["input"], dict):
             what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
-            found.append(document.problem(place, what, "put it in quotes: pattern: '{camera}.jpg'"))
+            found.append(document.problem(location, what, "put it in quotes: pattern: '{camera}.jpg'"))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "lens", "pose", "place", "pattern", "notify", "keep"}:
+            if kind not in {"intrinsics", "lens", "pose", "location", "pattern", "notify", "keep"}:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
-            found.append(document.problem(place, what, remedy))
+            found.append(document.problem(location, what, remedy))
     return sorted(found, key=lambda p: (p.line, p.column))
 
 
@@ -108,7 +108,7 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection 
         return None
 
 
-def _fields_at(place: Place) -> list[str]:
+def _fields_at(location: Location) -> list[str]:
     model: Any = SiteSection
     sections = {
         "captures": CapturesSection,
@@ -122,6 +122,6 @@ def _fields_at(place: Place) -> list[str]:
         "notify": NotifySection,
         "zones": ZoneSection,
     }
-    for step in place:
+    for step in location:
         model = sections.get(str(step), model)
     return list(model.model_fields)

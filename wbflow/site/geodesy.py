@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from .places import Document, Place, SiteProblem
+from .locations import Document, Location, SiteProblem
 
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 GEODETIC = ("latitude", "longitude", "height")
@@ -77,7 +77,7 @@ class LocalFrame:
 
 
 def local_frame(
-    positions: Iterator[tuple[Place, Position]], document: Document, problems: list[SiteProblem]
+    positions: Iterator[tuple[Location, Position]], document: Document, problems: list[SiteProblem]
 ) -> LocalFrame | None:
     """The frame of all geodetic positions of a site; None where there are none.  Says where both kinds are mixed."""
     listed = list(positions)

@@ -19,15 +19,14 @@ from ..remote.objects import is_url
 from .cameras import beside, is_name, read_cameras
 from .explain import explained, similar, without_faults
 from .geodesy import Position, local_frame
-from .places import Document, Place, SiteError, SiteProblem
-from .positions import load_yaml
+from .locations import Document, Location, SiteError, SiteProblem, load_yaml
+from .models import Camera, Expected, Notify, Site, StageSettings
 from .schema import SiteSection
-from .site import Expected, Notify, Site, SiteCamera, StageSettings
 from .stages import read_stages
 from .survey import read_survey
 from .views import views_of
 
-__all__ = ["Site", "SiteCamera", "StageSettings", "load_site"]
+__all__ = ["Camera", "Site", "StageSettings", "load_site"]
 
 
 def load_site(path: Path, work: str | Path | None = None) -> Site:
@@ -54,7 +53,7 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
         if salvaged is None:
             raise SiteError(problems) from None
         model = salvaged
-    places: list[tuple[Place, Position]] = [
+    places: list[tuple[Location, Position]] = [
         (("cameras", i, "pose"), camera.pose) for i, camera in enumerate(model.cameras) if camera.pose
     ]
     places += [(("control_points", i), point) for i, point in enumerate(model.control_points)]
@@ -175,12 +174,12 @@ def _with_texts(document: Document) -> Any:
     return data
 
 
-def _expanded(data: Any, document: Document, problems: list[SiteProblem], place: Place = ()) -> Any:
+def _expanded(data: Any, document: Document, problems: list[SiteProblem], location: Location = ()) -> Any:
     """Replace ${VAR} and ${VAR:-default} in every string."""
     if isinstance(data, dict):
-        return {key: _expanded(value, document, problems, (*place, str(key))) for key, value in data.items()}
+        return {key: _expanded(value, document, problems, (*location, str(key))) for key, value in data.items()}
     if isinstance(data, list):
-        return [_expanded(value, document, problems, (*place, i)) for i, value in enumerate(data)]
+        return [_expanded(value, document, problems, (*location, i)) for i, value in enumerate(data)]
     if not isinstance(data, str) or "${" not in data:
         return data
 
@@ -189,7 +188,7 @@ def _expanded(data: Any, document: Document, problems: list[SiteProblem], place:
         found = os.environ.get(name) or default
         if found is None:
             remedy = f"set it, or write a default: ${{{name}:-/path}}"
-            problems.append(document.problem(place, f"the environment variable {name} is not set", remedy))
+            problems.append(document.problem(location, f"the environment variable {name} is not set", remedy))
             return ""
         return found
 

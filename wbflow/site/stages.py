@@ -15,8 +15,8 @@ from ..pipeline.rows import Stage
 from ..pipeline.stages import STAGES
 from .cameras import beside
 from .explain import similar
-from .places import Document, Place, SiteProblem
-from .site import StageSettings
+from .locations import Document, Location, SiteProblem
+from .models import StageSettings
 
 
 def read_stages(
@@ -39,22 +39,22 @@ def read_stages(
     notes: list[SiteProblem] = []
     known = {stage.name: stage for stage in STAGES}
     for name, section in sections.items():
-        place: Place = ("stages", name)
+        location: Location = ("stages", name)
         if name not in known:
             close = difflib.get_close_matches(name, known, 1)
             remedy = f"did you mean {close[0]!r}?" if close else f"stages are {', '.join(known)}"
-            problems.append(document.problem(place, f"unknown stage {name!r}", remedy, key=True))
+            problems.append(document.problem(location, f"unknown stage {name!r}", remedy, key=True))
         elif section is False:
             if not known[name].optional:
                 remedy = f"stages that can be: {', '.join(s.name for s in STAGES if s.optional) or 'none'}"
-                problems.append(document.problem(place, f"{name} cannot be switched off", remedy))
+                problems.append(document.problem(location, f"{name} cannot be switched off", remedy))
             found[name] = StageSettings(enabled=False)
         elif section is None or section is True or isinstance(section, dict):
             values = {str(key): value for key, value in section.items()} if isinstance(section, dict) else {}
             found[name] = _Section(known[name], document, reader, problems, notes).read(values)
         else:
             remedy = f"write {name}: {{parameter: value}}"
-            problems.append(document.problem(place, f"{section!r} is not a mapping of parameters", remedy))
+            problems.append(document.problem(location, f"{section!r} is not a mapping of parameters", remedy))
     return found, notes
 
 
@@ -99,14 +99,14 @@ class _Section:
         chosen = bound.method or bound.function
         required = {argument.name for argument in chosen.signature.arguments if argument.required}
         for name in [name for name, need in bound.needs.items() if is_file(need)]:
-            stated, place = values.pop(name, None), ("stages", self.stage.name, name)
+            stated, location = values.pop(name, None), ("stages", self.stage.name, name)
             if stated is None:
                 if name in required:
                     self._problem(self._chooser(bound), f"{chosen.dotted} needs a file: {name}", _FILE.format(name=name))
             elif not isinstance(stated, str):
                 self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
             else:
-                found[name] = beside(stated, place, self.document, self.problems)
+                found[name] = beside(stated, location, self.document, self.problems)
                 if not is_file_on_disk(found[name]):
                     remedy = similar(found[name]) or "check the path; it is relative to the site file"
                     self._problem(name, f"there is no file {printable(found[name])}", remedy)
@@ -137,9 +137,9 @@ class _Section:
             found[old] = row.now
             now = f"{row.now}: {row.values[value]}" if changed else row.now
             before = f"{old}: {value}" if changed else old
-            place: Place = ("stages", self.stage.name, old)
+            location: Location = ("stages", self.stage.name, old)
             what = f"{before!r} is written {now!r} now; the old way is still understood in this version"
-            self.notes.append(self.document.problem(place, what, f"write {now}", key=True))
+            self.notes.append(self.document.problem(location, what, f"write {now}", key=True))
         return found
 
     def _fed(self, bound: Binding) -> set[str]:
@@ -180,8 +180,8 @@ class _Section:
         self._problem(written, f"unknown parameter {key!r}", remedy, key=True)
 
     def _problem(self, name: str, what: str, remedy: str, *, key: bool = False) -> None:
-        place: Place = ("stages", self.stage.name, name) if name else ("stages", self.stage.name)
-        self.problems.append(self.document.problem(place, what, remedy, key))
+        location: Location = ("stages", self.stage.name, name) if name else ("stages", self.stage.name)
+        self.problems.append(self.document.problem(location, what, remedy, key))
 
 
 _USE = "write package.module:function; the module is installed, or lies beside the site file"

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from .geodesy import ControlPoint, LocalFrame
-from .places import Document, Place, SiteProblem
-from .site import StatedSurvey
+from .locations import Document, Location, SiteProblem
+from .models import Survey
 
 
 def read_survey(
@@ -17,7 +17,7 @@ def read_survey(
     frame: LocalFrame | None,
     document: Document,
     problems: list[SiteProblem],
-) -> StatedSurvey:
+) -> Survey:
     """Distances and control points; what is wrong with them is added to `problems`.
 
     Parameters
@@ -37,9 +37,9 @@ def read_survey(
     """
     number = {camera: k for k, camera in enumerate(cameras)}
 
-    def camera_at(place: Place, camera: Any) -> int:
+    def camera_at(location: Location, camera: Any) -> int:
         if not isinstance(camera, str) or camera not in number:
-            problems.append(document.problem(place, f"there is no camera {camera!r}", "use ids from 'cameras'"))
+            problems.append(document.problem(location, f"there is no camera {camera!r}", "use ids from 'cameras'"))
             return 0
         return number[camera]
 
@@ -61,4 +61,4 @@ def read_survey(
         for camera, (x, y) in point.pixels.items():
             observations.append([float(k), float(camera_at(("control_points", k, "pixels", camera), camera)), x, y])
     where = [frame.metres(*point.geodetic) if frame and point.geodetic else point.position or [0.0] * 3 for point in points]
-    return StatedSurvey(tuple(cameras), rows, where, observations, frame.crs if frame else "")
+    return Survey(tuple(cameras), rows, where, observations, frame.crs if frame else "")

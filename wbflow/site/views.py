@@ -7,13 +7,13 @@ import dataclasses
 from ..cache.plugins import load
 from ..pipeline.exports import VIEWS_OF_LENS
 from ..task import view_name
-from .site import Matrix, SiteCamera, StatedPlacement
+from .models import Camera, Matrix, Placement
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
 """Frames of these keep the K of their lens, however wide it is: the vision is not asked."""
 
 
-def views_of(camera: SiteCamera) -> tuple[SiteCamera, ...]:
+def views_of(camera: Camera) -> tuple[Camera, ...]:
     """The camera itself, or what is stated of each of its views.
 
     What they are follows from the stated lens alone, so that a camera has the same views in all nights.
@@ -38,7 +38,7 @@ def views_of(camera: SiteCamera) -> tuple[SiteCamera, ...]:
     )
 
 
-def _turned(placement: StatedPlacement, turn: Matrix) -> StatedPlacement:
+def _turned(placement: Placement, turn: Matrix) -> Placement:
     """Where a view is, of a camera that is there."""
     if placement.R is None:
         return placement

@@ -17,8 +17,8 @@ from wbflow.outcome.metrics import metrics
 from wbflow.outcome.notify import MOST_WORDS, NotTold, notify, summary
 from wbflow.records.record import Health, RunRecord
 from wbflow.site.load import load_site
-from wbflow.site.places import SiteError
-from wbflow.site.site import Notify
+from wbflow.site.locations import SiteError
+from wbflow.site.models import Notify
 
 LISTENER = """\
 import json, os, sys

@@ -23,7 +23,7 @@ from wbflow.records.record import (
     WorldRecord,
 )
 from wbflow.runner.state import Cause, State
-from wbflow.site.site import Expected
+from wbflow.site.models import Expected
 from wbflow.task import Task
 
 NAMES = ("crane", "gate", "mast", "roof")

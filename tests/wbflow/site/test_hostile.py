@@ -28,7 +28,7 @@ SAID = {
     "an integer that is none": "site.yaml:4:13: not valid YAML: x cannot be read",
     "a date that is none": "site.yaml:4:13: not valid YAML: 2026-99-99 cannot be read",
     "400 digits": "site.yaml:4:13: not valid YAML: 9999",
-    "bytes that are no text": "site.yaml:1:7: cannot be read: is not UTF-8 text",
+    "bytes that are no text": "site.yaml:1:7: is not UTF-8 text",
     "cameras: 5": ": cameras: input should be a valid list, not 5",
     "site: ..": ": site: '..' is not a name",
     "pairs of one name": ": cameras[1]: the pairs 'a', 'b--c' and 'a--b', 'c' would both be called a--b--c",

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from wbflow.site.load import Site, load_site
-from wbflow.site.places import SiteError
+from wbflow.site.locations import SiteError
 
 GOOD = """\
 site: yard
@@ -293,7 +293,7 @@ def test_a_calibration_that_cannot_be_used_says_why(tmp_path: Path, entries: obj
 
 def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
     from wbflow.site import schema as module
-    from wbflow.site.positions import load_yaml
+    from wbflow.site.locations import load_yaml
 
     template = Path(__file__).parents[3] / "sites" / "template.yaml"
     text = template.read_text()

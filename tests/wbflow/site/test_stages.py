@@ -10,7 +10,7 @@ import pytest
 from wbflow.pipeline import stages as pipeline
 from wbflow.pipeline.rows import Renamed
 from wbflow.site.load import Site, load_site
-from wbflow.site.places import SiteError
+from wbflow.site.locations import SiteError
 
 SITE = """\
 site: yard

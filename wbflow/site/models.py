@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..cache.keep import Keep
 from ..cache.layout import WorkFolder
 from ..task import camera_of
-from .places import Document, Place, SiteProblem
+from .locations import Document, Location, SiteProblem
 
 if TYPE_CHECKING:
     from ..cache.functions import FunctionReader
@@ -21,7 +21,7 @@ Matrix = list[list[float]]
 
 
 @dataclass(frozen=True)
-class StatedLens:
+class Lens:
     """Intrinsics of a camera as the site states them."""
 
     K: Matrix | None = None
@@ -44,7 +44,7 @@ class StatedLens:
 
 
 @dataclass(frozen=True)
-class StatedPrivacy:
+class Privacy:
     """Polygons of a capture that nobody may see."""
 
     corners: Matrix = field(default_factory=list)
@@ -54,7 +54,7 @@ class StatedPrivacy:
 
 
 @dataclass(frozen=True)
-class StatedPlacement:
+class Placement:
     """Where a camera is said to be: x ~ K R (X - C)."""
 
     R: Matrix | None = None
@@ -70,7 +70,7 @@ class StatedPlacement:
 
 
 @dataclass(frozen=True)
-class StatedSurvey:
+class Survey:
     """What is known of the ground besides the cameras.  Cameras count by their position in the site file."""
 
     cameras: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ class StatedSurvey:
     """Coordinate system of the world; "" where it is local."""
 
 
-def plain(stated: StatedLens | StatedPrivacy | StatedPlacement | StatedSurvey) -> dict[str, Any]:
+def plain(stated: Lens | Privacy | Placement | Survey) -> dict[str, Any]:
     """The fields that say something, by name."""
     nothing = type(stated)()
     values = {f.name: getattr(stated, f.name) for f in dataclasses.fields(stated)}
@@ -92,18 +92,18 @@ def plain(stated: StatedLens | StatedPrivacy | StatedPlacement | StatedSurvey) -
 
 
 @dataclass(frozen=True)
-class SiteCamera:
+class Camera:
     """One camera of a site."""
 
     id: str
-    lens: StatedLens
-    placement: StatedPlacement
+    lens: Lens
+    placement: Placement
     mask: Path | None = None
-    privacy: StatedPrivacy = field(default_factory=StatedPrivacy)
+    privacy: Privacy = field(default_factory=Privacy)
     """What nobody may see of its picture."""
     images: tuple[str, ...] | None = None
     """File names below the captures' root, where the site file lists them."""
-    place: Place = ()
+    location: Location = ()
     """Where it stands in the site file."""
 
     @property
@@ -188,8 +188,8 @@ class Site:
     document: Document
     root: Path
     pattern: str
-    cameras: tuple[SiteCamera, ...]
-    views: tuple[SiteCamera, ...]
+    cameras: tuple[Camera, ...]
+    views: tuple[Camera, ...]
     """What the stages work on: the cameras, but each that is too wide for one pinhole as several views."""
     resolution: int | None
     bounds: list[list[float]] | None
@@ -198,7 +198,7 @@ class Site:
     stages: dict[str, StageSettings]
     work: Path
     reader: FunctionReader
-    survey: StatedSurvey = field(default_factory=StatedSurvey)
+    survey: Survey = field(default_factory=Survey)
     expected: Expected = Expected()
     notify: Notify | None = None
     keep: Keep = field(default_factory=Keep)

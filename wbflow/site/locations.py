@@ -1,0 +1,249 @@
+"""YAML read with the line and column of everything in it, and what is wrong at a location of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from yaml.constructor import ConstructorError
+from yaml.events import CollectionEndEvent, CollectionStartEvent
+
+from ..cache.untrusted import MOST_TEXT_BYTES, Unreadable, read_outside
+from ..errors import LONGEST, ExitCode, WbflowError, printable
+
+try:
+    from yaml import CSafeLoader as _Loader
+except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
+    from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+
+Location = tuple[str | int, ...]
+"""Where a value is: keys and list positions from the top."""
+
+_DEEPEST = 40
+"""Levels of values within values; a site file has eight."""
+_MOST_VALUES = 500_000
+"""Values that aliases may make of a file; a site of a thousand cameras has 30,000."""
+_INLINE = re.compile(r"[-?:] +(?=[-?])")
+"""Where block collections are nested on one line."""
+_LARGEST = 10**15
+"""Of whole numbers."""
+
+
+@dataclass(frozen=True)
+class SiteProblem:
+    """One thing that is wrong with an input file."""
+
+    file: Path
+    line: int
+    """From 1; 0 where the problem has no line."""
+    column: int
+    where: str
+    """The location as text: `cameras[3].intrinsics`."""
+    what: str
+    remedy: str = ""
+
+    @property
+    def mark(self) -> str:
+        """File, line and column."""
+        return f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
+
+    def __str__(self) -> str:
+        head = f"{self.mark}: {self.where}: {self.what}" if self.where else f"{self.mark}: {self.what}"
+        return printable(f"{head}\n  {self.remedy}" if self.remedy else head, 4 * LONGEST)
+
+
+class SiteError(WbflowError, ValueError):
+    """The site file, or a file that it names, cannot be used.  `problems` holds everything found, not just the first."""
+
+    exit_code = ExitCode.USAGE
+
+    def __init__(self, problems: list[SiteProblem]) -> None:
+        super().__init__("\n".join(map(str, problems)))
+        self.problems = problems
+
+
+@dataclass(frozen=True)
+class Document:
+    """A YAML file, and where everything stands in it."""
+
+    path: Path
+    data: Any
+    """The YAML as Python."""
+    marks: dict[Location, tuple[int, int]] = field(default_factory=dict)
+    """(line, column) of each value."""
+    key_marks: dict[Location, tuple[int, int]] = field(default_factory=dict)
+    """Of each key."""
+    texts: dict[Location, str] = field(default_factory=dict)
+    """Scalars as written."""
+
+    def problem(self, location: Location, what: str, remedy: str = "", key: bool = False) -> SiteProblem:
+        """A problem at a location; where the file has no such location, at the nearest one around it.
+
+        Parameters
+        ----------
+        location : Location
+            Keys and indices that lead there.
+        what : str
+            What is wrong.
+        remedy : str
+            What to do.
+        key : bool
+            Point at the key instead of its value.
+        """
+        marks = self.key_marks if key else self.marks
+        at = location
+        while at and at not in marks:
+            at = at[:-1]
+        line, column = marks.get(at, (1, 1))
+        return SiteProblem(self.path, line, column, _spelled(location), what, remedy)
+
+
+def _spelled(location: Location) -> str:
+    """A location as text: `cameras[3].intrinsics`."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).removeprefix(".")
+
+
+def read_text(path: Path) -> str:
+    """The text of a file from outside.
+
+    Raises
+    ------
+    SiteError
+        It cannot be read, or is not UTF-8.
+    """
+    try:
+        return read_outside(path, MOST_TEXT_BYTES).decode("utf-8-sig")
+    except Unreadable as error:
+        raise SiteError([SiteProblem(path, 0, 0, "", error.what, "give the path of a site file")]) from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        column = error.start - error.object.rfind(b"\n", 0, error.start)
+        raise SiteError([SiteProblem(path, line, column, "", "is not UTF-8 text", "save the file as UTF-8")]) from None
+
+
+def load_yaml(path: Path) -> Document:
+    """Read a YAML file.
+
+    Raises
+    ------
+    SiteError
+        It cannot be read, is not YAML, holds a key twice, uses tags beyond plain data, or would exhaust the machine.
+    """
+    return parse_yaml(read_text(path), path)
+
+
+def parse_yaml(text: str, path: Path) -> Document:
+    """Read the text of a YAML file.  Raises SiteError, as `load_yaml` does."""
+    loader = None
+    try:
+        _refuse_depth(text)
+        loader = _Careful(text)
+        node = loader.get_single_node()
+        if "&" in text and "*" in text:
+            _refuse_bomb(node)
+        data = loader.construct_document(node) if node is not None else None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        what = f"not valid YAML: {printable(error.problem)}"
+        raise SiteError([SiteProblem(path, line, column, "", what, _remedy_at(text, line))]) from None
+    except yaml.YAMLError as error:
+        raise SiteError([SiteProblem(path, 1, 1, "", f"not valid YAML: {printable(error)}", "save it as plain text")]) from None
+    finally:
+        if loader:
+            loader.dispose()
+    document = Document(path, data)
+    problems: list[SiteProblem] = []
+    if node is not None:
+        _mark(node, (), document, problems)
+    if problems:
+        raise SiteError(problems)
+    return document
+
+
+def _remedy_at(text: str, line: int) -> str:
+    """What to do about text that is not YAML, judged by the most frequent mistakes."""
+    lines = text.splitlines()
+    near = lines[max(0, line - 2) : line]
+    if any("\t" in each[: len(each) - len(each.lstrip())] for each in near):
+        return "indent with spaces: YAML allows no tabs there"
+    if any(re.search(r"[:\[,-]\s+\{(camera|date|time)\b", each) for each in near):
+        return "put what has {camera} or {date} in it in quotes: pattern: '{camera}.jpg'"
+    return "check indentation, colons and quotes around this place"
+
+
+class _Careful(_Loader):
+    """Reports the location of values that are malformed (`!!int x`, `2026-99-99`) or too large to compute with."""
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        try:
+            value = super().construct_object(node, deep=deep)
+        except (ValueError, OverflowError, TypeError, KeyError, IndexError, AttributeError) as error:
+            what = f"{_shown(node)} cannot be read: {printable(error, 80)}"
+            raise ConstructorError(None, None, what, node.start_mark) from None
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            raise ConstructorError(None, None, f"{_shown(node)} is too large a number", node.start_mark)
+        return value
+
+
+def _shown(node: Any) -> str:
+    return printable(node.value if isinstance(node, yaml.ScalarNode) else "this", 40)
+
+
+def _refuse_depth(text: str) -> None:
+    """Refuse deep nesting by the events alone: constructing it is recursive, and would overflow.  Raises MarkedYAMLError."""
+    if text.count("[") + text.count("{") + len(_INLINE.findall(text)) < _DEEPEST and " " * _DEEPEST not in text:
+        return
+    loader: Any = _Loader(text)
+    try:
+        depth = 0
+        while (event := loader.get_event()) is not None:
+            depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+            if depth > _DEEPEST:
+                raise ConstructorError(None, None, f"values within values, {_DEEPEST} deep", event.start_mark)
+    finally:
+        loader.dispose()
+
+
+def _refuse_bomb(node: Any) -> None:
+    """An alias stands for all that its anchor holds: a few lines can mean more values than any machine has.  Raises YAMLError."""
+    sizes: dict[int, int] = {}
+
+    def size(part: Any) -> int:
+        if isinstance(part, yaml.ScalarNode):
+            return 1
+        if id(part) in sizes:
+            if sizes[id(part)] < 0:
+                raise ConstructorError(None, None, "an alias that stands for what it is in", part.start_mark)
+            return sizes[id(part)]
+        sizes[id(part)] = -1
+        inner = [n for entry in part.value for n in (entry if isinstance(entry, tuple) else (entry,))]
+        sizes[id(part)] = total = 1 + sum(map(size, inner))
+        if total > _MOST_VALUES:
+            raise ConstructorError(None, None, f"aliases that stand for more than {_MOST_VALUES:,} values", part.start_mark)
+        return total
+
+    if node is not None:
+        size(node)
+
+
+def _mark(node: Any, location: Location, document: Document, problems: list[SiteProblem]) -> None:
+    """Enter where a value and all in it stands; keys that stand twice are added to `problems`."""
+    document.marks[location] = (node.start_mark.line + 1, node.start_mark.column + 1)
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            inner = (*location, str(key.value))
+            mark = (key.start_mark.line + 1, key.start_mark.column + 1)
+            if inner in document.key_marks:
+                what = f"{key.value!r} stands here and on line {document.key_marks[inner][0]}"
+                problems.append(SiteProblem(document.path, *mark, _spelled(inner), what, "keep one of them"))
+            document.key_marks[inner] = mark
+            _mark(value, inner, document, problems)
+    elif isinstance(node, yaml.SequenceNode):
+        for position, item in enumerate(node.value):
+            _mark(item, (*location, position), document, problems)
+    else:
+        document.texts[location] = node.value
