@@ -30,9 +30,8 @@ from pairs_with_truth import on_one_thread
 from rectified_pairs import SWEEP, TruePair, dense_errors, row_errors, true_pairs
 
 from wbflow_stages.disparity import MATCHERS, match_dense
-from wbflow_stages.rectification.calibrated import fusiello
-from wbflow_stages.rectification.congruent import net_edges
 from wbflow_stages.rectification.placement import place
+from wbflow_stages.rectification.planar import fusiello, net_edges
 from wbflow_stages.rectification.warping import to_rectified
 from wbflow_stages.rectify import rectify
 from wbflow_stages.types import Camera, Disparity, Float64s, Rectification, Rejected

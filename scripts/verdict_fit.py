@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
+from wbflow_stages.twoview.ambiguity import Rival
 from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
-from wbflow_stages.twoview.rivals import Rival
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry
 
 BEFORE = (0.54, 8.9, 4.8, 0.53, 2.7, 0.0, -0.84, 0.0)

@@ -3,7 +3,7 @@
 Three kinds of evidence are put together (`change.evidence`): distances between the clouds along their normals, with what each can
 tell (M3C2); free space, as the cameras of either night saw through the places of the other's points; and the photographs, as the
 cameras are fixed: what looks the same is the same.  Points that speak for a change and hang together become blobs with place,
-size and volume (`change.blobs`).
+size and volume (`change.clusters`).
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .change.blobs import Blob, Over, find_blobs, over_ground, paired
-from .change.epoch import Epoch
-from .change.evidence import Evidence, gather, judged, noise_of, seen_by
-from .core.bending import straight_frames
+from .change.clusters import Blob, Over, find_blobs, over_ground, paired
+from .change.evidence import Epoch, Evidence, gather, judged, noise_of, seen_by
 from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, preferred_above, quantile_by_cell
+from .core.residual_distortion import straight_frames
 from .types import (
     NEW,
     SAME,

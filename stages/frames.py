@@ -17,14 +17,12 @@ import numpy as np
 from .capture.background import merge
 from .capture.clock import running_clock
 from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
-from .capture.looks import looks, weigh
-from .capture.noise import NOISY, denoised, remaining_noise
+from .capture.image_statistics import looks, weigh
 from .capture.privacy import around, blanked, private_area
-from .capture.signal import Signal, put_right, signal_of
+from .capture.signal import NOISY, Signal, denoised, put_right, remaining_noise, signal_of
 from .capture.straight import Straight, working_size
 from .capture.video import is_video, pictures
-from .io.exif import focal_in_long_sides, taken_at
-from .io.header import picture_size
+from .io.image_headers import focal_in_long_sides, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
 
 __all__ = ["clean_frame", "working_size"]

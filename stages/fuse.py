@@ -1,6 +1,6 @@
 """Depths of all views become one coloured point cloud.
 
-Three passes over the views, few of them in memory at a time: each subsampled (`fusion.subsampled`), from which follow what can be
+Three passes over the views, few of them in memory at a time: each subsampled (`fusion.planning`), from which follow what can be
 compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.visibility`); points that
 survive, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the pixel's footprint and the depth's
 propagated error, so a desk and a quarry are treated alike.
@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from .core.bending import straight_frames
 from .core.cameras import backproject
-from .core.side_by_side import side_by_side
-from .fusion.certainty import along_nearest_rays, depth_variance
-from .fusion.company import company
-from .fusion.exposure import exposure_gains
+from .core.parallel import parallel_map
+from .core.residual_distortion import straight_frames
 from .fusion.pair_depth import world_normals
-from .fusion.subsampled import natural_voxel, nearest_views, subsample
+from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
+from .fusion.surface_support import company
+from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
@@ -97,7 +96,7 @@ def fuse(
         with loading:
             return loaded(name)
 
-    small = dict(zip(cameras, side_by_side(lambda name: subsample(frames[name], depth_of(name)), cameras), strict=True))
+    small = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], depth_of(name)), cameras), strict=True))
     if not any(np.isfinite(view.depth).any() for view in small.values()):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
     near = {name: nearest_views(name, cameras, small, check_views) for name in cameras}
@@ -124,7 +123,7 @@ def fuse(
 def _collected(grid: VoxelGrid, names: Sequence[str], standing: Callable[[str, VoxelGrid], Samples]) -> dict[str, int]:
     """Merge in what stands of each view, in order, which sums depend on; returns how many points each has given."""
     given = {}
-    views = side_by_side(lambda name: standing(name, grid), names)
+    views = parallel_map(lambda name: standing(name, grid), names)
     for name in names:
         samples = next(views)
         given[name] = len(samples.points)

@@ -12,6 +12,7 @@ from .matching.candidates import searched_view_pairs
 from .matching.structural import match_guided
 from .reasons import Reason, Rejected
 from .twoview.epipolar import symmetric_epipolar_distance
+from .twoview.image_grid import GRID_COLUMNS, GRID_ROWS
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE, TwoCameras, refine_with_plausible_intrinsics
 from .twoview.pair_score import (
     PairEvidence,
@@ -22,7 +23,6 @@ from .twoview.pair_score import (
     ray_angle_deg,
     tells_the_site,
 )
-from .twoview.places import GRID_COLUMNS, GRID_ROWS
 from .twoview.pooled_pair import matches_of_night, pooled_evidence, with_night
 from .twoview.refinement import noise_px, refine_two_view
 from .twoview.robust import (

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from .core.luminance import grey_levels
-from .twoview.elsewhere import compare_widely
+from .twoview.global_search import compare_widely
 from .twoview.registration import Found, Turn, corners, find_again, fit_turn
 from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
 

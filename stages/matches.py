@@ -10,10 +10,10 @@ from .types import Features, Frame, Matches
 
 MATCHERS = {
     "structural": "wbflow_stages.matching.structural:match_structural",
-    "dominant": "wbflow_stages.matching.procrustes:match_dominant",
-    "literal": "wbflow_stages.matching.procrustes:match_literal",
-    "mutual": "wbflow_stages.matching.mutual:match_mutual",
-    "kdtree": "wbflow_stages.matching.kdtree:match_kdtree",
+    "dominant": "wbflow_stages.matching.hao2011:match_dominant",
+    "literal": "wbflow_stages.matching.hao2011:match_literal",
+    "mutual": "wbflow_stages.matching.nearest_neighbour:match_mutual",
+    "kdtree": "wbflow_stages.matching.nearest_neighbour:match_kdtree",
     "onnx": "wbflow_stages.matching.learned:match_onnx",
 }
 """Sparse matchers (see `SparseMatcher`) by name."""

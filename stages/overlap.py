@@ -8,7 +8,7 @@ photographed sites: .98 and .91 against .91 and .89).  What counts is not how ma
 how many of those resemblances are mutual and distinctive.  What is large in a picture of a long lens is small in one of a short
 lens: of two such views the largest are taken of those keypoints that both may have, by the angle that they take up, and of the
 wider view as many more as it sees more.  Of many views only those are compared that look most alike as wholes
-(`matching.likeness`).
+(`matching.appearance`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from itertools import combinations
 import numpy as np
 
 from .core.cameras import camera_id, field_ratio
-from .matching.likeness import most_alike
+from .matching.appearance import most_alike
 from .twoview.shared_ground import shared_ground
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
 

@@ -2,8 +2,9 @@
 
 Solved: rotations of all pairs are compared and contradictions dropped; what is left is grown into models view by view, with
 bundle adjustment; each model is put into the world by whatever is known of it.  A known pose is evidence with a standard
-deviation: it stays, or is adjusted within that.  Only where several partners agree on another pose (`sfm.overruled`) it is wrong:
-named, with how far it seems off, and solved like an unknown one.  What one pair says against it leaves it in use, unverified.
+deviation: it stays, or is adjusted within that.  Only where several partners agree on another pose (`sfm.moved_cameras`) it is
+wrong: named, with how far it seems off, and solved like an unknown one.  What one pair says against it leaves it in use,
+unverified.
 """
 
 from __future__ import annotations
@@ -18,9 +19,8 @@ from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
-from .sfm.adjusted import Adjusted
 from .sfm.baseline import without_baseline
-from .sfm.overruled import NewPose, overruled
+from .sfm.moved_cameras import NewPose, overruled
 from .sfm.pose_check import (
     PAIR_PX,
     TURNED_DEG,
@@ -32,8 +32,8 @@ from .sfm.pose_check import (
     epipolar_error_px,
     turned_deg,
 )
+from .sfm.pose_prior_adjustment import Adjusted, adjust_within
 from .sfm.rigs import beside
-from .sfm.within import adjust_within
 from .types import Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
@@ -150,7 +150,7 @@ def _believed(
     """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
     adjusted = adjust_within(known, sigmas, geometries)
     if frames and _uncertain(adjusted, geometries):
-        from .sfm.by_ground import adjust_by_ground  # here: other nights don't wait for its kernels
+        from .sfm.ground_adjustment import adjust_by_ground  # here: other nights don't wait for its kernels
 
         grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
         adjusted = adjust_by_ground(grey, known, sigmas, geometries) or adjusted

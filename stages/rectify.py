@@ -12,10 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from .core.bending import bend_of, straight_points
 from .core.cameras import rays
 from .core.methods import bind
-from .core.order_statistics import median, percentiles
+from .core.ordering import median, percentiles
+from .core.residual_distortion import bend_of, straight_points
 from .mvs.ground import ground_homography, inverse_depth_line
 from .reasons import Reason, Rejected
 from .rectification.fitting import Placed, finished, placed
@@ -23,17 +23,17 @@ from .rectification.method import MatchedPair
 from .rectification.predicted import ground_in_both, predict
 from .rectification.quality import parallax_px
 from .rectification.warping import to_rectified
-from .stereo.witness import ask_witness
+from .stereo.row_verification import ask_witness
 from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
 from .twoview.pair_score import hardly_converging
 from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfPair, PairCheck, Rectification, Scene
 
 METHODS = {
-    "congruent": "wbflow_stages.rectification.congruent:congruent",
-    "literal": "wbflow_stages.rectification.congruent:literal",
-    "hartley": "wbflow_stages.rectification.hartley:hartley",
-    "calibrated": "wbflow_stages.rectification.calibrated:calibrated",
+    "congruent": "wbflow_stages.rectification.planar:congruent",
+    "literal": "wbflow_stages.rectification.planar:literal",
+    "hartley": "wbflow_stages.rectification.planar:hartley",
+    "calibrated": "wbflow_stages.rectification.planar:calibrated",
     "polar": "wbflow_stages.rectification.polar:polar",
 }
 """Methods of rectification (see `Rectifier`) by name."""

@@ -4,7 +4,7 @@ Starting from the depth that pairs gave, planes are improved by what several pho
 matches that no single pair could keep are found, holes are filled from their rims, and depth follows the view that shows a
 surface best.
 In the end planes vote on each other, as those of a pair do: what is cheapest of many trials by chance is outvoted.  Even
-surfaces are laid on planes of many pixels (`mvs.flats`).
+surfaces are laid on planes of many pixels (`mvs.plane_prior`).
 
 References
 ----------
@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .core.bending import straight_frame, straight_frames
 from .core.cameras import backproject, project, ray_angles, transfer
 from .core.luminance import luminance
+from .core.residual_distortion import straight_frame, straight_frames
 from .fusion.pair_depth import NoiseModel
-from .mvs.coarser import filled, reduced, reduced_view
-from .mvs.flats import Flats, lay_on_flats
 from .mvs.ground import ground_planes
+from .mvs.multi_scale_fill import filled, reduced, reduced_view
+from .mvs.plane_prior import Flats, lay_on_flats
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .core.bending import straight_frames
 from .core.luminance import grey_levels
+from .core.residual_distortion import straight_frames
 from .mvs.ground import find_ground
 from .types import Camera, Frame, Scene
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..io.header import picture_size
-from ..io.jpeg import SCAN, jpeg_segments
+from ..io.image_headers import SCAN, jpeg_segments, picture_size
 from ..types import Capture, Lens, Uint8s
 
 MOST_PIXELS = 200_000_000

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.counting import by_cell
 from ..core.jit import kernel
+from ..core.ordering import by_cell
 from ..types import Float32s, Float64s, Int64s
 
 _MOST_CELLS = 40_000_000

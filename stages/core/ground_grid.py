@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..types import Camera, Float64s, GroundGrid, Int64s
-from .counting import by_cell
 from .jit import kernel
+from .ordering import by_cell
 
 _MARGIN = 0.1
 """How far a grid reaches beyond the middle 98 % of its points, as a share of their extent."""

@@ -1,11 +1,11 @@
-"""Levels of pictures: grey ones of coloured ones, rounded as detectors take them or not, and another exposure."""
+"""Grey levels of images: rounded as detectors take them or not, another exposure, and how noisy they are."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from ..types import Float32s, Float64s, Uint8s
+from ..types import Bools, Float32s, Float64s, Uint8s
 
 
 def grey_levels(image: Uint8s) -> Uint8s:
@@ -22,3 +22,27 @@ def with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
     """(h, w, 3) uint8 of an image, its channels times (3,) gains."""
     table = np.clip(np.arange(256)[:, None] * gains[None, :] + 0.5, 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)
+
+
+_BLOCK = 16
+_QUIETEST_PERCENT = 10
+
+
+def noise_level(image: Float32s, valid: Bools) -> float:
+    """Standard deviation of the pixel noise, in grey levels, of a grey image (h, w), from its quietest blocks.
+
+    The mask is blind to anything that changes linearly.  References: Immerkaer, CVIU 1996.
+    """
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+    response = np.abs(cv2.filter2D(image, -1, mask))
+    rows, columns = image.shape[0] // _BLOCK, image.shape[1] // _BLOCK
+
+    def blocks(a: Float32s) -> Float32s:
+        whole = a[: rows * _BLOCK, : columns * _BLOCK]
+        return np.asarray(whole.reshape(rows, _BLOCK, columns, _BLOCK).mean(axis=(1, 3)), dtype=np.float32)
+
+    whole = blocks(valid.astype(np.float32)) > 0.999
+    if not whole.any():
+        return 0.0
+    mean = blocks(np.asarray(response, dtype=np.float32))[whole]
+    return float(np.sqrt(np.pi / 2) / 6 * np.percentile(mean, _QUIETEST_PERCENT))

@@ -1,11 +1,8 @@
 """Methods: where a stage can be done in several ways, a table names the functions that do it, and anybody's function may join.
 
-A table is a dictionary of names to `package.module:function`, so that it can be read without importing anything.  A stage
-function takes the name of the method, or a dotted function that stands in no table, and hands all parameters that are not its own
-to it.
-
-A method asks for its inputs *by argument name*, among those that the stage has; its parameters are keyword-only with defaults.
-A parameter that the method does not have is an error, in which the methods that have it are named.
+A table maps names to `package.module:function`, so that it can be read without importing anything.  A stage function takes the
+name of a method, or a dotted function that is in no table, and passes on all parameters that are not its own.  A method takes its
+inputs *by argument name*, among those that the stage has; its parameters are keyword-only with defaults.
 """
 
 from __future__ import annotations
@@ -16,69 +13,49 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-Table = Mapping[str, str]
-"""Names of methods and the functions behind them, "package.module:function"."""
 
+def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
+    """Return the function behind a name of the table, or behind `package.module:function`.
 
-def method(table: Table, name: str) -> Callable[..., Any]:
-    """The function behind a name of the table, or behind `package.module:function`.
-
-    Raises
-    ------
-    ValueError
-        The name is not in the table, or the dotted name leads nowhere; the names that are known are listed.
+    Raises ValueError, with the names that exist, for a name that leads nowhere.
     """
-    if name not in table and ":" not in name:
-        raise ValueError(
-            f"there is no method {name!r}: choose {', '.join(table)}, or a function of your own as package.module:function"
-        )
     module, _, function = table.get(name, name).partition(":")
     try:
-        found = getattr(importlib.import_module(module), function, None)
+        found = getattr(importlib.import_module(module), function, None) if function else None
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-            raise  # the module is there, and lacks something itself
+            raise  # the module exists, and lacks something itself
         found = None
     if not callable(found):
-        raise ValueError(
-            f"method {name!r}: there is no function {function!r} in a module {module!r}; known are {', '.join(table)}"
-        )
+        choices = ", ".join(table)
+        raise ValueError(f"there is no method {name!r}: choose {choices}, or a function of your own as package.module:function")
     return found  # type: ignore[no-any-return]
 
 
-def bind(table: Table, name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
-    """A method with those of the inputs that it asks for, and its parameters: ready to be called.
+def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
+    """Return a method with its inputs and parameters bound, ready to be called.
 
     Parameters
     ----------
     table : the methods that have a name.
     name : one of them, or `package.module:function`.
-    inputs : by argument name; None: not at hand.
+    inputs : by argument name; None: not available.
     options : the parameters of the method.
 
     Raises
     ------
     ValueError
-        The name is unknown, or the method asks for an input that is not at hand.
+        The name is unknown, or the method needs an input that is not available.
     TypeError
-        The method does not read one of the parameters.
+        The method has no such parameter.
     """
     function = method(table, name)
-    wanted = inspect.signature(function).parameters
-    asked = [p for p in wanted if p in inputs]
-    for p in asked:
-        if inputs[p] is None and wanted[p].default is inspect.Parameter.empty:
-            raise ValueError(f"method {name!r} needs {p}: give {p}=")
-    if not any(p.kind is inspect.Parameter.VAR_KEYWORD for p in wanted.values()):
-        for option in options:
-            if option not in wanted or option in inputs:
-                raise TypeError(_unread(table, name, option, [p for p in wanted if p not in inputs]))
-    return partial(function, **{p: inputs[p] for p in asked}, **options)
-
-
-def _unread(table: Table, name: str, option: str, own: list[str]) -> str:
-    """What is wrong with a parameter that a method does not have."""
-    readers = [other for other in table if other != name and option in inspect.signature(method(table, other)).parameters]
-    where = f"{option!r} is read by {', '.join(readers)} only" if readers else f"no method reads {option!r}"
-    has = f"{name!r} reads {', '.join(own)}" if own else f"{name!r} has no parameters of its own"
-    return f"method {name!r} does not read {option!r}: {where}; {has}"
+    arguments = inspect.signature(function).parameters
+    for argument, value in inputs.items():
+        if value is None and argument in arguments and arguments[argument].default is inspect.Parameter.empty:
+            raise ValueError(f"method {name!r} needs {argument}: give {argument}=")
+    own = [argument for argument in arguments if argument not in inputs]
+    takes_any = any(argument.kind is inspect.Parameter.VAR_KEYWORD for argument in arguments.values())
+    if not takes_any and (unknown := [option for option in options if option not in own]):
+        raise TypeError(f"method {name!r} does not read {unknown[0]!r}; its parameters: {', '.join(own) or 'none'}")
+    return partial(function, **{argument: inputs[argument] for argument in arguments if argument in inputs}, **options)

@@ -30,7 +30,7 @@ class Similarity:
 def similarity_between(source: Float64s, target: Float64s, *, with_scale: bool = True) -> Similarity:
     """The least-squares similarity from (n, 3) points to their counterparts.
 
-    Raises ValueError for fewer than three points, or points on a line.
+    Raises ValueError for fewer than three points, and for points that coincide or lie on a line.
 
     References
     ----------
@@ -41,8 +41,9 @@ def similarity_between(source: Float64s, target: Float64s, *, with_scale: bool =
     a, b = source - weight @ source, target - weight @ target
     M = b.T @ a / count
     spread = np.linalg.svd(M, compute_uv=False)
-    found = with_rotation(nearest_rotation(M), source, target, weight, None if with_scale else 1.0) if len(source) >= 3 else None
-    if found is None or spread[1] < 1e-9 * spread[0]:
+    open_turn = len(source) < 3 or spread[1] <= 1e-9 * spread[0]  # points that coincide have no spread at all
+    found = None if open_turn else with_rotation(nearest_rotation(M), source, target, weight, None if with_scale else 1.0)
+    if found is None:
         raise ValueError("an alignment needs three points that are not on a line")
     return found
 

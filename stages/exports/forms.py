@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..io.rasters import pfm, png, stepped
 from ..types import Camera, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def heights(cloud: Cloud, poses: Poses) -> Files:
 
 def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
     """depth/<camera>.png and .pfm of every camera of the main component that has a depth map; depth/depth.json."""
-    from .depthmaps import depth_files
+    from .forms import depth_files
 
     told = {}
     for name, camera in _main_cameras(poses).items():
@@ -149,3 +150,14 @@ def _unit(poses: Poses) -> str:
 
 def _json(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
+
+
+def depth_files(depth: DepthMap) -> tuple[dict[str, bytes], float]:
+    """Files of the depths that are sure, by suffix, and the steps of the PNG in a unit of length.
+
+    PNG: 0 is unknown, else depth = (value - 1) / steps.  PFM: float32, bottom row first, infinite where unknown.
+    """
+    # a depth that needs another view to be believed is no answer when this view is looked at alone
+    sure = np.where(depth.sure, depth.depth, np.nan).astype(np.float32)
+    values, steps = stepped(sure, 0.0)
+    return {".png": png(values), ".pfm": pfm(sure)}, steps

@@ -11,7 +11,22 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from ..types import Camera, Cloud, DepthMap, Disparity, Float32s, Float64s, Frame, Geometry, Matches, Rectification, Uint8s
+from ..types import (
+    Camera,
+    Cloud,
+    DepthMap,
+    Disparity,
+    Features,
+    Float32s,
+    Float64s,
+    Frame,
+    Geometry,
+    Int64s,
+    Matches,
+    Rectification,
+    Uint8s,
+    View,
+)
 
 WIDTH = 480
 QUALITY = 80
@@ -258,3 +273,28 @@ def _extent(points: Float64s, centres: Float64s) -> tuple[Float64s, Float64s]:
     shown = [np.percentile(points, [1, 99], axis=0)] if len(points) else []
     corners = np.vstack([*shown, centres]) if len(centres) or shown else np.zeros((1, 2))
     return corners.min(axis=0), corners.max(axis=0)
+
+
+MOST = 3000
+"""Keypoints of a picture that are shown: more hide it."""
+MOST_OF_A_PAIR = 400
+
+
+def keypoint_marks(features: Features) -> bytes:
+    """Evenly chosen ones of a camera's keypoints."""
+    return _places(features.xy[_some(len(features.xy), MOST)], features.view)
+
+
+def inlier_marks(geometry: Geometry) -> bytes:
+    """Evenly chosen inliers of a pair: their places in the left picture, then as many in the right one."""
+    some = _some(len(geometry.x1), MOST_OF_A_PAIR)
+    return _places(geometry.x1[some], geometry.view1) + _places(geometry.x2[some], geometry.view2)
+
+
+def _some(count: int, most: int) -> Int64s:
+    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
+
+
+def _places(xy: Float64s, view: View) -> bytes:
+    shares = (xy + 0.5) / (view.width, view.height)  # pixel centres are whole numbers
+    return bytes(np.rint(shares.clip(0, 1) * 65535).astype("<u2").tobytes())

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..core.jit import kernel
-from ..core.side_by_side import side_by_side
+from ..core.parallel import parallel_map
 from ..types import Bools, Float32s, Float64s, Int32s
 
 Int64s = npt.NDArray[np.int64]
@@ -34,7 +34,7 @@ _COLUMNS, _BEST = 17, 14
 """Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, standard deviation
 by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras, accompanied."""
 _IN_COMMON = 0.25
-"""Correlation of the errors of a voxel's samples: views share pairs, pixels their patches (fitted as in `fusion.certainty`)."""
+"""Correlation of the errors of a voxel's samples: views share pairs, pixels their patches (fitted as in `fusion.uncertainty`)."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class VoxelGrid:
         position, as of samples whose errors correlate by `_IN_COMMON`; confidence and cameras are the best sample's.
         """
         kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 16] > 0))
-        yield from side_by_side(lambda piece: self._means(kept[piece]), _pieces(len(kept)))
+        yield from parallel_map(lambda piece: self._means(kept[piece]), _pieces(len(kept)))
 
     def _means(self, rows: Int64s) -> Samples:
         keys, sums = self._keys[rows], self._sums[rows]
@@ -231,7 +231,7 @@ def sociable(keys: Int64s, neighbours: int) -> Bools:
         own = keys[members] & ((1 << 60) - 1)
         finer = [_coarser(keys[bounds[fine] : bounds[fine + 1]], level - fine) for fine in range(level)]
         present = _distinct(np.concatenate([own, *finer])) if sum(map(len, finer)) else own
-        counts = side_by_side(partial(_counts, own, present, neighbours + 1), _pieces(len(own)))
+        counts = parallel_map(partial(_counts, own, present, neighbours + 1), _pieces(len(own)))
         kept[members] = np.concatenate(list(counts)) > neighbours
     return kept
 

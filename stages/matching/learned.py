@@ -12,6 +12,11 @@ of the pair and two keypoint numbers, or one number for each left keypoint, belo
 
 from __future__ import annotations
 
+import functools
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +25,6 @@ import numpy as np
 
 from ..core.luminance import grey_levels
 from ..types import Capture, Float32s, Float64s, Frame, Matches, Uint8s
-from .onnx_model import ModelInterface, read_interface
-from .trial import why_unreadable
 
 _TWO_INPUTS, _TWO_OUTPUTS = ("image0", "image1"), ("kpts0", "kpts1", "matches0", "mscores0")
 _ONE_INPUT, _ONE_OUTPUTS = ("images",), ("keypoints", "matches", "mscores")
@@ -170,3 +173,100 @@ def _usable(x: Float64s, frame: Frame) -> Any:
     inside = (column >= 0) & (row >= 0) & (column < frame.view.width) & (row < frame.view.height)
     inside[inside] = frame.mask[row[inside], column[inside]]
     return inside
+
+
+_VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
+"""Wire types."""
+
+
+@dataclass(frozen=True)
+class ModelInterface:
+    """What a model takes and gives."""
+
+    inputs: dict[str, tuple[int, ...]]
+    """Sizes by name, 0 where any will do."""
+    outputs: tuple[str, ...]
+
+
+def read_interface(model: bytes) -> ModelInterface:
+    """The interface of an ONNX model.  Raises ValueError for bytes that are none."""
+    try:
+        (graph,) = _parts(memoryview(model), 7)
+        weights = {_text(tensor, 8) for tensor in _parts(graph, 5)}  # which old models list among their inputs
+        inputs = {_text(value, 1): _sizes(value) for value in _parts(graph, 11)}
+        outputs = tuple(_text(value, 1) for value in _parts(graph, 12))
+    except (IndexError, ValueError):  # UnicodeDecodeError is one
+        raise ValueError("is no ONNX model") from None
+    return ModelInterface({name: sizes for name, sizes in inputs.items() if name not in weights}, outputs)
+
+
+def _sizes(value: memoryview) -> tuple[int, ...]:
+    """The sizes of an input, which need not be stated."""
+    for kind in _parts(value, 2):
+        for tensor in _parts(kind, 1):
+            for shape in _parts(tensor, 2):
+                return tuple(next((n for f, n in _fields(dim) if f == 1 and isinstance(n, int)), 0) for dim in _parts(shape, 1))
+    return ()
+
+
+def _text(message: memoryview, field: int) -> str:
+    return next((bytes(part).decode() for part in _parts(message, field)), "")
+
+
+def _parts(message: memoryview, field: int) -> list[memoryview]:
+    """The texts, bytes or messages of a field."""
+    return [value for number, value in _fields(message) if number == field and isinstance(value, memoryview)]
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """Number and value of each field.  Raises IndexError or ValueError where the message is cut or none."""
+    at = 0
+    while at < len(message):
+        tag, at = _varint(message, at)
+        if tag & 7 == _VARINT:
+            value, at = _varint(message, at)
+            yield tag >> 3, value
+            continue
+        length = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4}.get(tag & 7, 0)
+        if tag & 7 == _BYTES:
+            length, at = _varint(message, at)
+        elif not length:
+            raise ValueError("no such wire type")
+        if at + length > len(message):
+            raise IndexError
+        yield tag >> 3, message[at : at + length]
+        at += length
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, and where it ends."""
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise ValueError("no number")
+
+
+_READ = """
+import sys, cv2, numpy
+try:
+    cv2.dnn.readNetFromONNX(numpy.frombuffer(sys.stdin.buffer.read(), numpy.uint8))
+except cv2.error:
+    pass
+"""
+_LONGEST_S = 120.0
+
+
+@functools.lru_cache(maxsize=2)
+def why_unreadable(model: bytes) -> str:
+    """Why this process had better not read a model; "" where it may."""
+    try:
+        tried = subprocess.run([sys.executable, "-c", _READ], input=model, capture_output=True, timeout=_LONGEST_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"OpenCV has not read it within {_LONGEST_S:.0f} s"
+    if tried.returncode >= 0:
+        return ""
+    return f"OpenCV ends with {signal.Signals(-tried.returncode).name} while it reads it"

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.cameras import rays, relative_pose, scaled_intrinsics
 from ..core.jit import helper, kernel
-from ..core.side_by_side import side_by_side
+from ..core.parallel import parallel_map
 from ..types import Camera, Float32s, Float64s
 
 _HEIGHTS = 200
@@ -69,7 +69,7 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
         return None
     found: list[tuple[float, Float64s]] = []
     for up in _ups([camera for _, camera in views]):
-        found += side_by_side(lambda plane: settled_on(views, plane), _level(views, pairs, up))
+        found += parallel_map(lambda plane: settled_on(views, plane), _level(views, pairs, up))
     if not found:
         return None
     share, ground = max(found, key=lambda each: each[0])
@@ -144,7 +144,7 @@ def _level(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], u
     longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
     below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
     ways = _ways(views, pairs, up)
-    shares = np.array(list(side_by_side(lambda height: _share_alike(ways, np.append(up, height - lowest)), below)))
+    shares = np.array(list(parallel_map(lambda height: _share_alike(ways, np.append(up, height - lowest)), below)))
     planes: list[Float64s] = []
     for k in np.argsort(-shares, kind="stable"):
         apart = all(abs(below[k] / (plane[3] + lowest) - 1) > _SAME_HEIGHT for plane in planes)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Int32s, Uint32s
 from .kernels import BLOCK, NOISE, UNSEEN, Scalar, judge, propagate
-from .polish import polish
+from .photometric_refinement import polish
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,8 @@ class Propagation:
         return cost
 
     def polish(self, planes: Float32s, radius: int, spacing: int, steps: int) -> None:
-        """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best (`mvs.polish`).
+        """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best
+        (`mvs.photometric_refinement`).
 
         Parameters
         ----------

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.nearest_points import nearest_points
-from ..core.order_statistics import median, percentiles
+from ..core.ordering import median, percentiles
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import triangulate_depth
 from ..twoview.intrinsics_prior import freedoms
 from ..types import Float64s, Geometry, Rectification
-from .hartley import hartley
 from .method import Homographies, MatchedPair, PolarImages
 from .placement import frame_grid, place
+from .planar import hartley
 from .polar import polar
 from .quality import line_uncertainty, order_agreement
 from .warping import Side, from_rectified, rectified_size, resampling, to_rectified

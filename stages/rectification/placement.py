@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..core.jit import kernel
-from ..core.order_statistics import median
+from ..core.ordering import median
 from ..types import Float64s
 
 MARGIN_SHARE, MARGIN_OF_WIDTH = 0.35, 0.05

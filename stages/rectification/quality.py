@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ..core.jit import kernel
-from ..core.order_statistics import median, percentiles
+from ..core.ordering import median, percentiles
 from ..twoview.epipolar import apply_homography
 from ..twoview.refinement import tangent
 from ..types import Float64s, Int64s

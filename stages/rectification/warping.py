@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..core.bending import bent_pixels
 from ..core.jit import kernel
+from ..core.residual_distortion import bent_pixels
 from ..twoview.epipolar import apply_homography
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from ..core.bending import without_distortion
 from ..core.cameras import camera_id
 from ..core.lenses import lens_rays
+from ..core.residual_distortion import without_distortion
 from ..types import Camera, Float64s, Survey, View
 from .alignment import Landmark
 from .tracks import Tracks

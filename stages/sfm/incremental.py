@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import poselib
 
-from ..core.bending import without_distortion
 from ..core.cameras import backproject, project, ray_angles
+from ..core.residual_distortion import without_distortion
 from ..twoview.epipolar import triangulate_depth
 from ..types import Bools, Camera, Float64s, Geometry
 from .bundle import adjust

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.bending import without_distortion
+from ..core.residual_distortion import without_distortion
 from ..types import Camera, Float64s, Int64s, LensSigma
 from .incremental import Model
 

@@ -1,8 +1,9 @@
 """Does a scene look the same from other sides, or along a row?  Then wrong pairs may close all loops.
 
-A pair's rival (`twoview.rivals`) tells, by the angle between its rotation and the accepted one.  What looks the same from another
-side gives one that is turned by a part of a full turn; what repeats along a row gives the same rotation with another step.  One
-pair may have such a rival by chance, and few pairs of a scene that does repeat see what tells; the site's pairs together decide.
+A pair's rival (`twoview.ambiguity`) tells, by the angle between its rotation and the accepted one.  What looks the same from
+another side gives one that is turned by a part of a full turn; what repeats along a row gives the same rotation with another
+step.  One pair may have such a rival by chance, and few pairs of a scene that does repeat see what tells; the site's pairs
+together decide.
 
 Three pairs that are each as distinct as right ones and yet contradict each other by a part of a full turn tell the same at once.
 """
@@ -16,8 +17,8 @@ from math import isfinite, log
 
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason
+from ..twoview.ambiguity import MUCH_TURNED, SAME_ROTATION_DEG, TURNED_DEG
 from ..twoview.pair_score import DISTINCT_CELLS
-from ..twoview.rivals import MUCH_TURNED, SAME_ROTATION_DEG, TURNED_DEG
 from ..types import Geometry, Pair
 
 PARTS_DEG = (180.0, 120.0, 90.0, 60.0)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.bending import without_distortion
 from ..core.jit import kernel
+from ..core.residual_distortion import without_distortion
 from ..types import Bools, Camera, Float64s, Geometry, Int32s, Int64s
 
 Edge = tuple[int, int]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.jit import helper, kernel
-from ..core.sorting import sorting_network
+from ..core.ordering import sorting_network
 from ..types import Float32s
 
 _LIKENESS = 8.0

@@ -1,12 +1,18 @@
-"""OpenCV's semi-global matching, three directions, on both views (Hirschmueller, PAMI 2008; OpenCV's StereoSGBM)."""
+"""OpenCV's semi-global matching, three directions, on both views (Hirschmueller, PAMI 2008; OpenCV's StereoSGBM).
+
+A wide range is searched in blocks, each with a range of its own that a match at half the size gives: semi-global matching takes
+time for every pixel at every disparity, while most parts of an image show few of the scene's depths.  The price: things less than
+8 pixels wide, or of less than some 400 pixels, are missed where their disparity is not one of their surroundings."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from ..core.jit import kernel
 from ..types import Bools, Float32s, Uint8s
-from .blocks import BELOW_PX, CONTEXT_PX, blocks
 from .consistency import disagreement, without_speckles
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 
@@ -110,3 +116,122 @@ def _shifted(image: Uint8s, by: int, width: int) -> Uint8s:
     """`image` with its column 0 at column `by` of a canvas of `width`; the ends repeat the border."""
     columns = np.clip(np.arange(width) - by, 0, image.shape[1] - 1)
     return np.ascontiguousarray(image[:, columns])
+
+
+_Piece = tuple[int, int, int, int, int, int, float]
+"""Cells from top to bottom and left to right that might become a block, its low and high, and its cost; 0 if nothing is there."""
+
+CELL_PX = 16
+"""Blocks are made of whole cells, and reach one cell farther than what was seen."""
+
+CONTEXT_PX, BELOW_PX = 16, 3
+"""What a block is matched with beyond its sides and its top, and below: semi-global paths come from there, none from below."""
+
+_LEAST_CELLS = 3
+"""No block is cut off that is narrower or lower than this, in cells."""
+
+_MARGIN_PX = 8
+"""What was seen at half the size may be wrong by this much."""
+
+_LEAST_RANGE = 96
+"""Disparities that a block searches at least: among few of them, both views agree by chance."""
+
+_PIXEL_COST, _BLOCK_COST = 35, 2e5
+"""What a pixel and what a block cost besides their disparities, in units of a pixel at one disparity (1.1 ns; OpenCV 5.0)."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Pixels of the image from top to bottom and left to right without the ends, which may lie beyond the image's own; its
+    context is not counted.  low, high: whole disparities, the range to search, both ends included."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+    low: int
+    high: int
+
+
+def blocks(seen: Float32s, low: int, high: int) -> list[Block]:
+    """Blocks of an image from what was `seen` at half its size: (h, w) disparity in pixels of that size, nan where unknown.
+
+    Nothing is searched outside the range from `low` to `high`, nor far from what was seen.  A block is cut in two where the
+    parts cost less, contexts included.
+    """
+    least, most = _ranges(seen)
+    least = np.maximum(np.floor(2 * least - _MARGIN_PX), np.float32(low))
+    most = np.minimum(np.ceil(2 * most + _MARGIN_PX), np.float32(high))
+    near = cv2.dilate((least <= most).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    whole = _piece(least, most, near, 0, near.shape[0], 0, near.shape[1])
+    found = _cheapest(least, most, near, whole)
+    return [
+        Block(CELL_PX * top, CELL_PX * bottom, CELL_PX * left, CELL_PX * right, max(least_d, low), min(most_d, high))
+        for top, bottom, left, right, least_d, most_d, _ in found
+    ]
+
+
+def _ranges(seen: Float32s) -> tuple[Float32s, Float32s]:
+    """Least and largest disparity of each cell; inf and -inf where it has none."""
+    size = CELL_PX // 2
+    whole = np.pad(seen, ((0, -seen.shape[0] % size), (0, -seen.shape[1] % size)), constant_values=np.nan)
+    rows, columns = whole.shape[0] // size, whole.shape[1] // size
+    cells = whole.reshape(rows, size, columns, size).transpose(0, 2, 1, 3).reshape(rows, columns, size * size)
+    unknown = np.isnan(cells)
+    least = np.where(unknown, np.float32(np.inf), cells).min(axis=2)
+    return least, np.where(unknown, np.float32(-np.inf), cells).max(axis=2)
+
+
+def _cheapest(least: Float32s, most: Float32s, near: Bools, piece: _Piece) -> list[_Piece]:
+    """The piece, or what becomes of its parts where that costs less.
+
+    least, most: (rows, columns) ranges of the cells, empty where nothing was seen; near: where anything is to be searched.
+    """
+    if piece[-1] == 0:
+        return []
+    parts = _parted(least, most, near, *piece[:4])
+    if parts[0][-1] == np.inf:
+        return [piece]
+    found = [smaller for part in parts for smaller in _cheapest(least, most, near, part)]
+    return found if sum(smaller[-1] for smaller in found) < piece[-1] else [piece]
+
+
+@kernel
+def _piece(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int) -> _Piece:
+    """What is to be searched among some cells, as tight as can be."""
+    first, last, start, stop = bottom, top, right, left
+    for y in range(top, bottom):
+        for x in range(left, right):
+            if near[y, x]:
+                first, last = min(first, y), max(last, y + 1)
+                start, stop = min(start, x), max(stop, x + 1)
+    if first >= last:
+        return top, top, left, left, 0, 0, 0.0
+    low, high = np.inf, -np.inf
+    for y in range(max(first - 1, 0), min(last + 1, near.shape[0])):
+        for x in range(max(start - 1, 0), min(stop + 1, near.shape[1])):
+            if least[y, x] <= most[y, x]:
+                low, high = min(low, least[y, x]), max(high, most[y, x])
+    height = (last - first) * CELL_PX + CONTEXT_PX + BELOW_PX
+    width = (stop - start) * CELL_PX + 2 * CONTEXT_PX
+    spare = max(_LEAST_RANGE - (high - low + 1), 0.0)
+    low, high = low - np.floor(spare / 2), high + np.ceil(spare / 2)
+    return first, last, start, stop, int(low), int(high), height * width * (_PIXEL_COST + high - low + 1) + _BLOCK_COST
+
+
+@kernel
+def _parted(least: Float32s, most: Float32s, near: Bools, top: int, bottom: int, left: int, right: int) -> tuple[_Piece, _Piece]:
+    """The two parts, one below the other or side by side, that cost least; inf where the cells are too few to be parted."""
+    best = np.inf
+    parts = (top, top, left, left, 0, 0, np.inf), (top, top, left, left, 0, 0, np.inf)
+    for y in range(top + _LEAST_CELLS, bottom - _LEAST_CELLS + 1):
+        upper = _piece(least, most, near, top, y, left, right)
+        lower = _piece(least, most, near, y, bottom, left, right)
+        if upper[-1] + lower[-1] < best:
+            best, parts = upper[-1] + lower[-1], (upper, lower)
+    for x in range(left + _LEAST_CELLS, right - _LEAST_CELLS + 1):
+        before = _piece(least, most, near, top, bottom, left, x)
+        after = _piece(least, most, near, top, bottom, x, right)
+        if before[-1] + after[-1] < best:
+            best, parts = before[-1] + after[-1], (before, after)
+    return parts

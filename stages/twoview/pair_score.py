@@ -21,9 +21,9 @@ from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
 from ..matching.neighbours import nearest_elsewhere
 from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches, View
+from .ambiguity import Rival, find_rival
 from .epipolar import homogeneous, symmetric_epipolar_distance
-from .places import places
-from .rivals import Rival, find_rival
+from .image_grid import places
 from .robust import TwoView, estimate_essential
 
 DISTINCT_FROM_RIVALS, DISTINCT_FROM_LOOKALIKES = 0.85, 0.95

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Uint8s
-from .places import GRID_COLUMNS, GRID_ROWS, places
+from .image_grid import GRID_COLUMNS, GRID_ROWS, places
 
 REACH_PX = 40
 """Patches are searched so far from their old places."""

@@ -85,7 +85,7 @@ class Rectification:
     """What weakens the result without making it useless."""
     verified: str = "sparse"
     """Who says that the rows are right: "sparse" (matches of keypoints) or "dense" (the cameras, and dense matches; see
-    `stereo.row_test`)."""
+    `stereo.row_verification`)."""
     row_share: float = float("nan")
     """Of rows that dense matches verified: share of the common area whose pixels find their partners on them..."""
     row_chance: float = float("nan")
@@ -95,8 +95,8 @@ class Rectification:
     ground: GroundOfPair | None = None
     """Where the ground lies in both frames, if that is known."""
     bend1: Float64s | None = None
-    """(6,) fx fy cx cy k1 k2 of what a lens still bends in frame 1 (`core.bending`), whose pixels count as straightened; None
-    where nothing is bent."""
+    """(6,) fx fy cx cy k1 k2 of what a lens still bends in frame 1 (`core.residual_distortion`), whose pixels count as
+    straightened; None where nothing is bent."""
     bend2: Float64s | None = None
     """(6,), as `bend1`."""
 

@@ -84,7 +84,7 @@ class Geometry:
     stretch: float = 0.0
     """Median log ratio of the axes of the local affine maps."""
     rival_inliers: int = 0
-    """How many matches agree with the best other hypothesis (see `twoview.rivals`)..."""
+    """How many matches agree with the best other hypothesis (see `twoview.ambiguity`)..."""
     rival_elsewhere: int = 0
     """...and how many of those off the epipolar lines, or with another step along a row..."""
     rival_turned_deg: float = float("nan")

@@ -82,7 +82,8 @@ class Poses:
     """Lenses (by id of the camera) that were solved, though the images don't tell them well enough."""
     strained: Mapping[str, float] = field(default_factory=dict)
     """Cameras (by id) that all matches would place otherwise than those that a third camera confirms, and that are solved from
-    the latter alone: what these would lose, in squared standard deviations for each degree of freedom (`sfm.confirmed`)."""
+    the latter alone: what these would lose, in squared standard deviations for each degree of freedom
+    (`sfm.triplet_consistency`)."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()

@@ -9,8 +9,8 @@ import numpy as np
 
 from tests.helpers.synthetic_site import small_yard
 from wbflow_stages.core.cameras import backproject, project
-from wbflow_stages.rectification.hartley import hartley
 from wbflow_stages.rectification.method import Homographies, MatchedPair
+from wbflow_stages.rectification.planar import hartley
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair
 from wbflow_stages.types import Features, Frame, Matches, View
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from tests.helpers.exact_scene import Yard, make_yard, true_depth
-from wbflow_stages.core.side_by_side import THREADS
+from wbflow_stages.core.parallel import THREADS
 from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
-from wbflow_stages.fusion.subsampled import natural_voxel, subsample
+from wbflow_stages.fusion.planning import natural_voxel, subsample
 from wbflow_stages.fusion.visibility import cross_check
 from wbflow_stages.types import INVALID, Cloud, DepthMap, Float32s, Frame, Rejected
 

@@ -10,8 +10,8 @@ import pytest
 
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from tests.helpers.two_views import geometry_of
-from wbflow_stages.core.bending import bent_pixels, without_distortion
 from wbflow_stages.core.cameras import project
+from wbflow_stages.core.residual_distortion import bent_pixels, without_distortion
 from wbflow_stages.rectification.warping import from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
 from wbflow_stages.stereo.rectified import rectified_pair

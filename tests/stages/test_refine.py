@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.exact_scene import Yard, make_yard, true_depth
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.fuse import fuse
-from wbflow_stages.mvs.coarser import reduced
+from wbflow_stages.mvs.multi_scale_fill import reduced
 from wbflow_stages.refine import refine
 from wbflow_stages.types import INVALID, Camera, Cloud, DepthMap, Frame, Rejected
 

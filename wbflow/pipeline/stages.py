@@ -125,7 +125,7 @@ STAGES: tuple[Stage, ...] = (
         function="wbflow_stages.features:detect",
         needs={"frame": FromStage("frames")},
         reports=Reports({"keypoints": "xy_count"}, notes="notes", sums=("keypoints",)),
-        marks="wbflow_stages.exports.marks:keypoint_marks",
+        marks="wbflow_stages.exports.previews:keypoint_marks",
         renamed={
             "keypoints": Renamed("max_keypoints"),
             "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
@@ -176,7 +176,7 @@ STAGES: tuple[Stage, ...] = (
         offers=_FRAMES_TOO,
         role=Role.GEOMETRY,
         picture=Picture("wbflow_stages.exports.previews:matches_preview", _FRAMES),
-        marks="wbflow_stages.exports.marks:inlier_marks",
+        marks="wbflow_stages.exports.previews:inlier_marks",
         reports=Reports(_OF_GEOMETRY, rejected={"inliers": "inliers"}),
         held=Held(Rework("wbflow_stages.held:turn_geometry", {"pinned": FromReference("geometry"), **_HEALTHS}), moved="anew"),
     ),

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from wbflow_stages.capture.background import merge
-from wbflow_stages.capture.looks import POOR, weigh
+from wbflow_stages.capture.image_statistics import POOR, weigh
 from wbflow_stages.types import Uint8s
 
 WIDTH, HEIGHT = 320, 180

@@ -136,7 +136,7 @@ def test_no_kernel_uses_anything_of_another_file_of_the_stages() -> None:
 def test_a_kernel_that_calls_one_of_another_file_is_found() -> None:
     source = (
         "from ..core.jit import kernel\nfrom ..types import Float64s\nfrom .other import LIMIT, inner, plain\n"
-        "import wbflow_stages.core.sorting as sorting\n"
+        "import wbflow_stages.core.ordering as sorting\n"
         "@kernel\ndef outer(x: Float64s) -> float:\n    y: Float64s = x\n    return inner(y) + LIMIT + sorting.network(3)\n"
         "def free(x):\n    return plain(x)\n"
     )

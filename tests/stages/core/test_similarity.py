@@ -37,6 +37,14 @@ def test_a_line_leaves_a_turn_open() -> None:
         similarity_between(line[:2], line[:2])
 
 
+@pytest.mark.parametrize("with_scale", [True, False])
+def test_points_that_coincide_cannot_be_aligned(with_scale: bool) -> None:
+    points = np.random.default_rng(2).normal(size=(4, 3))
+    for source, target in ((np.ones((4, 3)), points), (points, np.ones((4, 3))), (np.zeros((4, 3)), np.zeros((4, 3)))):
+        with pytest.raises(ValueError, match="three points"):
+            similarity_between(source, target, with_scale=with_scale)
+
+
 def test_a_moved_camera_sees_moved_points_where_it_saw_them() -> None:
     moved = some(3, 2.5)
     camera = Camera(np.array([[500.0, 0, 320], [0, 500, 180], [0, 0, 1]]), np.eye(3), np.array([0.1, 0.2, -9]), 640, 360)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.stages.exports.test_colmap import cloud_of
-from wbflow_stages.exports.depthmaps import depth_files
+from wbflow_stages.exports.forms import depth_files
 from wbflow_stages.exports.heights import geotiff, height_map, plain_files
 from wbflow_stages.io.rasters import stepped
 from wbflow_stages.types import DepthMap

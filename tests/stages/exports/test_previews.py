@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 
 from tests.helpers.exact_scene import make_yard
-from wbflow_stages.exports.marks import inlier_marks, keypoint_marks
 from wbflow_stages.exports.previews import (
     cloud_preview,
     disparity_preview,
     frame_large,
     frame_preview,
+    inlier_marks,
+    keypoint_marks,
     matches_preview,
     rectified_preview,
 )

@@ -10,8 +10,7 @@ import pytest
 
 from tests.helpers.made_up_model import POINTS, two_pictures
 from wbflow_stages.matches import match
-from wbflow_stages.matching.onnx_model import read_interface
-from wbflow_stages.matching.trial import why_unreadable
+from wbflow_stages.matching.learned import read_interface, why_unreadable
 from wbflow_stages.types import Capture, Features, Float64s, Frame, Matches, Rejected, View
 
 WIDTH, HEIGHT = 96, 64
@@ -115,8 +114,8 @@ def test_a_file_that_is_no_such_model_is_named_with_what_it_is_and_what_is_wante
 def test_a_model_that_takes_its_reader_along_costs_its_matches_only(
     monkeypatch: pytest.MonkeyPatch, ends: str, words: str
 ) -> None:
-    monkeypatch.setattr("wbflow_stages.matching.trial._READ", f"import os, time; {ends}")
-    monkeypatch.setattr("wbflow_stages.matching.trial._LONGEST_S", 0.5)
+    monkeypatch.setattr("wbflow_stages.matching.learned._READ", f"import os, time; {ends}")
+    monkeypatch.setattr("wbflow_stages.matching.learned._LONGEST_S", 0.5)
     why_unreadable.cache_clear()
     with pytest.raises(ValueError, match=f"mine.onnx: OpenCV {words}.*erf"):
         found(dots(np.zeros(2)), dots(SHIFT), two_pictures(WIDTH, HEIGHT))

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from wbflow_stages.core.nearest_points import nearest_points
 from wbflow_stages.matching.affine_field import fit_affine_field
 from wbflow_stages.matching.assignment import assign, without_repeats
+from wbflow_stages.matching.hao2011 import literal_dominance, nearest_dominance, procrustes
 from wbflow_stages.matching.neighbours import nearest_neighbours
-from wbflow_stages.matching.procrustes import literal_dominance, nearest_dominance, procrustes
 from wbflow_stages.types import Float64s
 
 

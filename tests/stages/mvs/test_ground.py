@@ -7,7 +7,7 @@ import pytest
 
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from wbflow_stages.core.cameras import backproject, project
-from wbflow_stages.core.side_by_side import THREADS
+from wbflow_stages.core.parallel import THREADS
 from wbflow_stages.mvs.ground import find_ground, ground_homography, ground_planes
 from wbflow_stages.types import Float32s
 

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 from tests.helpers.dots import stereo_pair, texture, true_disparity
-from wbflow_stages.core.noise import noise_level
-from wbflow_stages.stereo.blocks import blocks
+from wbflow_stages.core.luminance import noise_level
 from wbflow_stages.stereo.census_sgm import match_census_sgm
 from wbflow_stages.stereo.coarse_range import with_coarse_range
-from wbflow_stages.stereo.denoise import quietened
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.plane_filter import doubt, smoothed
-from wbflow_stages.stereo.sgbm import match_in_one_piece, match_sgbm
+from wbflow_stages.stereo.rectified import quietened
+from wbflow_stages.stereo.sgbm import blocks, match_in_one_piece, match_sgbm
 
 Matcher = Callable[[RectifiedPair], DenseMatches]
 MATCHERS: list[Matcher] = [match_sgbm, match_census_sgm, match_patchmatch]

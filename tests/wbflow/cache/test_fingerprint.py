@@ -112,7 +112,9 @@ def test_another_method_in_the_table_changes_nothing(package: Package) -> None:
 def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package) -> None:
     from wbflow.cache.modules import Modules
 
-    package.write(stage="from wbflow_stages.matching.mutual import match_mutual\n\ndef work(left):\n    return match_mutual\n")
+    package.write(
+        stage="from wbflow_stages.matching.nearest_neighbour import match_mutual\n\ndef work(left):\n    return match_mutual\n"
+    )
     reader = FunctionReader()
-    assert "wbflow_stages.matching.mutual" in reader._closure(f"{package.root.name}.stage")
-    assert Modules().file("wbflow_stages.matching.mutual")
+    assert "wbflow_stages.matching.nearest_neighbour" in reader._closure(f"{package.root.name}.stage")
+    assert Modules().file("wbflow_stages.matching.nearest_neighbour")

@@ -1,0 +1,136 @@
+"""What fusion plans from views subsampled to every 4th pixel: neighbouring views, voxel size, and an exposure for each camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..core.cameras import same_camera, transfer
+from ..types import Camera, DepthMap, Float32s, Float64s, Frame, Uint8s
+
+STEP = 4
+
+
+@dataclass(frozen=True)
+class Subsampled:
+    """A view at a quarter of its size."""
+
+    colors: Uint8s
+    """(h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach."""
+    depth: Float32s
+    sigma: Float32s
+    """(h / 4, w / 4) float32, of the pixel beside each block's centre."""
+
+    def points(self, step: int) -> tuple[Float64s, Float64s]:
+        """Pixels (n, 3), homogeneous, and depths (n, 1) of every `step`-th place that has a depth."""
+        depth = self.depth[::step, ::step]
+        y, x = np.nonzero(np.isfinite(depth))
+        pixels = np.column_stack([STEP * step * x + STEP // 2, STEP * step * y + STEP // 2, np.ones(len(x))])
+        return pixels.astype(np.float64), depth[y, x].astype(np.float64)[:, None]
+
+
+def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
+    """A view on every 4th pixel."""
+    h, w = frame.image.shape[:2]
+    colors = cv2.resize(frame.image, (max(1, w // STEP), max(1, h // STEP)), interpolation=cv2.INTER_AREA)
+    cells = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
+    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy(), depth.sigma[cells].copy())
+
+
+def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
+    """The views of other cameras that see most of what one view sees, and at least 1 % of it.
+
+    Parameters
+    ----------
+    name
+        The view.
+    cameras, small
+        Of all views, by id.
+    count
+        So many at most.
+    """
+    pixels, z = small[name].points(2)
+    if not len(z):
+        return []
+    shares = []
+    for other in cameras:
+        if other == name or same_camera(cameras[name], cameras[other]):  # which says the same again
+            continue
+        M, b = transfer(cameras[name], cameras[other])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            p = z * (pixels @ M.T) + b
+            u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
+        inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u <= cameras[other].width - 1) & (v <= cameras[other].height - 1)
+        shares.append((float(inside.mean()), other))
+    order = sorted(range(len(shares)), key=lambda k: -shares[k][0])
+    return [shares[k][1] for k in order[:count] if shares[k][0] >= 0.01]
+
+
+def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]) -> float:
+    """What a pixel covers, or one and a half sigmas if that is more, in the median over all views: finer voxels hold only noise.
+
+    Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
+    """
+    edges = [np.fmax(g.depth / cameras[name].K[0, 0], 1.5 * g.sigma)[1::2, 1::2].ravel() for name, g in small.items()]
+    median = float(np.nanmedian(np.concatenate(edges)))
+    decade = 10.0 ** np.floor(np.log10(median))
+    return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))
+
+
+_PREFERRED = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
+"""Renard's series R10: ten steps to a decade."""
+
+
+def exposure_gains(
+    cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], neighbours: Mapping[str, Sequence[str]]
+) -> dict[str, Float64s]:
+    """(3,) factor for each camera; their geometric mean over the cameras is one.
+
+    The ratio of two cameras is the median over pixels whose depths agree; the cameras' gains fit all ratios by least squares, a
+    camera without ratios keeps one.
+    """
+    names = list(small)
+    rows, ratios, weights = [], [], []
+    for i, name in enumerate(names):
+        for other in neighbours[name]:
+            ratio, count = _ratio(cameras[name], cameras[other], small[name], small[other])
+            if count >= 50:
+                row = np.zeros(len(names))
+                row[i], row[names.index(other)] = 1.0, -1.0
+                rows.append(row)
+                ratios.append(ratio)
+                weights.append(np.sqrt(min(count, 1000)))
+    if not rows:
+        return {name: np.ones(3) for name in names}
+    w = np.array(weights)[:, None]
+    hold = 0.1 * np.eye(len(names))  # ties each set of connected cameras to a mean gain of one
+    right = np.vstack([-np.array(ratios) * w, np.zeros((len(names), 3))])
+    log_gains = np.linalg.lstsq(np.vstack([np.array(rows) * w, hold]), right, rcond=None)[0]
+    return dict(zip(names, np.exp(log_gains), strict=True))
+
+
+def _ratio(camera: Camera, other: Camera, ours: Subsampled, theirs: Subsampled) -> tuple[Float64s, int]:
+    """Median log ratio (3,) of the two cameras' colours over surfaces that both see, and over how many pixels."""
+    pixels, z = ours.points(2)
+    M, b = transfer(camera, other)
+    p = z * (pixels @ M.T) + b
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = p[:, :2] / p[:, 2:]
+    inside = (p[:, 2] > 0) & (at >= 0).all(axis=1) & (at < [other.width - 1, other.height - 1]).all(axis=1)
+    pixels, at, there = pixels[inside], at[inside], p[inside, 2]
+    agrees = np.abs(_at(theirs.depth, at) - there) < 0.01 * there
+    one, two = (_at(colors, places[agrees]).astype(np.float64) for colors, places in ((ours.colors, pixels), (theirs.colors, at)))
+    usable = ((one > 10) & (one < 245) & (two > 10) & (two < 245)).all(axis=1)
+    if usable.sum() < 50:
+        return np.zeros(3), 0
+    return np.median(np.log(one[usable] / two[usable]), axis=0), int(usable.sum())
+
+
+def _at(values: Uint8s | Float32s, places: Float64s) -> np.ndarray:
+    """(n, ...) what a subsampled view holds at positions of the full size."""
+    h, w = values.shape[:2]
+    x, y = (places[:, :2].T + 0.5).astype(int) // STEP
+    return np.asarray(values[np.minimum(y, h - 1), np.minimum(x, w - 1)])

@@ -1,0 +1,164 @@
+"""What an image file states in its header, read without decoding it: JPEG segments, EXIF focal length and time, size."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Literal
+
+from ..types import Capture, Uint8s
+
+SCAN, APP1 = 0xDA, 0xE1
+"""Markers: where compressed data begins, and where EXIF stands."""
+
+
+def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """(marker, start, end) of each segment up to the first scan, which ends where the file does; nothing for other files.
+
+    start: where the segment's content begins, behind marker and length.  A thumbnail inside a segment has markers of its own:
+    whoever looks for one must step over whole segments.
+    """
+    at = 2 if data[:2] == b"\xff\xd8" else len(data)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # fill byte
+            at += 1
+            continue
+        end = len(data) if marker == SCAN else at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        yield marker, at + 4, end
+        if marker == SCAN:
+            return
+        at = end
+
+
+EXIF_POINTER, FOCAL_LENGTH_35MM, TAKEN = 0x8769, 0xA405, 0x9003
+FILM_WIDTH_MM = 36.0
+
+
+def focal_in_long_sides(data: Uint8s) -> float | None:
+    """Focal length as a multiple of the image's long side; None where the file doesn't say.  data: the encoded bytes."""
+    found = _exif(data, FOCAL_LENGTH_35MM)
+    millimetres = found.number(found.at, 2) if found else 0
+    return millimetres / FILM_WIDTH_MM if millimetres else None
+
+
+def taken_at(captures: Sequence[Capture]) -> list[datetime]:
+    """When captures were taken by what the camera wrote into them (EXIF DateTimeOriginal), as far as they say."""
+    return [moment for capture in captures if (moment := _taken(capture.data))]
+
+
+def _taken(data: Uint8s) -> datetime | None:
+    found = _exif(data, TAKEN)
+    if found is None:
+        return None
+    start = found.number(found.at, 4)
+    try:
+        return datetime.strptime(found.tiff[start : start + 19].decode("ascii"), "%Y:%m:%d %H:%M:%S")
+    except ValueError:  # no date, or a clock that was never set
+        return None
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An entry of the EXIF directory."""
+
+    tiff: bytes
+    at: int
+    """Where its value stands."""
+    order: Literal["little", "big"]
+
+    def number(self, at: int, size: int) -> int:
+        return int.from_bytes(self.tiff[at : at + size], self.order)
+
+
+def _exif(data: Uint8s, tag: int) -> _Entry | None:
+    """The entry of a tag; None where the file has none."""
+    tiff = _tiff(bytes(data[:65536]))
+    if tiff is None:
+        return None
+    here = _Entry(tiff, 0, "little" if tiff[:2] == b"II" else "big")
+
+    def entry(directory: int, tag: int) -> int | None:
+        """Where the value of a tag stands."""
+        for k in range(here.number(directory, 2)):
+            at = directory + 2 + 12 * k
+            if here.number(at, 2) == tag and at + 12 <= len(tiff):
+                return at + 8
+        return None
+
+    pointer = entry(here.number(4, 4), EXIF_POINTER)
+    at = None if pointer is None else entry(here.number(pointer, 4), tag)
+    return None if at is None else replace(here, at=at)
+
+
+def _tiff(data: bytes) -> bytes | None:
+    """The TIFF block of a JPEG's EXIF segment."""
+    for marker, start, end in jpeg_segments(data):
+        if marker == APP1 and data[start : start + 6] == b"Exif\0\0":
+            return data[start + 6 : end]
+    return None
+
+
+_NO_FRAME = {0xC4, 0xC8, 0xCC}
+"""Markers among the JPEG's C0 to CF that begin no frame (ITU-T T.81, table B.1)."""
+_WIDTH, _HEIGHT = 256, 257
+"""TIFF tags."""
+_MOST_ENTRIES = 4096
+"""Entries of a TIFF directory that are looked at."""
+
+
+def picture_size(data: bytes) -> tuple[int, int] | None:
+    """(width, height) in pixels before any EXIF rotation; None where the form is another, or the header is cut short."""
+    try:
+        if data[:8] == b"\x89PNG\r\n\x1a\n":
+            width, height = struct.unpack_from(">II", data, 16)
+        elif data[:2] == b"\xff\xd8":
+            frame = next((s for marker, s, _ in jpeg_segments(data) if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME), None)
+            if frame is None:
+                return None
+            height, width = struct.unpack_from(">HH", data, frame + 1)
+        elif data[:4] in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}:
+            return _tiff_size(data)
+        elif data[:2] == b"BM":
+            width, height = struct.unpack_from("<ii", data, 18)
+        elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+            return _webp_size(data)
+        elif header := re.match(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s", data[:4096]):
+            width, height = int(header[1]), int(header[2])
+        else:
+            return None
+    except struct.error:
+        return None
+    return abs(width), abs(height)
+
+
+def _tiff_size(data: bytes) -> tuple[int, int] | None:
+    """Of the first directory (TIFF 6.0, section 2; BigTIFF has longer fields)."""
+    order = "<" if data[:2] == b"II" else ">"
+    big = data[2:4] in {b"+\0", b"\0+"}
+    (at,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
+    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, at)
+    first, step, value = (at + 8, 20, 12) if big else (at + 2, 12, 8)
+    found = {}
+    for entry in range(first, first + step * min(count, _MOST_ENTRIES), step):
+        tag, kind = struct.unpack_from(order + "HH", data, entry)
+        if tag in {_WIDTH, _HEIGHT}:
+            form = {3: "H", 4: "I", 16: "Q"}.get(kind, "I")
+            (found[tag],) = struct.unpack_from(order + form, data, entry + value)
+    return (found[_WIDTH], found[_HEIGHT]) if len(found) == 2 else None
+
+
+def _webp_size(data: bytes) -> tuple[int, int] | None:
+    """By kind of the first chunk (RFC 9649, section 2)."""
+    if data[12:16] == b"VP8 ":
+        width, height = struct.unpack_from("<HH", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    if data[12:16] == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if data[12:16] == b"VP8X" and len(data) >= 30:
+        return int.from_bytes(data[24:27], "little") + 1, int.from_bytes(data[27:30], "little") + 1
+    return None

@@ -1,0 +1,217 @@
+"""Even surfaces laid on planes: what patches of plaster, asphalt or snow cannot tell, a whole wall of them can.
+
+Where next to nothing is to be seen a patch matches by its noise, and beside a window by the window: depths scatter about the
+surface by several times what is expected.  A plane through the depths of a whole even region (`mvs.textureless`) averages that.
+It is taken where the depths around a pixel lie about it as noise does, and yields to what the photographs show.
+
+References
+----------
+Planes as priors that yield to the photographs: Xu, Tao, Planar Prior Assisted PatchMatch Multi-View Stereo, AAAI 2020 (ACMP).
+Pixels judged by reliable ones of their surface: Wang et al., Adaptive Patch Deformation for Textureless-Resilient Multi-View
+Stereo, CVPR 2023 (APD).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..types import Bools, Float32s, Frame, Uint32s
+from .photometric_check import SURE_PX, planes_by_sight
+from .propagation import Propagation, Support
+from .textureless import CORRELATED, NEAR_PX, EvenRegions, RegionPlane, even_regions, from_middle, planes_of_regions
+
+_AROUND = 25
+"""Half the side of the window, pixels of an image 768 wide, in which depths must lie about a plane."""
+
+_HELD, _FEWEST, _AGREED = 0.05, 20, 0.6
+"""Of the region's pixels in the window so many have a depth, as a share and in number, and so many of these are near."""
+
+_OFF_SIGMAS, _OFF_PX, _OFF_AT_MOST = 1.5, 0.15, 0.8
+"""Their mean may be off by what noise explains, and between these pixels of a source: more is relief."""
+
+_SHARED_PX = 0.2
+"""What all depths of a plane err alike."""
+
+_STRONG = 4.0
+"""Grey levels of a patch's deviation from which its own match is heard..."""
+
+_YIELDS = 0.198
+"""...and a plane yields if its cost squared is so much more: where exp(-c^2 / .18) (1 + .5) falls below exp(-c^2 / .18) .5."""
+
+_RELIEF = 0.045
+"""Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the even
+ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
+
+_SOURCES = 2.0
+"""So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
+included, is common to all its depths."""
+
+_CHANCE_PX = 0.42
+"""...but one does where depths scatter by more about theirs, pixels of the sources that see them: more than such a source errs as
+a whole.  One that stands near moves little with depth, and shows much scatter by little noise."""
+
+_STEEP_PX = 0.7
+"""Inverse depths that change by more from a pixel to the next, pixels of a source: twice what is assumed of a match."""
+
+_SEES = 0.3
+"""A source that sees this share of the depths around sees what lies between them."""
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """What is known of a view's planes, (h, w) each but the first, written region by region."""
+
+    planes: Float32s
+    """(3, h, w), in pixels of a source; nan for none."""
+    sigma: Float32s
+    """Their standard deviation."""
+    anchors: Bools
+    """Depths that speak for the plane of their region."""
+    spread: Float32s
+    """Of single depths about the plane; infinite where they tell none."""
+
+
+@dataclass(frozen=True)
+class Flats:
+    """What became of even surfaces, (h, w) each."""
+
+    sigma: Float32s
+    """Standard deviation of the inverse depths that were put on planes, nan elsewhere."""
+    chance: Bools
+    """Depths that were found by chance, on no plane, and lie off the surface for it."""
+
+
+def lay_on_flats(
+    frame: Frame, grey: Float32s, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
+    scale: np.float32, max_cost: float,
+) -> Flats:  # fmt: skip
+    """Put even surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
+
+    Parameters
+    ----------
+    frame, grey
+        The view, and its (h, w) grey levels.
+    propagation, planes, support
+        Of the view: (3, h, w) planes, and what the sources show of them.
+    sure
+        (h, w): depths to be believed.
+    scale
+        Pixels in a source for a unit of inverse depth.
+    max_cost
+        A source sees a plane that costs less.
+    """
+    spacing = max(1, round(max(grey.shape) / 768))
+    regions = even_regions(frame.image, frame.mask, spacing)
+    known = np.where(sure, scale * planes[0], np.float32(np.nan))
+    found = planes_of_regions(regions, known, spacing)
+    laid = _laid(regions, found, known, spacing)
+    sighted = planes_by_sight(regions, found, propagation, support, sure, scale, max_cost, spacing)
+    _add(laid, sighted.planes, sighted.sigma)
+    strong = _strong(grey, 6 * spacing + 1)
+    take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
+    if take.any():
+        trial = np.where(take, laid.planes / scale, np.float32(np.nan))
+        shown = propagation.support(trial, max_cost)
+        with np.errstate(invalid="ignore"):
+            dearer = shown.first**2 - support.first**2 > _YIELDS
+        sources, seen = _sources_around(laid.anchors, support.sources, len(propagation.M), spacing)
+        take &= ~sure | (~_relief(shown, support, take & sure, spacing) & ~(dearer & strong))  # gaps are filled
+        take &= ~sure | (seen >= _SOURCES) | _noisy(laid, support, scale, spacing)
+        planes[:, take] = trial[:, take]
+        support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
+    sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
+    steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # the error leaves it on the surface, a pixel or less aside
+    return Flats(sigma, sighted.doubted & ~take & ~strong & ~steep)
+
+
+def _laid(regions: EvenRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
+    """The planes of a view's even regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
+    nan = np.full((4, *known.shape), np.nan, np.float32)
+    laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, np.float32))
+    for plane in found:
+        lies = np.isin(regions.number, plane.regions)
+        y, x = np.nonzero(lies)
+        rows, columns = slice(y.min(), y.max() + 1), slice(x.min(), x.max() + 1)
+        _lay(laid, plane, (rows, columns), lies[rows, columns], known[rows, columns], spacing)
+    return laid
+
+
+def _add(laid: _Laid, planes: Float32s, sigma: Float32s) -> None:
+    """Planes (3, h, w) that regions have by sight, with their sigma (h, w), where no depths have told one."""
+    take = np.isfinite(sigma) & np.isnan(laid.sigma)
+    laid.planes[:, take] = planes[:, take]
+    laid.sigma[take] = np.hypot(sigma[take], np.float32(_SHARED_PX))
+    laid.spread[take] = np.inf
+
+
+def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bools:
+    """(h, w): do single depths err by more than one source does as a whole?"""
+    moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
+    moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
+    with np.errstate(invalid="ignore"):  # where no depth has told the plane, and none is near
+        return np.isinf(laid.spread) | (laid.spread * moves > _CHANCE_PX)
+
+
+def _relief(shown: Support, support: Support, both: Bools, spacing: int) -> Bools:
+    """(h, w): do planes cost more than the depths around that they would replace, in the best source and in the second, too?
+    One source is fitted by chance; what no second one sees is judged by the first."""
+    first, second = (
+        np.minimum(of_plane, 1) - np.minimum(found, 1)
+        for of_plane, found in ((shown.first, support.first), (shown.second, support.second))
+    )
+    alone = np.minimum(shown.second, support.second) >= 1
+    least = _RELIEF * _around(both, spacing)
+    means = (_around(np.where(both, more, np.float32(0)), spacing) for more in (first, np.where(alone, first, second)))
+    return np.asarray(np.minimum(*means) > least)
+
+
+def _lay(laid: _Laid, plane: RegionPlane, where: tuple[slice, slice], lies: Bools, known: Float32s, spacing: int) -> None:
+    """Take a plane at those pixels of its regions (`lies`) around which depths are about it, if it is surer than another."""
+    y, x = np.mgrid[where]
+    at = from_middle(x.ravel(), y.ravel(), laid.sigma.shape)
+    value = (at @ plane.plane).reshape(lies.shape)
+    off = np.where(lies, known - value, np.nan).astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(off) <= NEAR_PX
+    all_around, known_around, near_around = (_around(some, spacing) for some in (lies, np.isfinite(off), near))
+    mean = _around(np.where(near, off, np.float32(0)), spacing) / np.maximum(near_around, 1)
+    alike = CORRELATED * spacing**2
+    allowed = _OFF_SIGMAS * plane.spread * np.sqrt(alike / np.maximum(near_around, 1))
+    sigma = np.sqrt(plane.variance(at).reshape(lies.shape) + _SHARED_PX**2)
+    take = lies & (known_around >= np.maximum(_HELD * all_around, _FEWEST * spacing**2)) & (near_around >= _AGREED * known_around)
+    take &= (np.abs(mean) <= np.clip(allowed, _OFF_PX, _OFF_AT_MOST)) & (sigma <= np.hypot(SURE_PX, _SHARED_PX))
+    take &= ~(laid.sigma[where] <= sigma)
+    for layer, values in zip(laid.planes, (value, plane.plane[1], plane.plane[2]), strict=True):
+        layer[where] = np.where(take, values, layer[where])
+    laid.sigma[where] = np.where(take, sigma, laid.sigma[where])
+    laid.spread[where] = np.where(take, plane.spread, laid.spread[where])
+    laid.anchors[where] |= take & near
+
+
+def _around(values: Bools | Float32s, spacing: int) -> Float32s:
+    """(h, w) sums over the window around each pixel."""
+    side = 2 * _AROUND * spacing + 1
+    sums = cv2.boxFilter(values.astype(np.float32), -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums, dtype=np.float32)
+
+
+def _strong(grey: Float32s, side: int) -> Bools:
+    """(h, w): is there something to be seen in the square patch of so many pixels a side?"""
+    mean, square = (cv2.boxFilter(levels, -1, (side, side)) for levels in (grey, grey * grey))
+    return np.asarray(square - mean * mean > _STRONG**2)
+
+
+def _sources_around(anchors: Bools, sources: Uint32s, count: int, spacing: int) -> tuple[Uint32s, Float32s]:
+    """(h, w) bits of the sources that see a share of the anchors around, and by how many an anchor is seen on average."""
+    anchored = np.maximum(_around(anchors, spacing), 1)
+    bits, seen = np.zeros(anchors.shape, np.uint32), np.zeros(anchors.shape, np.float32)
+    for k in range(count):
+        bit = np.uint32(1 << k)
+        share = _around(anchors & ((sources & bit) > 0), spacing) / anchored
+        bits[share >= _SEES] |= bit
+        seen += share
+    return bits, seen

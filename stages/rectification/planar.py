@@ -1,0 +1,192 @@
+"""Rectification by a pair of homographies (Hao 2011, chapter 4; Hartley, IJCV 1999; Fusiello, Trucco & Verri, MVA 2000).
+
+From `F ~ H2^-T [i]x H1` follow the second and third row of H1 once H2 is chosen; its first row, three numbers, is free.
+
+- `congruent` makes the *net* of matches congruent in both images.  Hao (2011, section 4.3) joins the matches by a Delaunay net
+  and minimises the differences of its edges (4-6).  To the letter, edges across depth jumps are noise in the regressor and shrink
+  x.  Two steps together cure it: one control point for each cell of a grid (that work's own future work), and weights that let
+  edges across depth jumps go.
+- `hartley` brings *points* to the x of their partners.
+- `calibrated` turns two cameras of known K and pose to a common orientation, then makes the net congruent."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+
+from ..core.jit import kernel
+from ..core.ordering import extremes, median
+from ..twoview.epipolar import apply_homography, epipoles, homogeneous
+from ..types import Camera, Float32s, Float64s, Int32s, Int64s
+from .method import Homographies, MatchedPair
+
+COLUMNS = 24
+"""Columns of square cells that hold one control point each."""
+
+_ITERATIONS = 10
+_SETTLED = 1e-6
+"""Share of the largest coefficient by which none changes any more."""
+
+
+def congruent(pair: MatchedPair) -> Homographies:
+    """Control points of a grid, robust weights."""
+    chosen = control_points(pair.x1, pair.probability, pair.size2)
+    return _fit(pair.F, pair.x1[chosen], pair.x2[chosen], pair.size2, robust=True)
+
+
+def literal(pair: MatchedPair) -> Homographies:
+    """By the letter of Hao's 4.3: every match, plain least squares."""
+    return _fit(pair.F, pair.x1, pair.x2, pair.size2, robust=False)
+
+
+def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -> Int32s:
+    """Rows of the most probable match of each square cell, `COLUMNS` cells across an image of `size`; the first of equals."""
+    side = size[0] / COLUMNS
+    first, last = np.floor(np.array(extremes(x1)) / side).astype(np.int64)
+    best = np.full(last - first + 1, -1, dtype=np.int32)
+    _best_of_each_cell(x1, probability, side, first, best)
+    return np.sort(best[best >= 0])
+
+
+@kernel
+def _best_of_each_cell(x: Float64s, probability: Float32s, side: float, first: Int64s, best: Int32s) -> None:
+    for k in range(len(x)):
+        i, j = int(np.floor(x[k, 0] / side)) - first[0], int(np.floor(x[k, 1] / side)) - first[1]
+        if best[i, j] < 0 or probability[k] > probability[best[i, j]]:
+            best[i, j] = k
+
+
+def net_edges(x: Float64s) -> Int32s:
+    """(m, 2) rows of points joined by the Delaunay net of x (n, 2): two edges of each triangle, as in Hao's (4-6).
+
+    Raises ValueError when the points span no triangle.
+    """
+    try:
+        triangles = Delaunay(x).simplices
+    except QhullError:
+        raise ValueError("the matches lie too close together to span a net") from None
+    return np.vstack([triangles[:, [0, 1]], triangles[:, [2, 1]]]).astype(np.int32)
+
+
+def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -> Float64s:
+    """Coefficients (2,) that best carry the differences of `design` (n, 2) over `edges` into those of `target` (n,).
+
+    Parameters
+    ----------
+    design : ndarray
+        (n, 2) values at the points.
+    target : ndarray
+        (n,) values that they are to follow.
+    edges : ndarray
+        (m, 2) pairs of points whose differences count.
+    robust : bool
+        Weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
+    """
+    return _reweighted(design, target, edges, _ITERATIONS if robust else 1)
+
+
+def _reweighted(design: Float64s, target: Float64s, edges: Int32s, iterations: int) -> Float64s:
+    """Coefficients (2,) by least squares, `iterations` times, with weights from the residuals before."""
+    p, q = edges[:, 0], edges[:, 1]
+    D1, D2, d = design[p, 0] - design[q, 0], design[p, 1] - design[q, 1], target[p] - target[q]
+    weights, x, y = np.ones(len(d)), np.float64(0.0), np.float64(0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # edges that say nothing give nan
+        for _ in range(iterations):  # two well-scaled columns: normal equations lose nothing
+            a, b = weights * D1, weights * D2
+            aa, ab, bb, ad, bd = (np.cumsum(terms)[-1] for terms in (a * D1, a * D2, b * D2, a * d, b * d))
+            before = x, y
+            x, y = (bb * ad - ab * bd) / (aa * bb - ab * ab), (aa * bd - ab * ad) / (aa * bb - ab * ab)
+            if max(abs(x - before[0]), abs(y - before[1])) <= _SETTLED * max(abs(x), abs(y)):
+                break
+            residuals = abs(D1 * x + D2 * y - d)
+            s = 1.4826 * median(residuals) + 1e-6
+            weights = 1 / (1 + (residuals / (2 * s)) ** 2)
+    return np.array([x, y])
+
+
+def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust: bool) -> Homographies:
+    H2 = send_epipole_to_infinity(F, size)
+    row2, row3 = rows_fixed_by(F, H2, x1)
+    target = apply_homography(H2, x2)
+    N = _normaliser(size)
+    row3_n = row3 @ np.linalg.inv(N)
+    m = homogeneous(x1) @ N.T
+    points = m / (m @ row3_n)[:, None]
+    # row1 = B ab + c row3: row3 maps every point to 1, so edges say nothing about c, and B spans the rest
+    B = np.linalg.svd(row3_n[None])[2][1:].T
+    ab = fit_edges(points @ B, target[:, 0], net_edges(target), robust)
+    c = median(target[:, 0] - points @ (B @ ab))
+    return Homographies(np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2)
+
+
+def _normaliser(size: tuple[int, int]) -> Float64s:
+    """(3, 3): pixels to about -1..1, so that the three coordinates weigh alike in the linear algebra."""
+    half = max(size) / 2
+    return np.array([[1 / half, 0.0, -(size[0] - 1) / 2 / half], [0.0, 1 / half, -(size[1] - 1) / 2 / half], [0.0, 0.0, 1.0]])
+
+
+def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
+    """H2 = G R T (3, 3): origin to the centre of image 2, epipole turned onto the x axis, then to infinity along it.
+
+    The turn is at most 90 degrees, so that the image stays upright; in homogeneous form an epipole at infinity is no
+    special case.
+    """
+    width, height = size
+    T = np.array([[1.0, 0.0, -(width - 1) / 2], [0.0, 1.0, -(height - 1) / 2], [0.0, 0.0, 1.0]])
+    epipole = T @ epipoles(F)[1]
+    if epipole[0] < 0:
+        epipole = -epipole  # a homogeneous sign, chosen so that the turn is short
+    length = np.hypot(epipole[0], epipole[1])
+    c, s = (epipole[0] / length, epipole[1] / length) if length > 0 else (1.0, 0.0)
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    G = np.eye(3)
+    G[2, 0] = -epipole[2] / max(length, 1e-12)
+    return np.asarray(G @ R @ T, dtype=np.float64)
+
+
+def rows_fixed_by(F: Float64s, H2: Float64s, x1: Float64s) -> tuple[Float64s, Float64s]:
+    """Second and third row (3,) of H1, with the common sign that gives most points x1 a positive third coordinate."""
+    M = np.linalg.inv(H2).T @ F  # ~ [i]x H1: its rows are 0, -row3, row2
+    row2, row3 = M[2], -M[1]
+    sign = 1.0 if median(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
+    return sign * row2, sign * row3
+
+
+def hartley(pair: MatchedPair) -> Homographies:
+    """The homographies that minimise the sum of squared disparities of the matches."""
+    H2 = send_epipole_to_infinity(pair.F, pair.size2)
+    row2, row3 = rows_fixed_by(pair.F, H2, pair.x1)
+    m = homogeneous(pair.x1)
+    design = m / (m @ row3)[:, None]
+    scale = np.abs(design).max(axis=0)
+    row1 = np.linalg.lstsq(design / scale, apply_homography(H2, pair.x2)[:, 0], rcond=None)[0] / scale
+    return Homographies(np.stack([row1, row2, row3]), H2)
+
+
+def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
+    """H1, H2 (3, 3): x along the baseline, z as near as possible to both optical axes, the mean of both K.
+
+    Raises ValueError when the baseline is parallel to the mean optical axis: no common image plane then.
+    """
+    x_axis = camera2.C - camera1.C
+    x_axis = x_axis / np.linalg.norm(x_axis)
+    if x_axis @ (camera1.R[0] + camera2.R[0]) < 0:
+        x_axis = -x_axis
+    forward = camera1.R[2] + camera2.R[2]
+    y_axis = np.cross(forward, x_axis)
+    if np.linalg.norm(y_axis) < 1e-6:
+        raise ValueError("the baseline is parallel to the optical axes")
+    y_axis = y_axis / np.linalg.norm(y_axis)
+    R = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
+    K = (camera1.K + camera2.K) / 2
+    return K @ R @ camera1.R.T @ np.linalg.inv(camera1.K), K @ R @ camera2.R.T @ np.linalg.inv(camera2.K)
+
+
+def calibrated(pair: MatchedPair, left: Camera, right: Camera) -> Homographies:
+    """`fusiello`, then a robust affine of x on image 1 that makes the net of the matches congruent."""
+    H1, H2 = fusiello(left, right)
+    chosen = control_points(pair.x1, pair.probability, (left.width, left.height))
+    y1, y2 = apply_homography(H1, pair.x1[chosen]), apply_homography(H2, pair.x2[chosen])
+    a, b = fit_edges(y1, y2[:, 0], net_edges(y2), robust=True)
+    c = np.median(y2[:, 0] - y1 @ np.array([a, b]))
+    return Homographies(np.array([[a, b, c], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ H1, H2)

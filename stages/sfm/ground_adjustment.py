@@ -1,0 +1,189 @@
+"""Known poses adjusted within their standard deviations to the ground, where keypoints don't tell them.
+
+On paving that repeats, keypoints agree on wrong stones, and within what is known of the poses several fit.  For each plane that
+may be the ground, patches of one view are looked for in the others where this plane and the poses put them (`mvs.ground_prior`);
+the poses are adjusted to what was found, with the keypoints that are not beneath it; and it is the ground if then, and on no
+other plane, large patches look the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.cameras import backproject
+from ..mvs.ground import halved, likely_planes, settled_on, very_alike
+from ..mvs.ground_prior import ground_matches
+from ..twoview.epipolar import triangulate_depth
+from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
+from .pose_check import Sigma
+from .pose_prior_adjustment import MIN_MATCHES, Adjusted, adjust_within
+
+_MOST_PLANES = 4
+"""Planes that are looked at more closely."""
+_SAME_HEIGHT = 0.06
+"""Heights within this share of each other are the same plane."""
+_FINE_REACH_PX = 6.0
+"""Patches are off by no more once the poses have been adjusted roughly."""
+_REACH_SIGMAS, _WIDEST_REACH_PX = 2.0, 24.0
+"""Patches are looked for so many standard deviations away, and no farther than so many pixels: the wider, the fewer are the only
+ones in reach that look so."""
+_BENEATH = 0.1
+"""Matches farther under the plane than this share of the camera's height above it are of look-alikes."""
+_ROUGH, _FINE = 80, 200
+"""Matches of a pair that are used at most."""
+_FEWEST = 12
+"""So many large patches must look the same on the ground..."""
+_CLEARER, _CLEARER_FOR_TWO = 1.5, 3.0
+"""...and so many times those on any other plane; more where two views alone must tell."""
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Cameras adjusted to a plane."""
+
+    adjusted: Adjusted
+    plane: Float64s
+    share: float
+    """Of the patches that look alike on it."""
+
+
+def adjust_by_ground(
+    images: Mapping[str, Float32s], known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pairs: Mapping[Pair, Geometry]
+) -> Adjusted | None:
+    """The cameras as the ground has them; None where no plane stands out.
+
+    Parameters
+    ----------
+    images
+        (h, w) float32 grey frame of each camera.
+    known
+        The same cameras as they are stated.
+    sigmas
+        How well.
+    pairs
+        Their pairs, with what keypoints say.
+    """
+    site = _Site({name: images[name] for name in known if name in images}, known, sigmas, pairs)
+    rough = [fit for plane in _planes(site) if (fit := _roughly(site, plane)) is not None]
+    fits = [_finely(site, fit) for fit in _different(sorted(rough, key=lambda fit: -fit.share), known)[:_MOST_PLANES]]
+    if not fits:
+        return None
+    counts = [very_alike(site.views(fit.adjusted.cameras, 2), fit.plane) for fit in fits]
+    best, *others = sorted(counts, reverse=True)
+    clearer = _CLEARER if len(site.images) > 2 else _CLEARER_FOR_TWO
+    return fits[counts.index(best)].adjusted if best >= max(_FEWEST, clearer * max(others, default=0)) else None
+
+
+@dataclass(frozen=True)
+class _Site:
+    images: Mapping[str, Float32s]
+    known: Mapping[str, Camera]
+    sigmas: Mapping[str, Sigma]
+    pairs: Mapping[Pair, Geometry]
+
+    def views(self, cameras: Mapping[str, Camera], times: int) -> list[tuple[Float32s, Camera]]:
+        """Images and cameras, halved so many times."""
+        found = [(image, cameras[name]) for name, image in self.images.items()]
+        for _ in range(times):
+            found = [halved(*view) for view in found]
+        return found
+
+    def matches(
+        self, cameras: Mapping[str, Camera], plane: Float64s, times: int, most: int, reach_px: float | None = None
+    ) -> dict[Pair, Geometry]:
+        """What the pairs show of a plane, in images that are halved so many times; reach_px: without, what the sigmas allow."""
+        views = dict(zip(self.images, self.views(cameras, times), strict=True))
+        found = {}
+        for pair, geometry in self.pairs.items():
+            if set(pair) <= set(views):
+                (image1, camera1), (image2, camera2) = (views[name] for name in pair)
+                reach = reach_px or self._reach_px(pair, plane)
+                x1, x2 = ground_matches((image1, image2), (camera1, camera2), plane, reach / 2**times)
+                some = _some(len(x1), most)
+                if len(some) >= MIN_MATCHES:
+                    found[pair] = _of(geometry, *(2.0**times * x[some] + 0.5 * (2**times - 1) for x in (x1, x2)))
+        return found
+
+    def _reach_px(self, pair: Pair, plane: Float64s) -> float:
+        """How far off patches of a plane may be, at a few times the camera's height above it."""
+        square = 0.0
+        for name in pair:
+            camera, sigma = self.known[name], self.sigmas.get(name, Sigma())
+            away = 4.0 * abs(float(plane[:3] @ camera.C + plane[3]))
+            square += (camera.K[0, 0] * (np.radians(sigma.degrees) + sigma.metres / away)) ** 2
+        return min(_REACH_SIGMAS * float(np.sqrt(square)), _WIDEST_REACH_PX)
+
+
+def _planes(site: _Site) -> list[Float64s]:
+    """Planes that may be the ground: in small images those on which the poses, as stated, are right to a pixel or two."""
+    planes: list[Float64s] = []
+    for times in (1, 2):
+        for plane in likely_planes(site.views(site.known, times)):
+            if all(_apart(plane, other, site.known) > 0.5 * _SAME_HEIGHT for other in planes):
+                planes.append(plane)
+    return planes
+
+
+def _apart(plane: Float64s, other: Float64s, cameras: Mapping[str, Camera]) -> float:
+    """How much higher one plane lies than another, as a share of the height of the lowest camera above it."""
+    height = min(float(plane[:3] @ camera.C + plane[3]) for camera in cameras.values())
+    centre = np.mean([camera.C for camera in cameras.values()], axis=0)
+    difference = float((plane[:3] - other[:3]) @ centre + plane[3] - other[3])
+    return abs(difference) / max(height, 1e-9)
+
+
+def _different(fits: Iterable[_Fit], cameras: Mapping[str, Camera]) -> list[_Fit]:
+    """Without those that have become the same as an earlier one."""
+    found: list[_Fit] = []
+    for fit in fits:
+        if all(_apart(fit.plane, other.plane, cameras) > _SAME_HEIGHT for other in found):
+            found.append(fit)
+    return found
+
+
+def _roughly(site: _Site, plane: Float64s) -> _Fit | None:
+    """The cameras adjusted to what is found on a plane anywhere that their standard deviations allow."""
+    matches = site.matches(site.known, plane, 1, _ROUGH)
+    if not matches:
+        return None
+    adjusted = adjust_within(site.known, site.sigmas, matches, trusted=True)
+    share, settled = settled_on(site.views(adjusted.cameras, 1), plane)
+    return _Fit(adjusted, settled, share)
+
+
+def _finely(site: _Site, fit: _Fit) -> _Fit:
+    """The cameras adjusted to the full images, and to the keypoints that are not beneath the plane."""
+    cameras = fit.adjusted.cameras
+    found = site.matches(cameras, fit.plane, 0, _FINE, _FINE_REACH_PX)
+    both: dict[Pair, Geometry] = {}
+    for pair, geometry in site.pairs.items():
+        x1, x2 = _not_beneath(geometry, cameras[pair[0]], cameras[pair[1]], fit.plane)
+        if pair in found:
+            x1, x2 = np.concatenate([x1, found[pair].x1]), np.concatenate([x2, found[pair].x2])
+        if len(x1):
+            both[pair] = _of(geometry, x1, x2)
+    adjusted = adjust_within(site.known, site.sigmas, both, trusted=True)
+    share, settled = settled_on(site.views(adjusted.cameras, 1), fit.plane)
+    return _Fit(adjusted, settled, share)
+
+
+def _not_beneath(geometry: Geometry, left: Camera, right: Camera, plane: Float64s) -> tuple[Float64s, Float64s]:
+    """Some of the matches of a pair that lie above a plane."""
+    depth, _ = triangulate_depth(left, right, geometry.x1, geometry.x2)
+    above = backproject(left, geometry.x1, depth) @ plane[:3] + plane[3] > -_BENEATH * (plane[:3] @ left.C + plane[3])
+    rows = np.flatnonzero(above & (depth > 0))
+    rows = rows[_some(len(rows), _FINE)]
+    return geometry.x1[rows], geometry.x2[rows]
+
+
+def _some(count: int, most: int) -> Int64s:
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.int64))
+
+
+def _of(geometry: Geometry, x1: Float64s, x2: Float64s) -> Geometry:
+    """A pair with other matches, which are believed."""
+    sure = np.ones(len(x1), dtype=np.float32)
+    return replace(geometry, x1=x1, x2=x2, i1=None, i2=None, probability=sure, good_probability=1.0)

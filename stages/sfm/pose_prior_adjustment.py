@@ -1,0 +1,318 @@
+"""Adjust known poses to the images within their standard deviations: the most probable cameras given both, and their covariance.
+
+The covariance tells how well the rows of a pair are known: dense matching needs these to about a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ..core.cameras import same_camera
+from ..core.least_squares import Equations, levenberg_marquardt
+from ..core.rotations import rotation_matrix, rotation_vector, skew
+from ..twoview.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
+from ..types import Bools, Camera, Float64s, Geometry, Pair
+from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, Sigma, Witnesses, slack_px
+from .rigs import between, rigs_of
+from .tracks import Edge, Tracks, build_tracks
+from .triangulation import angles, residuals, triangulate
+
+MIN_MATCHES = 20
+"""A pair adjusts its cameras if so many of its matches lie within what the standard deviations allow..."""
+MIN_SHARE = 0.5
+"""...and this share of them..."""
+MIN_SHARE_OF_TRUSTED = 0.3
+"""...or this one where they show no look-alikes."""
+LEAST_NOISE_PX = 0.2
+"""Standard deviation of the matches at least: those of a pair err together, however small their residuals."""
+ALONE, CONFIRMED = 4.0, 400.0
+"""The matches of a pair weigh no more than so many with a noise of one pixel: what errs together does not average out.  Of a pair
+alone a part may show look-alikes that the standard deviations allow (on a tiled square, a third of its matches, 6 px off); pairs
+that a third camera confirms have none."""
+NOISES = 3.0
+"""Scale of the Cauchy loss, in standard deviations of the noise."""
+ROUNDS = 4
+MIN_ANGLE = np.radians(1.0)
+"""Rays that meet at less than this don't make a point."""
+
+
+def adjust_within(
+    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], *, trusted: bool = False
+) -> Adjusted:
+    """The most probable cameras, given their stated poses with their standard deviations and the matches that these allow.
+
+    Parameters
+    ----------
+    cameras
+        As they are stated.
+    sigmas
+        How well these are known; a camera that is not named is exact, and stays.
+    geometries
+        Matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the epipolar
+        lines than the standard deviations allow.
+    trusted
+        Whether they show no look-alikes: then each pair has the weight of a confirmed one.
+    """
+    names = tuple(cameras)
+    number = {name: k for k, name in enumerate(names)}
+    edges: dict[Edge, Geometry] = {}
+    for pair, geometry in geometries.items():
+        if geometry.good_probability < BELIEVED:
+            continue
+        if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry, trusted)) is not None:
+            edges[number[pair[0]], number[pair[1]]] = near
+    loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
+    stated_only = Adjusted.as_stated(cameras, {name: sigmas[name] for name in loose})
+    if not edges or not loose:
+        return stated_only
+    tracks = build_tracks(edges, len(names))
+    stated = {number[name]: camera for name, camera in cameras.items()}
+    known = {number[name]: sigmas[name] for name in loose}
+    trios = Witnesses.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).trios
+    confirmed = {frozenset(pair) for trio in trios for pair in combinations(trio.cameras, 2)}
+    while True:
+        weight = sum(CONFIRMED if trusted or {names[i], names[j]} in confirmed else ALONE for i, j in edges)
+        found, problem = _most_probable(stated, known, tracks, weight)
+        strayed = {view: far for view, sigma in known.items() if (far := _strays(found[view], stated[view], sigma)) > 1}
+        if not strayed:
+            adjusted = {name: found[number[name]] for name in names}
+            return stated_only if problem is None else stated_only.with_images(adjusted, *problem.known_to(found, names))
+        worst = max(strayed, key=strayed.__getitem__)  # it stays where it is stated, and has no say about the others
+        gone = {view for view in stated if view == worst or same_camera(stated[view], stated[worst])}
+        known = {view: sigma for view, sigma in known.items() if view not in gone}
+        edges = {edge: geometry for edge, geometry in edges.items() if not gone & {*edge}}
+        tracks = build_tracks(edges, len(names))
+
+
+def _allowed(
+    cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: Pair, geometry: Geometry, trusted: bool
+) -> Geometry | None:
+    """The pair with the matches that its cameras allow; None where these are few.
+
+    cameras, sigmas: as stated; geometry, trusted: its matches, and whether they show no look-alikes.
+    """
+    distance = symmetric_epipolar_distance(fundamental_from_cameras(cameras[pair[0]], cameras[pair[1]]), geometry.x1, geometry.x2)
+    keep = distance <= 3 * PAIR_PX + slack_px(cameras, sigmas, pair, geometry)
+    if keep.sum() < max(MIN_MATCHES, (MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE) * len(keep)):
+        return None
+    rows = (None if i is None else i[keep] for i in (geometry.i1, geometry.i2))
+    i1, i2 = rows
+    return replace(geometry, x1=geometry.x1[keep], x2=geometry.x2[keep], i1=i1, i2=i2, probability=geometry.probability[keep])
+
+
+def _strays(found: Camera, stated: Camera, sigma: Sigma) -> float:
+    """How far a camera is from where it is stated, as a share of what its standard deviations allow."""
+    metres = float(np.linalg.norm(found.C - stated.C))
+    degrees = float(np.degrees(np.linalg.norm(rotation_vector(found.R @ stated.R.T))))
+    limit = DEVIATIONS * float(np.sqrt(3))  # of three coordinates
+    return max(metres / (limit * sigma.metres + 1e-9), degrees / (limit * sigma.degrees + 1e-9))
+
+
+def _most_probable(
+    stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, weight: float
+) -> tuple[dict[int, Camera], _Problem | None]:
+    """Rounds of least squares over cameras and points, with the matches that fit and the noise that they turn out to have.  Also
+    the last of these problems.
+
+    weight: of all matches together at most, as that of so many with a noise of one pixel.
+    """
+    cameras = dict(stated)
+    noise = 2.0
+    problem = None
+    for _ in range(ROUNDS):
+        scale = NOISES * noise
+        X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), scale)
+        error = np.linalg.norm(residuals(cameras, tracks, X), axis=1)
+        with np.errstate(invalid="ignore"):
+            use = np.asarray(error < 4 * scale)
+        use &= (np.bincount(tracks.track[use], minlength=tracks.count) >= 2)[tracks.track]
+        use &= (angles(cameras, tracks, X, use) >= MIN_ANGLE)[tracks.track]
+        if not use.any():
+            return cameras, problem
+        points = len(np.unique(tracks.track[use]))
+        problem = _Problem(stated, known, tracks, use, noise, min(1.0, weight * noise**2 / points))
+        _, cameras = levenberg_marquardt(
+            cameras, problem.equations, problem.moved, steps=20, damping=1e-3, least_damping=1e-9, relative_tolerance=1e-6
+        )
+        left = np.linalg.norm(residuals(cameras, tracks, problem.points(cameras))[use], axis=1)
+        noise = max(LEAST_NOISE_PX, float(np.nanmedian(left)) / 1.1774)
+    return cameras, problem
+
+
+class _Problem:
+    """Least squares over the loose cameras; each point is where the cameras see it best, so that steps count cameras only."""
+
+    def __init__(
+        self, stated: Mapping[int, Camera], known: Mapping[int, Sigma], tracks: Tracks, use: Bools, noise: float, share: float
+    ) -> None:
+        """share: weight of the images against what is stated."""
+        self.share = share
+        self.stated, self.known, self.noise = stated, known, noise
+        rows = np.flatnonzero(use)
+        self.tracks = Tracks(tracks.track[rows], tracks.view[rows], tracks.xy[rows], tracks.count)
+        self.all = tracks
+        self.use = use
+        rigs = {view: views[0] for views in rigs_of({v: stated[v] for v in known}).values() for view in views}
+        self.first = {view: rigs.get(view, view) for view in known}
+        """Views of one camera move as its first."""
+        blocks = {view: 6 * k for k, view in enumerate(dict.fromkeys(self.first.values()))}
+        self.place = {view: blocks[first] for view, first in self.first.items()}
+        self.size = 6 * len(blocks)
+        self.turns = {v: between(stated[first].lens, stated[v].lens) for v, first in self.first.items() if first != v}
+
+    def points(self, cameras: Mapping[int, Camera]) -> Float64s:
+        """(count, 3) where the observations in use meet."""
+        return triangulate(cameras, self.all, self.use, NOISES * self.noise)
+
+    def moved(self, cameras: Mapping[int, Camera], step: Float64s) -> dict[int, Camera]:
+        """The cameras after a step: for each loose one a turn in its own axes, and a shift."""
+        found = dict(cameras)
+        for view, k in self.place.items():
+            camera = cameras[view]
+            turn = step[k : k + 3] if view not in self.turns else self.turns[view] @ step[k : k + 3]
+            found[view] = replace(camera, R=rotation_matrix(turn) @ camera.R, C=camera.C + step[k + 3 : k + 6])
+        return found
+
+    def known_to(self, cameras: Mapping[int, Camera], names: tuple[str, ...]) -> tuple[dict[str, Place], Float64s]:
+        """Where the cameras' turns and shifts are in the covariance (n, n), and that, as far as the equations tell it."""
+        whole = np.eye(3)
+        places = {names[view]: Place(k, self.turns.get(view, whole)) for view, k in self.place.items()}
+        covariance = np.asarray(np.linalg.inv(self.equations(cameras)[1]), dtype=np.float64)
+        for view, k in self.place.items():
+            for first, known in ((0, self.known[view].degrees), (3, self.known[view].metres)):
+                if known == 0 and view not in self.turns:
+                    covariance[k + first : k + first + 3], covariance[:, k + first : k + first + 3] = 0.0, 0.0
+        return places, covariance
+
+    def equations(self, cameras: Mapping[int, Camera]) -> Equations:
+        """Cauchy loss of the pixels in standard deviations, plus the priors; normal equations with the points eliminated."""
+        tracks, size = self.tracks, self.size
+        X = triangulate(cameras, tracks, np.ones(len(tracks.track), bool), NOISES * self.noise)
+        off = residuals(cameras, tracks, X) / self.noise
+        seen = np.isfinite(off).all(axis=1)
+        off[~seen] = 4 * NOISES
+        square = (off**2).sum(axis=1)
+        cost = 0.5 * NOISES**2 * float(np.log1p(square / NOISES**2).sum())
+        weight = np.where(seen, 1 / (1 + square / NOISES**2), 0.0)
+        J_camera, J_point = self._jacobians(cameras, X)
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        H = np.zeros((tracks.count, 3, 3))
+        g = np.zeros((tracks.count, 3))
+        np.add.at(H, tracks.track, np.einsum("n,nki,nkj->nij", weight, J_point, J_point))
+        np.add.at(g, tracks.track, np.einsum("n,nki,nk->ni", weight, J_point, off))
+        trace = np.trace(H, axis1=1, axis2=2)[:, None, None]
+        inverse = np.linalg.inv(H + (1e-9 * trace + 1e-12) * np.eye(3))
+        W = np.zeros((len(self.place), tracks.count, 6, 3))
+        for place, (view, k) in enumerate(self.place.items()):
+            rows = tracks.view == view
+            A, B, w = J_camera[rows], J_point[rows], weight[rows]
+            normal[k : k + 6, k : k + 6] += np.einsum("n,nki,nkj->ij", w, A, A)
+            right[k : k + 6] += np.einsum("n,nki,nk->i", w, A, off[rows])
+            W[place, tracks.track[rows]] = np.einsum("n,nki,nkj->nij", w, A, B)
+        WH = np.einsum("ctij,tjk->ctik", W, inverse)
+        for a, k in enumerate(self.place.values()):
+            right[k : k + 6] -= np.einsum("tij,tj->i", WH[a], g)
+            for b, m in enumerate(self.place.values()):
+                normal[k : k + 6, m : m + 6] -= np.einsum("tij,tkj->ik", WH[a], W[b])
+        return self._with_priors(cameras, cost, normal, right)
+
+    def _jacobians(self, cameras: Mapping[int, Camera], X: Float64s) -> tuple[Float64s, Float64s]:
+        """(n, 2, 6) by turn and shift of the observation's camera, and (n, 2, 3) by its point, of observed minus projected."""
+        tracks = self.tracks
+        J_camera, J_point = np.zeros((len(tracks.track), 2, 6)), np.zeros((len(tracks.track), 2, 3))
+        for view, camera in cameras.items():
+            rows = np.flatnonzero(tracks.view == view)
+            x = (np.nan_to_num(X[tracks.track[rows]]) - camera.C) @ camera.R.T
+            z = np.where(x[:, 2] > 0, x[:, 2], 1.0)
+            p = x @ camera.K.T / z[:, None]
+            D = (camera.K[None, :2] - p[:, :2, None] * camera.K[None, 2:]) / z[:, None, None]  # pixels by camera axes
+            turned = np.stack([skew(v) for v in x]) if len(x) else np.zeros((0, 3, 3))
+            J_camera[rows, :, :3] = np.einsum("nij,njk->nik", D, turned) / self.noise
+            if view in self.turns:
+                J_camera[rows, :, :3] = J_camera[rows, :, :3] @ self.turns[view]
+            J_point[rows] = -D @ camera.R / self.noise
+            J_camera[rows, :, 3:] = -J_point[rows]
+        return J_camera, J_point
+
+    def _with_priors(self, cameras: Mapping[int, Camera], cost: float, normal: Float64s, right: Float64s) -> Equations:
+        cost, normal, right = self.share * cost, self.share * normal, self.share * right
+        for view, k in self.place.items():
+            if view in self.turns:
+                continue
+            sigma, camera, stated = self.known[view], cameras[view], self.stated[view]
+            turned = rotation_vector(camera.R @ stated.R.T)
+            for first, off, known in ((0, turned, np.radians(sigma.degrees)), (3, camera.C - stated.C, sigma.metres)):
+                own = slice(k + first, k + first + 3)
+                if known == 0:  # exact: stays
+                    normal[own], normal[:, own], right[own] = 0.0, 0.0, 0.0
+                    normal[own, own] = np.eye(3)
+                    continue
+                cost += 0.5 * float(off @ off) / known**2
+                normal[own, own] += np.eye(3) / known**2
+                right[own] += off / known**2
+        return cost, normal, right
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a camera's turn (3, radians) and shift (3) are in a covariance."""
+
+    first: int
+    """Row of the first of the six."""
+    turn: Float64s
+    """(3, 3) from the axes of the turn to the camera's own: views of one camera turn as the first of them."""
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Cameras in their most probable places, with the covariance of those that are not exact."""
+
+    cameras: dict[str, Camera]
+    """By id."""
+    places: Mapping[str, Place]
+    """Of those that are not exact."""
+    covariance: Float64s
+    """(n, n)."""
+
+    @classmethod
+    def as_stated(cls, cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma]) -> Adjusted:
+        """Cameras of which the images say nothing; sigmas: of those that are not exact."""
+        own = [(np.radians(sigma.degrees),) * 3 + (sigma.metres,) * 3 for sigma in sigmas.values()]
+        places = {name: Place(6 * k, np.eye(3)) for k, name in enumerate(sigmas)}
+        return cls(dict(cameras), places, np.diag(np.square(np.array(own, dtype=np.float64).reshape(-1))))
+
+    def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> Adjusted:
+        """These cameras, with what the images have told of some of them."""
+        n = len(self.covariance)
+        both = np.zeros((n + len(covariance),) * 2)
+        both[:n, :n], both[n:, n:] = self.covariance, covariance
+        told = {name: Place(n + place.first, place.turn) for name, place in places.items()}
+        return Adjusted(cameras, {**self.places, **told}, both)
+
+    def row_sigmas_px(self, pair: Pair, x1: Float64s, x2: Float64s) -> Float64s:
+        """(n,) standard deviation of how far points x1, x2 (n, 2) of two cameras are from the epipolar lines, to first order."""
+        firsts = {self.places[name].first for name in pair if name in self.places}
+        rows = [first + k for first in sorted(firsts) for k in range(6)]
+        values, vectors = np.linalg.eigh(self.covariance[np.ix_(rows, rows)])
+        off = self._off_lines(pair, x1, x2, {})
+        square = np.zeros(len(x1))
+        for value, vector in zip(values, vectors.T, strict=True):
+            step = dict(zip(rows, np.sqrt(max(value, 0.0)) * vector, strict=True))
+            square += (self._off_lines(pair, x1, x2, step) - off) ** 2
+        return np.sqrt(square)
+
+    def _off_lines(self, pair: Pair, x1: Float64s, x2: Float64s, step: Mapping[int, float]) -> Float64s:
+        """(n,) distances of x2 to the lines of x1, with sign, after a step."""
+        left, right = (self._moved(name, step) for name in pair)
+        lines = homogeneous(x1) @ fundamental_from_cameras(left, right).T
+        return np.asarray(np.sum(lines * homogeneous(x2), axis=1) / np.linalg.norm(lines[:, :2], axis=1), dtype=np.float64)
+
+    def _moved(self, name: str, step: Mapping[int, float]) -> Camera:
+        camera, place = self.cameras[name], self.places.get(name)
+        if not step or place is None:
+            return camera
+        turn, shift = (np.array([step[place.first + k + axis] for axis in range(3)]) for k in (0, 3))
+        return replace(camera, R=rotation_matrix(place.turn @ turn) @ camera.R, C=camera.C + shift)

@@ -1,0 +1,160 @@
+"""Rivals of a pair's geometry, looked for on purpose: a shift by a period of what repeats, the view of another side.
+
+What the accepted geometry explains is taken out of the candidates, and the matcher works once more on what is left.  In a scene
+without repetition nothing hangs together there.  Where tiles or whole sides of a building repeat, a second pattern of matches
+appears, of the same keypoints with other partners, and a second pose with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.rotations import angle_between_deg
+from ..matching.affine_field import fit_affine_field
+from ..matching.assignment import without_repeats
+from ..matching.candidates import ViewPair, inverses
+from ..matching.structural import Correspondences, confirmations, solve_rounds
+from ..types import Bools, Features, Float64s, Int32s, View
+from .epipolar import symmetric_epipolar_distance
+from .image_grid import places
+from .robust import TwoView, estimate_essential
+
+EXPLAINED_PX = 12.0
+"""A candidate this near to where the accepted matches put its keypoint is no rival."""
+CONFIRMED = 2
+"""Neighbours that confirm a first match of the rival."""
+DOMINANCE, ROUNDS = 0.8, 3
+"""Of the matcher's rounds."""
+FEWEST = 8
+FREEDOMS = 5
+"""Of E.  Matches of one place agree with many poses and tell one thing at most; in so few places any pattern fits some pose."""
+OFF_LINES_PX = 3.0
+MUCH = 0.25
+"""Share of the accepted inliers that makes any other pose a rival..."""
+MUCH_TURNED, TURNED_DEG = 0.08, 20.0
+"""...and one that is turned by more than so many degrees."""
+SAME_ROTATION_DEG, ANOTHER_STEP_DEG = 1.0, 30.0
+"""A rival of the same rotation whose baseline has another direction is another pose, though all its matches be on the lines: the
+view of another house of a row."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The best other hypothesis of a pair."""
+
+    inliers: int = 0
+    """How many of the matches that the geometry does not explain agree with one pose."""
+    elsewhere: int = 0
+    """The same, of matches off the accepted epipolar lines: a shift along the lines is another depth, unless it is another step
+    along a row, which may lead to the other side."""
+    turned_deg: float = 0.0
+    """Between the accepted rotation and that of these."""
+
+    def ambiguous(self, inliers: int) -> bool:
+        """Nothing decides between this and a geometry with so many inliers.
+
+        A quarter of the support is much for a second pose; a twelfth is if that is turned by far: the view of another side.
+        """
+        another_side = self.elsewhere >= MUCH_TURNED * inliers and self.turned_deg > TURNED_DEG
+        return another_side or self.elsewhere >= MUCH * inliers
+
+
+def find_rival(
+    left: Features,
+    right: Features,
+    pairs: tuple[ViewPair, ...],
+    i1: Int32s,
+    i2: Int32s,
+    accepted: TwoView,
+    seed: int = 0,
+) -> Rival:
+    """The strongest pattern of matches besides the accepted ones.
+
+    Parameters
+    ----------
+    left, right
+        Keypoints of the two frames.
+    pairs
+        Their views, as `matching.candidates.view_pairs` gives them.
+    i1, i2
+        (n,) int32, the accepted matches: rows of the features.
+    accepted
+        Their geometry, with its pose.
+    seed
+        Of the random samples.
+    """
+    assert accepted.R is not None and accepted.t is not None
+    others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
+    found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
+    if found is None or len(found.i1) < FEWEST:
+        return Rival()
+    x1, x2 = left.xy[found.i1], right.xy[found.i2]
+    every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
+    off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
+    elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
+    if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
+        elsewhere = every
+    return Rival(every.inliers, elsewhere.inliers, elsewhere.turned_deg)
+
+
+class _Pose(NamedTuple):
+    """How many matches agree with one pose, and by how much it and its baseline are turned against the accepted one."""
+
+    inliers: int = 0
+    turned_deg: float = 0.0
+    step_deg: float = 0.0
+
+
+def _one_pose(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, t: Float64s, seed: int) -> _Pose:
+    """The pose that most of the matches agree with, against R and the unit vector t."""
+    if len(x1) < FEWEST:
+        return _Pose()
+    pose = estimate_essential(x1, x2, view1, view2, 1.0, seed, max_iterations=1000)
+    if pose is None or pose.R is None or pose.t is None:
+        return _Pose()
+    sides = ((x1, view1), (x2, view2))
+    if min(places(x[pose.inliers], (view.width, view.height)) for x, view in sides) <= FREEDOMS:
+        return _Pose()
+    step = np.degrees(np.arccos(np.clip(np.ravel(pose.t) @ np.ravel(t), -1, 1)))
+    return _Pose(int(pose.inliers.sum()), angle_between_deg(pose.R, R), float(step))
+
+
+def _without(pair: ViewPair, left: Features, right: Features, i1: Int32s, i2: Int32s) -> ViewPair:
+    """The view pair without the candidates near to where the accepted matches put them."""
+    x1, x2 = left.xy[i1], right.xy[i2]
+    affine = right.frames[i2] @ inverses(left.frames[i1])
+    field = fit_affine_field(x1, x2, affine, np.ones(len(i1)), pair.x1)
+    c = pair.candidates
+    reach = EXPLAINED_PX + 2 * np.minimum(field.sigma_px, 2 * EXPLAINED_PX)
+    away = np.linalg.norm(pair.x2[c.j] - field.prediction[c.i], axis=1) > reach[c.i]
+    placed = np.full((len(left.xy), 2), np.inf)
+    placed[i1] = x2
+    mine = placed[pair.rows1]
+    away &= ~(np.linalg.norm(pair.x2[c.j] - mine[c.i], axis=1) <= EXPLAINED_PX)
+    return replace(pair, candidates=replace(c, i=c.i[away], j=c.j[away], q=c.q[away]))
+
+
+def _first(pair: ViewPair) -> Correspondences:
+    """Candidates that are the best of both their keypoints among what is left, and that their neighbours confirm."""
+    c = pair.candidates
+    mutual = np.flatnonzero(_best(c.i, c.q, len(pair.x1)) & _best(c.j, c.q, len(pair.x2)))
+    i, j, q = c.i[mutual], c.j[mutual], c.q[mutual]
+    x1, x2 = pair.x1[i], pair.x2[j]
+    affine = np.linalg.inv(pair.unframes2[j]) @ inverses(pair.frames1[i])
+    good = confirmations(x1, x2, affine) >= CONFIRMED
+    rows1, rows2 = pair.rows1[i[good]], pair.rows2[j[good]]
+    keep = without_repeats(x1[good], x2[good], -q[good])
+    return Correspondences(rows1[keep], rows2[keep], np.ones(int(keep.sum())))
+
+
+def _best(keypoint: Int32s, distance: Float64s, count: int) -> Bools:
+    """(n,) which candidates are the nearest of their keypoint."""
+    least = np.full(count, np.inf)
+    np.minimum.at(least, keypoint, distance)
+    rows = np.flatnonzero(distance == least[keypoint])[::-1]
+    nearest = np.full(count, -1, np.int64)
+    nearest[keypoint[rows]] = rows  # of several, the last one written stays: the first of all
+    return np.asarray(nearest[keypoint] == np.arange(len(keypoint)))

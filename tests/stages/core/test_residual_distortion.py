@@ -1,0 +1,91 @@
+"""A lens that is found with the poses is taken out of frames and pairs on the same night."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wbflow_stages.core.residual_distortion import (
+    bend_of,
+    bent_pixels,
+    bent_px,
+    straight_frame,
+    straight_frames,
+    without_distortion,
+)
+from wbflow_stages.rectification.warping import warp, warp_mask
+from wbflow_stages.types import Bools, Camera, Float64s, Frame, Rectification, Uint8s, View
+
+WIDTH, HEIGHT = 240, 160
+K = np.array([[180.0, 0, 121.0], [0, 180.0, 78.0], [0, 0, 1]])
+BENT = Camera(K, np.eye(3), np.zeros(3), WIDTH, HEIGHT, radial=(-0.15, 0.02))
+x, y = np.meshgrid(np.arange(WIDTH, dtype=np.float64), np.arange(HEIGHT, dtype=np.float64))
+
+
+def painted(x: Float64s, y: Float64s) -> Uint8s:
+    """A smooth picture, at any place."""
+    waves = [120 + 60 * np.sin(0.11 * x + k) + 50 * np.cos(0.09 * y - 0.05 * x + 2 * k) for k in range(3)]
+    return np.stack(waves, axis=-1).clip(0, 255).astype(np.uint8)
+
+
+def bent_frame() -> Frame:
+    """What the lens makes of the picture."""
+    straight = without_distortion(BENT, np.column_stack([x.ravel(), y.ravel()]))
+    u, v = (straight[:, k].reshape(x.shape) for k in (0, 1))
+    return Frame(painted(u, v), np.ones((HEIGHT, WIDTH), np.bool_), View(WIDTH, HEIGHT, K, False))
+
+
+def worst(image: Uint8s, expected: Uint8s, mask: Bools) -> float:
+    return float(np.abs(image.astype(float) - expected)[mask].max())
+
+
+def test_bending_and_straightening_undo_each_other() -> None:
+    bend = bend_of(BENT)
+    assert bend is not None
+    u, v = bent_pixels(bend, x, y)
+    back = without_distortion(BENT, np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
+    assert np.abs(back - np.column_stack([x.ravel(), y.ravel()])).max() < 1e-4
+
+
+def test_a_bent_frame_becomes_the_pinholes() -> None:
+    frame = straight_frame(bent_frame(), BENT)
+    assert worst(bent_frame().image, painted(x, y), frame.mask) > 40
+    assert worst(frame.image, painted(x, y), frame.mask) <= 3
+    assert 0.9 < frame.mask.mean() <= 1.0
+
+
+@pytest.mark.parametrize("radial", [(0.0, 0.0), (-0.002, 0.0)])
+def test_a_frame_that_is_hardly_bent_stays_as_it_is(radial: tuple[float, float]) -> None:
+    frame, camera = bent_frame(), replace(BENT, radial=radial)
+    assert straight_frame(frame, camera) is frame
+    frames = {"gate": frame}
+    assert straight_frames(frames, {"gate": camera, "roof": BENT}) is frames
+
+
+def test_frames_are_straightened_when_they_are_asked_for() -> None:
+    frames = straight_frames({"gate": bent_frame(), "roof": bent_frame()}, {"gate": BENT})
+    assert list(frames) == ["gate", "roof"] and len(frames) == 2
+    assert worst(frames["gate"].image, painted(x, y), frames["gate"].mask) <= 3
+    assert np.array_equal(frames["roof"].image, bent_frame().image)
+
+
+def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
+    H = np.array([[0.9, 0.05, 4.0], [-0.04, 0.95, 6.0], [1e-4, -1e-4, 1.0]])
+    known = Rectification("hartley", "", H, H, (230, 150), (230, 150), 0.0, 10.0, 0.0, 0.0, 10.0)
+    bent = replace(known, bend1=bend_of(BENT))
+    inside = warp_mask(bent, 1, bent_frame().mask) & warp_mask(known, 1, bent_frame().mask)
+    assert inside.mean() > 0.6
+    assert worst(warp(bent, 1, bent_frame().image), warp(known, 1, painted(x, y)), inside) <= 3
+    assert worst(warp(bent, 2, painted(x, y)), warp(known, 2, painted(x, y)), inside) == 0
+
+
+@pytest.mark.parametrize("radial", [(2.9, -18.5), (-3.0, 0.0), (0.2, 4.0), (-0.5, 0.05)])
+def test_a_wild_lens_moves_pixels_nowhere_that_is_none(radial: tuple[float, float]) -> None:
+    """As an adjustment may guess it from a few points: it folds over within its frame."""
+    camera = Camera(np.array([[600.0, 0, 239.5], [0, 600, 134.5], [0, 0, 1]]), np.eye(3), np.zeros(3), 480, 270, radial=radial)
+    corners = np.array([[0.0, 0], [479, 0], [0, 269], [479, 269], [239.5, 134.5]])
+    straight = without_distortion(camera, corners)
+    assert np.isfinite(straight).all() and np.allclose(straight[4], corners[4])
+    assert np.isfinite(bent_px(camera))

@@ -1,0 +1,51 @@
+"""A depth stands alone where its surroundings are unknown, or lie elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
+from wbflow_stages.fusion.surface_support import company
+from wbflow_stages.types import Bools, DepthMap, Float32s
+
+
+def slope() -> Float32s:
+    """Depth (80, 120) of ground that falls away, 10 to 20 m."""
+    return np.repeat(1 / np.linspace(0.1, 0.05, 80)[:, None], 120, axis=1).astype(np.float32)
+
+
+def depth_map(depth: Float32s) -> DepthMap:
+    slopes = inverse_depth_slopes(slope(), 100.0)
+    shape = depth.shape
+    return DepthMap(depth, 0.0005 * depth, *slopes, np.ones(shape, np.uint32), ("other",), np.ones(shape, np.bool_))
+
+
+def company_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
+    return company(depth_map(depth), np.isfinite(depth) if usable is None else usable)
+
+
+def test_a_slope_is_in_company_and_a_pixel_off_it_is_not() -> None:
+    depth = slope()
+    depth[40, 60] *= 1.05
+    share = company_of(depth)
+    assert share[40, 60] == 0 and share[40, 70] > 0.95
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.5])
+def test_sparse_specks_have_as_much_company_as_there_are_of_them(kept: float) -> None:
+    known = np.random.default_rng(0).uniform(size=slope().shape) < kept
+    share = company_of(slope(), known)
+    assert share[known].mean() == pytest.approx(kept, rel=0.25)
+    assert (share[~known] == 0).all()
+
+
+def test_who_asks_others_is_in_their_company_only() -> None:
+    """A pixel in the middle of a hole has none, one at its rim has some, and those that are asked are no matter of the answer."""
+    asked = np.ones(slope().shape, np.bool_)
+    asked[20:60, 40:80] = False
+    share = company(depth_map(slope()), ~asked, asked)
+    assert share[40, 60] == 0 and share[40, 40] > 0.3 and (share[asked] == 0).all()
+    off = slope()
+    off[~asked] *= 1.05
+    assert (company(depth_map(off), ~asked, asked) == 0).all()

@@ -1,0 +1,74 @@
+"""The standard deviation of a point is about its error, whatever the model of pixel noise believed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbflow_stages.fusion.uncertainty import along_nearest_rays, depth_variance
+from wbflow_stages.fusion.visibility import ITSELF, CrossCheck
+from wbflow_stages.types import Camera, DepthMap, Float64s
+
+ROWS, COLUMNS, DEPTH = 60, 80, 20.0
+EVERYWHERE = np.mgrid[0:ROWS, 0:COLUMNS].reshape(2, -1)
+
+
+def said(own: Float64s, others: Float64s, believed: float, of_others: float) -> float:
+    """Standard deviation that is said of depths that err by `own` (h, w), a share, beside others (n, h, w) that agree; `believed`
+    and `of_others`: what their models say."""
+    apart = np.log(np.maximum(np.abs(others - own) / np.hypot(believed, of_others), 0.1)).sum(axis=0).astype(np.float32)
+    count, flat = np.full((ROWS, COLUMNS), len(others), np.uint8), np.zeros((ROWS, COLUMNS), np.float32)
+    known = np.ones((ROWS, COLUMNS), bool)
+    z = (DEPTH * (1.0 + own)).astype(np.float32)
+    depth = DepthMap(z, (believed * z).astype(np.float32), flat, flat, known.astype(np.uint32), ("other",), known)
+    check = CrossCheck(count, count.astype(np.uint16), count, count, count, apart, count, flat)
+    return float(np.sqrt(np.median(depth_variance(depth, check, *EVERYWHERE)))) / DEPTH
+
+
+def views_of_pairs(noise: float, views: int) -> Float64s:
+    """(views, h, w) errors of views whose depths are the means of their pairs', each of which errs by `noise`."""
+    errors = np.random.default_rng(views).normal(0, noise, (views, views, ROWS, COLUMNS))
+    pairs = np.triu(np.ones((views, views)), 1)[..., None, None] * errors
+    return np.asarray((pairs + pairs.swapaxes(0, 1)).sum(axis=1) / (views - 1))
+
+
+@pytest.mark.parametrize("noise", [0.0005, 0.004])
+@pytest.mark.parametrize("views", [3, 4, 8])
+def test_views_that_share_pairs_show_their_errors_all_the_same(noise: float, views: int) -> None:
+    own, *others = views_of_pairs(noise, views)
+    true = noise / np.sqrt(views - 1)
+    told = said(own, np.stack(others), 0.001, 0.001)  # what is believed, up to five times as much, counts a little
+    assert told / true == pytest.approx(1.0, abs=0.35)
+
+
+def test_what_was_believed_counts_little_where_views_tell_another_thing() -> None:
+    own, *others = views_of_pairs(0.001, 6)
+    low, high = (said(own, np.stack(others), believed, believed) for believed in (0.0003, 0.003))
+    assert high / low < 1.6  # of ten
+
+
+def test_a_view_that_sees_finely_is_not_taken_for_one_that_errs_as_much_as_those_which_see_roughly() -> None:
+    rng = np.random.default_rng(0)
+    fine, rough = rng.normal(0, 0.0005, (ROWS, COLUMNS)), rng.normal(0, 0.004, (3, ROWS, COLUMNS))
+    assert said(fine, rough, 0.001, 0.008) == pytest.approx(0.0005, rel=0.3)  # both models fear twice too much
+    assert said(rough[0], fine[None], 0.008, 0.001) == pytest.approx(0.004, rel=0.4)
+
+
+def test_pixels_that_were_laid_on_a_plane_say_nothing_of_how_right_it_is() -> None:
+    others = np.random.default_rng(0).normal(0, 0.002, (4, ROWS, COLUMNS))
+    plane = np.zeros((ROWS, COLUMNS))
+    assert said(plane, others, 0.001, 0.001) > 0.001, "not as exact as it is flat"
+
+
+def test_where_no_other_view_agrees_the_pixels_around_and_the_model_are_left() -> None:
+    own, nobody = np.random.default_rng(0).normal(0, 0.001, (ROWS, COLUMNS)), np.zeros((0, ROWS, COLUMNS))
+    assert 0.001 < said(own, nobody, 0.002, 0.0) < 0.002
+
+
+def test_of_a_point_it_is_said_along_the_ray_of_the_nearest_camera() -> None:
+    """A wall seen frontally from ten metres; a nearer camera sees it at an angle of 30 degrees."""
+    camera = Camera(np.diag([500.0, 500.0, 1.0]), np.eye(3), np.zeros(3), 100, 100)
+    points, normals = np.array([[0.0, 0.0, 10.0]] * 2), np.array([[0.0, 0.0, -1.0]] * 2)
+    aslant = points[:1] + 4.0 * np.array([[np.cos(np.pi / 6), 0.0, -np.sin(np.pi / 6)]])
+    variance = along_nearest_rays(np.full(2, 0.01), camera, aslant, np.array([ITSELF, 0], np.uint8), points, normals)
+    np.testing.assert_allclose(np.sqrt(variance), [0.1, 0.2])

@@ -1,0 +1,62 @@
+"""Right rows match, wrong rows don't, and rows that are a little off say by how much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.dots import stereo_pair
+from wbflow_stages.stereo.matcher import RectifiedPair
+from wbflow_stages.stereo.row_verification import row_test
+
+
+@pytest.fixture(scope="module")
+def pair() -> RectifiedPair:
+    left, right = stereo_pair(320, 448)
+    usable = np.ones(left.shape, dtype=np.bool_)
+    return RectifiedPair(left, right, usable, usable, 10, 60)
+
+
+def test_right_rows_are_confirmed(pair: RectifiedPair) -> None:
+    rows, disparity, confidence = row_test(pair)
+    assert rows.passed(0.3, 4.0)
+    assert abs(rows.row_error_px) < 0.5
+    assert np.isfinite(disparity).mean() > 0.3
+    assert disparity.shape == confidence.shape
+
+
+@pytest.mark.parametrize("shift", [2, -2])
+def test_rows_off_by_two_are_said_to_be(pair: RectifiedPair, shift: int) -> None:
+    rows, *_ = row_test(replace(pair, right=np.roll(pair.right, shift, axis=0)))
+    assert np.sign(rows.row_error_px) == -np.sign(shift)
+
+
+def test_rows_of_another_picture_are_not_confirmed(pair: RectifiedPair) -> None:
+    other = np.random.default_rng(5).permuted(pair.right, axis=0)
+    rows, *_ = row_test(replace(pair, right=other))
+    assert not rows.passed(0.01, 2.0)
+
+
+def pavement() -> RectifiedPair:
+    """Eight rows further down, the same stones lie twenty pixels to the right: they match there, too, but not where they lie."""
+    rng = np.random.default_rng(1)
+    stones = rng.uniform(30, 220, (8, 600)).astype(np.float32)
+    left = np.concatenate([np.roll(stones, 20 * course, axis=1) for course in range(40)])
+    right = np.roll(left, -30, axis=1)
+    usable = np.ones(left.shape, dtype=np.bool_)
+    ground = np.full(left.shape, 30, np.float32)
+    return RectifiedPair(left, right, usable, usable, 0, 70, ground, ground)
+
+
+def test_stones_that_repeat_confirm_rows_where_others_know_the_ground() -> None:
+    rows, *_ = row_test(pavement())
+    assert rows.share > 0.3 and not rows.passed(0.01, 2.0)
+    assert rows.shows_ground(0.1, 5.0)
+
+
+def test_stones_that_repeat_do_not_confirm_wrong_rows() -> None:
+    right = pavement()
+    wrong, *_ = row_test(replace(right, right=np.roll(right.right, 8, axis=0)))
+    assert wrong.share > 0.3 and not wrong.passed(0.01, 2.0) and not wrong.shows_ground(0.01, 5.0)
