@@ -28,7 +28,8 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     result = wbflow("--help")
     assert result.returncode == 0
     assert all(command in result.stdout for command in COMMANDS)
-    code = "import sys, wbflow.cli.main; print([m for m in ('numpy', 'yaml', 'joblib', 'networkx') if m in sys.modules])"
+    heavy = ("numpy", "yaml", "joblib", "networkx", "pydantic", "rich")
+    code = f"import sys, wbflow.cli.main; print([m for m in {heavy} if m in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
 

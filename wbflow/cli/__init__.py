@@ -1,1 +1,1 @@
-"""The commands, one file for each purpose.  They import what they need when they need it."""
+"""The command line."""

@@ -1,4 +1,4 @@
-"""The command line: its commands, and how faults reach the user; nothing else."""
+"""The command line: its commands, and how errors reach the user.  Commands import what they need when they run."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import click
 
 from .. import __version__
 from ..errors import ExitCode, WbflowError
-from . import lens, look, reference, runs, start
+from . import reference, results, setup
 from . import run as night
-from .words import stop
+from .common import stop
 
 
-class _Plain(click.Group):
-    """A group whose faults reach the user as one line and what to do; with -v, as a traceback."""
+class _Commands(click.Group):
+    """Commands whose errors are one line and a remedy; with -v, a traceback."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command that is named first; one that there is not is told with the nearest that there is."""
+        """Return the named command; of an unknown one, suggest the nearest."""
         if args[0] not in self.commands:
             import difflib
 
@@ -33,18 +33,18 @@ class _Plain(click.Group):
         except KeyboardInterrupt:
             sys.exit(ExitCode.INTERRUPTED)
         except WbflowError as error:
-            if _tracebacks_wanted() and error.__cause__:
+            if _wants_tracebacks() and error.__cause__:
                 import traceback
 
                 traceback.print_exception(error.__cause__)
             stop(error.exit_code, str(error))
         except Exception as error:
-            if _tracebacks_wanted():
+            if _wants_tracebacks():
                 raise
             stop(ExitCode.FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
 
 
-@click.group(cls=_Plain, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
 @click.version_option(__version__, prog_name="wbflow")
 def main() -> None:
     """A metric, coloured point cloud of a site, every night, from fixed cameras far apart.
@@ -54,7 +54,7 @@ def main() -> None:
 
     \b
     wbflow init photographs                a site file from a folder of photographs
-    wbflow check photographs               what is wrong with it, and with the captures
+    wbflow check photographs               faults of the file and of the captures
     wbflow run photographs                 the night's work
     """
 
@@ -63,23 +63,23 @@ for _command in (
     night.run,
     night.status,
     night.check,
-    runs.report,
-    runs.history,
-    runs.compare,
-    runs.export,
-    runs.clean,
+    results.report,
+    results.history,
+    results.compare,
+    results.export,
+    results.clean,
     reference.pin,
-    start.demo,
-    start.init,
-    start.pair,
-    lens.calibrate,
-    start.stages,
-    look.debug,
-    look.runs,
-    look.site_report,
+    setup.demo,
+    setup.init,
+    setup.pair,
+    setup.calibrate,
+    setup.stages,
+    results.debug,
+    results.runs,
+    results.site_report,
 ):
     main.add_command(_command)
 
 
-def _tracebacks_wanted() -> bool:
+def _wants_tracebacks() -> bool:
     return bool({"-v", "--verbose"} & set(sys.argv))

@@ -1,4 +1,4 @@
-"""The reference: what later nights are compared with."""
+"""`wbflow pin`: the reference that later nights are compared with."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ExitCode, UsageError
-from .common import load, place_of, run_argument, site_argument, work_option
-from .words import say, stop
+from .common import echo, load, run_argument, site_argument, stop, work_option
 
 if TYPE_CHECKING:
-    from ..cache.layout import WorkFolder
     from ..site.models import Site
 
 
 @click.command()
 @site_argument
 @run_argument
-@click.option("--list", "listed", is_flag=True, help="Say what is pinned.")
+@click.option("--list", "listed", is_flag=True, help="Print the reference.")
 @click.option("--drop", is_flag=True, help="Forget the reference.")
 @click.option("--refine", is_flag=True, help="Pool what the nights since have measured into the reference.")
 @work_option
@@ -34,46 +32,50 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     wbflow pin site.yaml --list
     """
     if listed + drop + refine + (run_id is not None) > 1:
-        raise UsageError(
-            "--list, --drop, --refine and RUN exclude each other", remedy="wbflow pin SITE.yaml --list  says what is pinned"
-        )
+        remedy = "wbflow pin SITE.yaml --list  prints the reference"
+        raise UsageError("--list, --drop, --refine and RUN exclude each other", remedy=remedy)
     loaded = load(site, work)
-    place = place_of(loaded)
+    folder = loaded.work_folder
     from ..cache.writing import hold_to_write
     from ..records.reference_folder import drop_reference, read_reference
 
     if listed:
-        reference = read_reference(place)
+        reference = read_reference(folder)
         if reference is None:
             stop(ExitCode.GOOD, f"{loaded.name} has no reference")
         for line in reference.lines():
-            say(line)
+            echo(line)
         return
-    with hold_to_write(place, wait=False):
+    with hold_to_write(folder, wait=False):
         if drop:
-            said = "the reference is dropped" if drop_reference(place) else f"{loaded.name} has no reference"
+            echo("the reference is dropped" if drop_reference(folder) else f"{loaded.name} has no reference")
         elif refine:
-            said = _refine(loaded, place)
+            _refine(loaded)
         else:
-            from ..cache.store import Cache
-            from ..reference.create import good_run
-            from ..reference.create import pin as make
-
-            made = make(Cache(place), good_run(place, run_id))
-            said = f"run {made.run} (night of {made.date}) is the reference now: {place.reference}"
-    say(said)
-    if not (drop or refine) and loaded.pin == "none":
-        say("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
+            _create(loaded, run_id)
 
 
-def _refine(site: Site, place: WorkFolder) -> str:
+def _create(site: Site, run_id: str | None) -> None:
+    from ..cache.store import Cache
+    from ..reference.create import good_run
+    from ..reference.create import pin as create
+
+    folder = site.work_folder
+    reference = create(Cache(folder), good_run(folder, run_id))
+    echo(f"run {reference.run} (night of {reference.date}) is the reference now: {folder.reference}")
+    if site.pin == "none":
+        echo("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
+
+
+def _refine(site: Site) -> None:
     from ..cache.store import Cache
     from ..records.reference_folder import read_reference, restore
     from ..reference.aggregate import pool
 
-    reference = read_reference(place)
+    folder = site.work_folder
+    reference = read_reference(folder)
     if reference is None:
         raise UsageError(f"{site.name} has no reference to refine", remedy=f"first: wbflow pin {site.file}")
-    restore(Cache(place), reference)
-    pooled = pool(place, reference, site)
-    return "\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet"
+    restore(Cache(folder), reference)
+    pooled = pool(folder, reference, site)
+    echo("\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet")

@@ -1,163 +1,272 @@
-"""The night: run it, and say what it would do."""
+"""`wbflow run`, `status` and `check`: a night's work, and what it would do."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ExitCode, UsageError, counted, worst
+from ..errors import ExitCode, UsageError, WbflowError, counted, worst
 from .common import (
-    BACKENDS,
-    PATH,
     Clock,
     Day,
     date_option,
-    each,
-    force_option,
+    echo,
+    echo_json,
     jobs_option,
     json_option,
     load,
-    say_json,
     site_argument,
+    sites_argument,
     until_option,
     verbose_option,
     work_option,
 )
-from .words import findings, next_command, say, summary
+from .display import display
 
 if TYPE_CHECKING:
     import datetime
 
+    from ..api import Run
+    from ..records.record import Finding, RunRecord
     from ..site.models import Site
+
+BACKENDS = ("processes", "loky", "threading", "dask")
+LEVELS = {
+    "good": "good: nothing to look at",
+    "degraded": "degraded: a cloud was made, but look at this",
+    "failed": "failed",
+}
+"""Text of the verdict's levels."""
+MOST_FINDINGS = 20
+"""Findings that are printed; the report has all."""
+MOST_ALIKE = 4
+"""Findings of one kind with the same remedy that are printed in full."""
+DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
+"""Causes of failure for which the task's inputs are worth a look."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of `wbflow run`; see their help texts."""
+
+    date: datetime.date | None
+    since: datetime.date | None
+    work: str | None
+    jobs: int
+    until: str | None
+    force: tuple[str, ...]
+    dry_run: bool
+    wait: bool
+    stop_at: datetime.datetime | None
+    as_json: bool
+    backend: str
+    scheduler: str | None
+    worker_roots: tuple[str, ...]
+    memory: str | None
+    time_limit: float | None
+    verbose: bool
+    quiet: bool
 
 
 @click.command()
-@click.argument("sites", metavar="SITE.yaml...", type=PATH, nargs=-1, required=True)
+@sites_argument
 @date_option
 @click.option("--since", type=Day(), metavar="DAY", help="All nights from this day on that have captures, one after the other.")
 @work_option
 @jobs_option
 @until_option
-@force_option
-@click.option("--dry-run", is_flag=True, help="Say what would run, and why; write nothing.")
+@click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`.")
+@click.option("--dry-run", is_flag=True, help="Print what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
-@click.option("--stop-at", type=Clock(), metavar="HH:MM", help="Then put together and publish what there is, and end.")
+@click.option("--stop-at", type=Clock(), metavar="HH:MM", help="Stop then, and publish what there is.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
 @click.option(
     "--worker-root", "worker_roots", multiple=True, metavar="HERE=THERE", help="What Dask's workers call a folder: /srv=/mnt/srv."
 )
-@click.option("--memory", metavar="SIZE", help="What all workers together may hold: 4GB (default: 80 % of what there is).")
+@click.option("--memory", metavar="SIZE", help="Limit for all workers together: 4GB (default: 80 % of the machine's memory).")
 @click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")
 @verbose_option
-@click.option("-q", "--quiet", is_flag=True, help="Only what went wrong.")
-def run(sites: tuple[Path, ...], dry_run: bool, as_json: bool, verbose: bool, quiet: bool, **asked: Any) -> None:
+@click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
+def run(sites: tuple[Path, ...], **options: Any) -> None:
     """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
-    Several sites are worked through one after the other; what is wrong with one costs the others nothing.  With --since, the
-    nights of a machine that was off are caught up with, one run for each.  The exit code is that of the worst.
+    Several sites run one after the other; a fault of one costs the others nothing.  With --since, each missed night gets
+    a run of its own.  The exit code is that of the worst run.
 
     \b
     wbflow run site.yaml                          the newest night
-    wbflow run site.yaml --date yesterday -q      for cron: says only what went wrong
+    wbflow run site.yaml --date yesterday -q      for cron: prints only what went wrong
     wbflow run sites/*.yaml -q                    several sites
     wbflow run site.yaml --force 'matches gate--roof' --until poses
     wbflow run site.yaml --since -7 --stop-at 06:00
     """
-    if asked["date"] and asked["since"]:
-        raise UsageError("--date and --since name two things to do", remedy="give one of them: wbflow run SITE.yaml --since DAY")
-    if asked["work"] and len(sites) > 1:
+    nights = Nights(Options(**options), several=bool(options["since"]) or len(sites) > 1)
+    if nights.options.date and nights.options.since:
+        raise UsageError("--date and --since exclude each other", remedy="give one of them: wbflow run SITE.yaml --since DAY")
+    if nights.options.work and len(sites) > 1:
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
-    if dry_run:
-        code = each(sites, lambda site: _foretell(site, **asked))
-        sys.exit(code)
-    telling = _Telling(verbose, quiet or as_json, bool(asked["since"]) or len(sites) > 1, as_json)
-    records: list[Any] = []
-    code = each(sites, lambda site: _work_through(site, telling, records, **asked))
-    if as_json:
-        say_json(records if telling.several else records[0])
+    code = for_each(sites, nights.explain if nights.options.dry_run else nights.run)
+    if nights.options.as_json and not nights.options.dry_run:
+        echo_json(nights.records if nights.several else nights.records[0])
     sys.exit(code)
 
 
-@dataclass(frozen=True)
-class _Telling:
-    """What is said of runs on the way."""
+@dataclass
+class Nights:
+    """The nights that one call of `wbflow run` works on."""
 
-    verbose: bool
-    quiet: bool
-    """Nothing but what went wrong."""
+    options: Options
     several: bool
-    """Each run says which it is."""
-    as_json: bool = False
-    """For programs."""
+    """Whether there may be more than one run, so that each says which it is."""
+    records: list[Any] = field(default_factory=list)
+    """run.json of each run, for --json."""
 
+    def explain(self, path: Path) -> int:
+        """Print what would run for a site."""
+        site = load(path, self.options.work)
+        for night in self._of(site):
+            print_plan(site, night, self.options.until, self.options.force)
+        return ExitCode.GOOD
 
-def _foretell(
-    path: Path, date: datetime.date | None, since: datetime.date | None, work: str | None, until: str | None, **asked: Any
-) -> int:
-    """What would run for a site."""
-    site = load(path, work)
-    for day in _nights(site, date, since):
-        _explain(site, day, until, asked["force"])
-    return ExitCode.GOOD
+    def run(self, path: Path) -> int:
+        """Run a site's nights; returns the worst exit code."""
+        from ..api import run as run_night
 
+        options, quiet = self.options, self.options.quiet or self.options.as_json
+        site = load(path, options.work, notes=False, pull=False)  # a run reports them, and pulls, itself
+        nights, codes = self._of(site), list[int]()
+        for night in nights:
+            if codes and options.stop_at and options.stop_at <= type(options.stop_at).now():
+                echo(f"{counted(len(nights) - len(codes), 'night')} not begun: --stop-at {options.stop_at:%H:%M}", err=True)
+                codes.append(ExitCode.DEGRADED)
+                break
+            with display(site.name, options.verbose, quiet) as shown:
+                finished = run_night(
+                    site,
+                    date=night,
+                    jobs=options.jobs,
+                    until=options.until,
+                    force=options.force,
+                    wait=options.wait,
+                    backend=options.backend,
+                    scheduler=options.scheduler,
+                    worker_roots=options.worker_roots,
+                    memory=options.memory,
+                    time_limit=options.time_limit,
+                    stop_at=options.stop_at,
+                    listen=shown.receive,
+                    watch=shown.receive,
+                )
+            codes.append(finished.record.exit_code)
+            self._print(finished, quiet)
+            if codes[-1] == ExitCode.INTERRUPTED:
+                break
+        if not quiet:
+            echo(f"next    {next_command(finished, path)}")
+        return worst(codes)
 
-def _work_through(
-    path: Path,
-    telling: _Telling,
-    records: list[Any],
-    date: datetime.date | None,
-    since: datetime.date | None,
-    work: str | None,
-    **asked: Any,
-) -> int:
-    """The nights of a site that were asked for.  Adds their records, and gives the worst exit code."""
-    import json
+    def _of(self, site: Site) -> list[datetime.date | None]:
+        from ..runner.captures import backlog
 
-    from ..records.events import OnlyWarnings
-    from .watch import reading, watching
+        return [self.options.date] if self.options.since is None else [*backlog(site, self.options.since)]
 
-    with reading(path, telling.quiet):
-        site = load(path, work, notes=False, look=False)  # a run tells of them, and looks, itself
-        from ..api import run as work_through
+    def _print(self, finished: Run, quiet: bool) -> None:
+        import json
 
-    codes: list[int] = []
-    nights = _nights(site, date, since)
-    for day in nights:
-        if codes and (at := asked["stop_at"]) and at <= type(at).now():
-            say(f"{counted(len(nights) - len(codes), 'night')} not begun: the run was to stop at {at:%H:%M}", err=True)
-            codes.append(ExitCode.DEGRADED)
-            break
-        with watching(site.name, telling.verbose, telling.quiet) as watch:
-            listen = OnlyWarnings(watch.hear) if telling.quiet and not telling.verbose else watch.hear
-            finished = work_through(site, date=day, listen=listen, watch=watch.hear, **asked)
         record = finished.record
-        codes.append(record.exit_code)
-        if telling.as_json:
-            records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
-        if telling.several and not telling.quiet:
-            say(f"{record.site}, night {record.date}, run {record.run}:")
-        if not telling.quiet:
-            summary(finished)
-        if record.exit_code or not telling.quiet:
-            findings(record)
-        if record.exit_code == ExitCode.INTERRUPTED:
+        if self.options.as_json:
+            self.records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
+        if not quiet:
+            if self.several:
+                echo(f"{record.site}, night {record.date}, run {record.run}:")
+            print_summary(finished)
+        if record.exit_code or not quiet:
+            print_findings(record)
+
+
+def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
+    """Do something for each site, and return the worst exit code.
+
+    A fault of one of several sites is printed, and costs the others nothing; that of the only one is raised.
+    """
+    if len(sites) == 1:
+        return work(sites[0])
+    codes = []
+    for site in sites:
+        try:
+            codes.append(work(site))
+        except WbflowError as error:
+            echo(f"{site}: {error}", err=True)
+            codes.append(error.exit_code)
+        except Exception as error:  # a fault of ours
+            echo(f"{site}: wbflow itself failed: {type(error).__name__}: {error}\n  wbflow run {site} -v  shows where", err=True)
+            codes.append(ExitCode.FAILED)
+        if codes[-1] == ExitCode.INTERRUPTED:
             break
-    if not telling.quiet:
-        say(f"next    {next_command(finished, path)}")
     return worst(codes)
 
 
-def _nights(site: Site, date: datetime.date | None, since: datetime.date | None) -> list[datetime.date | None]:
-    from ..runner.captures import backlog
+def print_summary(finished: Run) -> None:
+    """Print verdict and figures of a run, and where its files are."""
+    record, paths = finished.record, finished.finished.folder.paths
+    if record.verdict and record.verdict.good and not record.verdict.findings:
+        echo(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
+    tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
+    echo(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
+    if record.cloud:
+        echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
+    echo(f"report  {paths.report}")
 
-    return [date] if since is None else [*backlog(site, since)]
+
+def print_findings(record: RunRecord) -> None:
+    """Print the findings and their remedies on stderr, so that cron mails them."""
+    verdict = record.verdict
+    if verdict is None or (verdict.good and not verdict.findings):
+        return
+    echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
+    texts = list(_texts(verdict.findings))
+    printed = texts[:MOST_FINDINGS]
+    for (text, remedy), following in zip(printed, [*printed[1:], None], strict=True):
+        echo(f"  {text}", err=True)
+        if remedy and not (following and following[1] == remedy):  # once, after the last that it is for
+            echo(f"    {remedy}", err=True)
+    if (left := len(texts) - MOST_FINDINGS) > 0:
+        echo(f"  and {left} more: the report has them", err=True)
+
+
+def _texts(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
+    """Yield text and remedy of findings; of many alike only the first, and the subjects of the others."""
+    for _, alike in groupby(found, key=lambda finding: (finding.kind, finding.remedy)):
+        group = list(alike)
+        few = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
+        yield from ((str(finding), finding.remedy) for finding in (group if few else group[: MOST_ALIKE - 1]))
+        if not few:
+            rest = [finding.about for finding in group[MOST_ALIKE - 1 :]]
+            yield f"and {len(rest)} more like these: {', '.join(rest)}", group[-1].remedy
+
+
+def next_command(finished: Run, site: Path) -> str:
+    """Return the command that is most useful after a run."""
+    import shlex
+
+    record, file = finished.record, shlex.quote(str(site))
+    if record.exit_code == ExitCode.INTERRUPTED:
+        return f"wbflow run {file}"
+    faults = [event.task for event in finished.finished.tasks.values() if event.outcome == "failed" and event.code in DEBUGGABLE]
+    if faults:
+        return f"wbflow debug {file} {shlex.quote(str(faults[0]))} --out debug"
+    if record.exit_code:
+        return f"wbflow check {file}"
+    return f"wbflow compare {file}" if len(finished.finished.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
 
 
 @click.command()
@@ -173,7 +282,49 @@ def status(site: Path, date: datetime.date | None, work: str | None, until: str 
     wbflow status site.yaml
     wbflow status site.yaml --date -1 --json
     """
-    _explain(load(site, work), date, until, (), as_json)
+    print_plan(load(site, work), date, until, as_json=as_json)
+
+
+def print_plan(
+    site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = (), as_json: bool = False
+) -> None:
+    """Print each task with what would become of it, and why.
+
+    Parameters
+    ----------
+    site : Site
+        Whose tasks.
+    date, until, force
+        As for a run.
+    as_json : bool
+        Print JSON instead of text.
+    """
+    from dataclasses import asdict
+
+    from ..outcome.status import explain, pairs_to_come, seconds_to_come, totals
+    from ..runner.context import open_night
+    from ..runner.options import Options as RunOptions
+
+    options = RunOptions(until=until, force=force)
+    options.check()
+    options.check_subjects(site)
+    plan = open_night(site, date, until, force).plan
+    plan.refresh()
+    lines = explain(plan)
+    seconds, counts = seconds_to_come(lines), totals(lines)
+    if as_json:
+        tasks = [asdict(line) for line in lines]
+        known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
+        echo_json({"site": site.name, "night": plan.night, **known})
+        return
+    if plan.misfit:
+        echo(f"the reference is not used: {plan.misfit}", err=True)
+    for line in lines:
+        echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
+    if pairs_to_come(plan):
+        echo("(tasks of pairs are listed once the pair graph is known)")
+    about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
+    echo(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in counts.items())}{about}")
 
 
 @click.command()
@@ -187,42 +338,13 @@ def check(site: Path, date: datetime.date | None, work: str | None) -> None:
     wbflow check site.yaml
     wbflow check site.yaml --date yesterday
     """
-    loaded = load(site, work)
     from ..outcome.check import check as examine
     from ..outcome.check import exit_code
 
+    loaded = load(site, work)
     findings = examine(loaded, date)
     for finding in findings:
-        say(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
+        echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:
-        say(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
+        echo(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
     sys.exit(exit_code(findings))
-
-
-def _explain(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...], as_json: bool = False) -> None:
-    from dataclasses import asdict
-
-    from ..outcome.status import explain, pairs_to_come, seconds_to_come, totals
-    from ..runner.context import open_night
-    from ..runner.options import Options
-
-    options = Options(until=until, force=force)
-    options.check()
-    options.check_subjects(site)
-    plan = open_night(site, date, until, force).plan
-    plan.refresh()
-    lines = explain(plan)
-    seconds, counts = seconds_to_come(lines), totals(lines)
-    if as_json:
-        tasks = [asdict(line) for line in lines]
-        known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
-        say_json({"site": site.name, "night": plan.night, **known})
-        return
-    if plan.misfit:
-        say(f"the reference is not used: {plan.misfit}", err=True)
-    for line in lines:
-        say(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
-    if pairs_to_come(plan):
-        say("(tasks of pairs are listed once the pair graph is known)")
-    about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
-    say(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in counts.items())}{about}")

@@ -10,13 +10,10 @@ from typing import Any
 
 from ..cache.atomic import write_atomic
 from ..errors import ExitCode, WbflowError
-from ..pipeline.exports import EXPORTS, Export
+from ..pipeline.exports import EXPORTS, EXTRAS, Export
 from ..pipeline.rows import Role
 from ..pipeline.stages import stage_with
 from .artifacts import FinishedRun, function
-
-EXTRAS = {"las": ("laspy", "lazrs", "pyproj"), "e57": ("pye57",), "geo": ("rasterio", "pyproj")}
-"""Packages of the extras that exports may need."""
 
 
 class MissingExtra(WbflowError):

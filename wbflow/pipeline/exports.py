@@ -16,6 +16,8 @@ class Export:
     """
 
     name: str
+    help: str
+    """Text of the option in `wbflow export --help`."""
     function: str
     """Dotted: package.module:function."""
     needs: Mapping[str, tuple[Role, ...]]
@@ -28,22 +30,56 @@ class Export:
     """The extra that it needs where the site is georeferenced."""
 
 
+EXTRAS: Mapping[str, tuple[str, ...]] = {"las": ("laspy", "lazrs", "pyproj"), "e57": ("pye57",), "geo": ("rasterio", "pyproj")}
+"""Packages of the extras that exports may need."""
+
 _CLOUD, _WORLD = (Role.PRODUCT,), (Role.WORLD,)
 
 EXPORTS: tuple[Export, ...] = (
-    Export("laz", "wbflow_stages.exports.forms:laz", {"cloud": _CLOUD, "poses": _WORLD}, dated=True, extra="las"),
-    Export("e57", "wbflow_stages.exports.forms:e57", {"cloud": _CLOUD, "poses": _WORLD}, extra="e57"),
-    Export("heights", "wbflow_stages.exports.forms:heights", {"cloud": _CLOUD, "poses": _WORLD}, extra_on_the_map="geo"),
-    Export("depth", "wbflow_stages.exports.forms:depth", {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)}),
-    Export("mesh", "wbflow_stages.exports.forms:mesh", {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)}),
+    Export(
+        "laz",
+        "The cloud as LAZ, on the map where positions are known by latitude and longitude.",
+        "wbflow_stages.exports.forms:laz",
+        {"cloud": _CLOUD, "poses": _WORLD},
+        dated=True,
+        extra="las",
+    ),
+    Export(
+        "e57",
+        "The cloud as E57, on the map like LAZ; intensity is the confidence.",
+        "wbflow_stages.exports.forms:e57",
+        {"cloud": _CLOUD, "poses": _WORLD},
+        extra="e57",
+    ),
+    Export(
+        "heights",
+        "Heights seen from above: GeoTIFF where the site is on the map, else PNG and PFM.",
+        "wbflow_stages.exports.forms:heights",
+        {"cloud": _CLOUD, "poses": _WORLD},
+        extra_on_the_map="geo",
+    ),
+    Export(
+        "depth",
+        "Depth map of each camera: 16-bit PNG and PFM.",
+        "wbflow_stages.exports.forms:depth",
+        {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)},
+    ),
+    Export(
+        "mesh",
+        "The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.",
+        "wbflow_stages.exports.forms:mesh",
+        {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)},
+    ),
     Export(
         "orthophoto",
+        "The site from straight above: GeoTIFF, or PNG with its world file.",
         "wbflow_stages.exports.forms:orthophoto",
         {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)},
         extra_on_the_map="geo",
     ),
     Export(
         "colmap",
+        "Cameras, images and points as a COLMAP model.",
         "wbflow_stages.exports.forms:colmap",
         {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,), "geometries": (Role.GEOMETRY,)},
     ),

@@ -146,17 +146,6 @@ Listener = Callable[[Event], None]
 """Told of every event as it happens."""
 
 
-@dataclass(frozen=True)
-class OnlyWarnings:
-    """A listener who wants to hear of nothing else: where nothing happens, nobody reads it a log."""
-
-    hear: Listener
-
-    def __call__(self, event: Event) -> None:
-        if isinstance(event, WarningEvent):
-            self.hear(event)
-
-
 Watcher = Callable[[Signal], None]
 """Told of what is planned and begun, too."""
 

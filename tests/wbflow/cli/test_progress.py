@@ -7,7 +7,7 @@ import heapq
 
 import pytest
 
-from wbflow.cli.progress import Progress, in_words
+from wbflow.cli.display import Progress, duration
 from wbflow.pipeline.stages import ROUGH_SECONDS
 from wbflow.records.events import Event, PlannedEvent, Signal, StageOutlook, StartedEvent, TaskEvent
 from wbflow.task import Task
@@ -166,7 +166,7 @@ def test_what_comes_from_the_cache_is_counted_and_no_stage_is_told_of_for_it() -
 
 @pytest.mark.parametrize(("seconds", "words"), [(4.4, "4 s"), (89, "89 s"), (200, "3 min"), (7900, "2 h 12 min")])
 def test_spans_are_said_as_people_say_them(seconds: float, words: str) -> None:
-    assert in_words(seconds) == words
+    assert duration(seconds) == words
 
 
 def test_what_is_compiled_once_is_not_expected_of_every_task() -> None:

@@ -180,7 +180,7 @@ def test_a_camera_that_was_not_refined_gives_the_depth_of_its_pairs(site: Path, 
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ((), 2, "say what to export: --laz"),
+        ((), 2, "name what to export: --laz"),
         (("19990101T000000Z", "--laz"), 2, "there is no run"),
     ],
 )

@@ -1,31 +1,26 @@
-"""For a start, and for who looks behind it: a demo, a site file, two photographs, the stages."""
+"""Commands for a start: a demo, a site file, two photographs, a lens calibration, and the stages' parameters."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from ..errors import ExitCode, UsageError
-from .common import PATH, jobs_option, verbose_option
-from .words import say, stop
-
-if TYPE_CHECKING:
-    pass
+from .common import PATH, echo, jobs_option, stop, verbose_option
 
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option("--scene", default="yard", metavar="NAME", help="yard, square, hall, hall-2, hall-4, houses, ...")
 @click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
-@click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Hour; dark: no lamps.")
+@click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Time of day; dark: no lamps.")
 @click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown, mixed or infrared: other cameras.")
 @click.option("--surfaces", default="standard", metavar="KIND", help="weak: the yard with white walls, wet asphalt and snow.")
-@click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="So many of the scene's cameras.")
+@click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="How many of the scene's cameras.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
-@click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Nights of the yard (640x360); what happens is in truth.")
-@click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Of each camera and night.")
+@click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Render nights of the yard (640x360).")
+@click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Frames of each camera and night.")
 def demo(
     folder: Path,
     scene: str,
@@ -56,11 +51,12 @@ def demo(
         write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed, lenses=lenses, surfaces=surfaces)
     elif (scene, light, lenses, surfaces) != ("yard", "day", "standard", "standard"):
         raise UsageError(
-            "--nights renders the yard, each night in its own light", remedy="leave out --scene, --light, --lenses and --surfaces"
+            "--nights renders the yard, each night in its own light",
+            remedy="leave out --scene, --light, --lenses and --surfaces",
         )
     else:
         write_nights(folder, nights, frames=frames, small=small, cameras=cameras, seed=seed)
-    say(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
+    echo(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 
 @click.command()
@@ -68,8 +64,8 @@ def demo(
 def init(folder: Path) -> None:
     """Write a site file from a folder of photographs.
 
-    Either one photograph of each camera, or one folder for each camera with its photographs (several are several captures of
-    one night). The site file is put into FOLDER (here, if none is named) as site.yaml; one that is there is left alone.
+    FOLDER (this one, if none is named) holds one photograph of each camera, or one folder for each camera with its photographs
+    (several are several captures of one night). The site file is FOLDER/site.yaml; one that exists is left alone.
 
     \b
     wbflow init photographs        (photographs/gate.jpg, photographs/roof.jpg, ...)
@@ -78,10 +74,10 @@ def init(folder: Path) -> None:
     from ..outcome.init import write_site
 
     made = write_site(folder)
-    say(f"{made.file}: {len(made.cameras)} cameras: {', '.join(made.cameras)}")
+    echo(f"{made.file}: {len(made.cameras)} cameras: {', '.join(made.cameras)}")
     for note in made.notes:
-        say(note)
-    say(f"now try  wbflow check {made.file}  and  wbflow run {made.file}")
+        echo(note)
+    echo(f"now try  wbflow check {made.file}  and  wbflow run {made.file}")
 
 
 @click.command()
@@ -98,17 +94,61 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     wbflow pair left.jpg right.jpg --out pair
     wbflow pair left.jpg right.jpg --out pair --resolution 2400
     """
-    from ..api import run as work_through
+    from ..api import run
     from ..outcome.pair import LAST_STAGE, failure, pair_site, write_pair
-    from .watch import watching
+    from .display import display
 
     site = pair_site(left, right, out, resolution)
-    with watching(site.name, verbose) as watch:
-        finished = work_through(site, jobs=jobs, until=LAST_STAGE, listen=watch.hear, watch=watch.hear).finished
+    with display(site.name, verbose) as shown:
+        finished = run(site, jobs=jobs, until=LAST_STAGE, listen=shown.receive, watch=shown.receive).finished
     for file in write_pair(finished, out):
-        say(file)
+        echo(file)
     if why := failure(finished):
         stop(ExitCode.FAILED, f"no disparity: {why}")
+
+
+@click.command()
+@click.argument("camera", metavar="CAMERA")
+@click.argument("pictures", metavar="PICTURES", type=PATH)
+@click.option("--board", required=True, metavar="9x6", help="Inner corners of a checkerboard; squares of a ChArUco board.")
+@click.option("--square", type=click.FloatRange(min=0, min_open=True), default=1.0, metavar="M", help="Edge of a square.")
+@click.option("--marker", type=click.FloatRange(min=0), default=0.0, metavar="M", help="Edge of a marker, for a ChArUco board.")
+@click.option(
+    "--dictionary",
+    type=click.Choice([f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)]),
+    default="4X4_50",
+    metavar="NAME",
+    help="Dictionary of the markers: 4X4_50 to 7X7_1000.",
+)
+@click.option(
+    "--model",
+    type=click.Choice(["brown", "rational", "fisheye", "division", "fov", "eucm", "double-sphere"]),
+    default="brown",
+    help="Lens model; fisheye: for wide lenses.",
+)
+@click.option("--out", type=PATH, default=Path(), metavar="DIR", help="Folder for CAMERA.json and CAMERA-coverage.png.")
+def calibrate(
+    camera: str, pictures: Path, board: str, square: float, marker: float, dictionary: str, model: str, out: Path
+) -> None:
+    """Find the lens of CAMERA from PICTURES of a board: a folder of photographs, or a video.
+
+    Writes CAMERA.json, which a site file's `calibration:` takes, with the residuals of each picture, and a plot of where corners
+    were seen: the model holds only there.
+
+    \b
+    wbflow calibrate gate photographs --board 9x6 --square 0.03
+    wbflow calibrate dome board.mp4 --board 8x11 --marker 0.02 --square 0.03 --model fisheye
+    """
+    from ..outcome.calibrate import write_calibration
+
+    columns, cross, rows = board.partition("x")
+    if not (cross and columns.isdigit() and rows.isdigit() and 2 < int(columns) < 100 and 2 < int(rows) < 100):
+        raise UsageError(f"{board!r} is no board", remedy="give columns x rows, such as --board 9x6")
+    if marker >= square:
+        raise UsageError(f"a marker of {marker:g} does not fit in a square of {square:g}", remedy="give both in the same unit")
+    fields: dict[str, float | str] = {"columns": int(columns), "rows": int(rows), "square": square, "marker": marker}
+    written, words = write_calibration(camera, pictures, fields | {"dictionary": dictionary}, model, out)
+    echo("\n".join([*map(str, written), *words]))
 
 
 @click.command()
@@ -130,4 +170,4 @@ def stages(stage: str | None) -> None:
         raise UsageError(f"there is no stage {stage!r}", remedy=remedy)
     reader = FunctionReader()
     rows = [describe(row, reader) for row in chosen] or describe_all(reader)
-    say("\n\n".join("\n".join(lines(row)) for row in rows))
+    echo("\n\n".join("\n".join(lines(row)) for row in rows))

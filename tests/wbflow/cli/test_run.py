@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers import made_up_run
-from wbflow.cli.words import findings
+from wbflow.cli.run import print_findings
 from wbflow.records.record import Finding, Verdict
 
 
@@ -13,7 +13,7 @@ def test_what_many_cameras_have_in_common_is_said_in_a_few_lines(capsys: pytest.
     ids = made_up_run.names(60)
     lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
     alone = Finding("fewer-points", (), "900 points, 50 % of the usual 1,800", remedy="compare")
-    findings(made_up_run.record(ids, verdict=Verdict("degraded", (*lost, alone))))
+    print_findings(made_up_run.record(ids, verdict=Verdict("degraded", (*lost, alone))))
     said = capsys.readouterr().err.splitlines()
     assert said[1:4] == [f"  {name}: no capture of {name}" for name in ids[:3]]
     assert said[4] == f"  and 57 more like these: {', '.join(ids[3:])}"

@@ -1,0 +1,247 @@
+"""What runs have left: reports, history, comparison, exports, one task's inputs, and room on the disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ..errors import ExitCode, UsageError, counted
+from ..pipeline.exports import EXPORTS
+from .common import (
+    PATH,
+    date_option,
+    echo,
+    echo_json,
+    json_option,
+    load,
+    out_option,
+    run_argument,
+    site_argument,
+    sites_argument,
+    stop,
+    work_option,
+)
+
+if TYPE_CHECKING:
+    import datetime
+    from collections.abc import Callable
+
+
+@click.command()
+@site_argument
+@run_argument
+@work_option
+def report(site: Path, run_id: str | None, work: str | None) -> None:
+    """(Re)build a run's report.
+
+    \b
+    wbflow report site.yaml                       of the newest run
+    wbflow report site.yaml 20261120T031500Z
+    """
+    loaded = load(site, work)
+    from ..records.run_folder import RunFolder
+    from ..report.page import rebuild_report
+
+    folder = RunFolder.of(loaded.work_folder, run_id)
+    echo(folder.write_report(rebuild_report(loaded, loaded.work_folder, folder)))
+
+
+@click.command()
+@site_argument
+@json_option
+@work_option
+def history(site: Path, as_json: bool, work: str | None) -> None:
+    """Runs: when, how long, cached/ran/failed, cloud size, exit code, verdict and first finding.
+
+    \b
+    wbflow history site.yaml
+    wbflow history site.yaml --json
+    """
+    loaded = load(site, work)
+    from ..outcome.history import history as entries
+
+    found = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
+    if as_json:
+        echo_json([entry.to_json() for entry in found])
+        return
+    if not found:
+        stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
+    head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
+    echo(f"{'run':17} {'night':10} {head} {'points':>11} exit  verdict")
+    for entry in found:
+        r = entry.run
+        points = f"{r.points:,}" if r.points else "-"
+        figures = f"{r.wall:8.1f} {r.cpu:8.1f} {r.cached:6} {r.ran:5} {r.rejected:8} {r.failed:6}"
+        echo(f"{r.run:17} {r.date:10} {figures} {points:>11} {r.exit_code:4}  {entry.words}".rstrip())
+
+
+@click.command()
+@sites_argument
+@json_option
+def runs(sites: tuple[Path, ...], as_json: bool) -> None:
+    """Where the runs of one or several sites lie, for programs: folder, night, verdict, cloud, report.
+
+    \b
+    wbflow runs site.yaml --json
+    wbflow runs sites/*.yaml
+    """
+    from ..outcome.history import places
+
+    found = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(site.work_folder)]
+    if as_json:
+        echo_json([{"site": site.name, **entry} for site, entry in found])
+        return
+    for site, entry in found:
+        points = f"{entry['points']:,}" if entry["points"] else "-"
+        cleaned = "" if entry["folder"] else "  cleaned"
+        level = entry["level"] or "-"
+        echo(f"{site.name:20} {entry['night']} {level:9} {points:>11}  {entry['folder'] or entry['run']}{cleaned}")
+
+
+@click.command()
+@click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=PATH, nargs=-1, required=True)
+@json_option
+@work_option
+def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
+    """Two nights side by side: what differs by more than noise.
+
+    \b
+    wbflow compare SITE.yaml                           the newest run, and the newest good one before it
+    wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
+    wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
+    """
+    from ..outcome.compare import compare as rows_of
+    from ..outcome.compare import last_two, run_named, told
+    from ..records.run_folder import RunFolder
+
+    if len(nights) == 2:
+        a, b = (RunFolder.at(folder) for folder in nights)
+    elif len(nights) == 1:
+        a, b = last_two(load(nights[0], work).work_folder)
+    elif len(nights) == 3:
+        folder = load(nights[0], work).work_folder
+        a, b = (run_named(folder, str(name)) for name in nights[1:])
+    else:
+        raise UsageError("name two runs", remedy="wbflow compare SITE.yaml RUN_A RUN_B; wbflow history SITE.yaml  lists them")
+    rows = rows_of(a.record(), b.record())
+    if as_json:
+        echo_json({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]})
+        return
+    for row in told(rows):
+        echo(row)
+    if len(told(rows)) == 3:
+        echo("nothing else differs by more than noise")
+
+
+def _export_options(command: Callable[..., None]) -> Callable[..., None]:
+    for row in reversed(EXPORTS):
+        command = click.option(f"--{row.name}", is_flag=True, help=row.help)(command)
+    return command
+
+
+@click.command()
+@site_argument
+@run_argument
+@out_option
+@_export_options
+@work_option
+def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted: bool) -> None:
+    """A run's results for other programs; of the newest run with a cloud, if no RUN is named.
+
+    \b
+    wbflow export site.yaml --laz --heights --out maps
+    wbflow export site.yaml 20261120T031500Z --colmap --out model
+    """
+    names = frozenset(row.name for row in EXPORTS if wanted[row.name])
+    if not names:
+        example = f"for example: wbflow export {site} --{EXPORTS[0].name} --out {out}"
+        raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
+    folder = load(site, work).work_folder
+    from ..outcome.artifacts import FinishedRun
+    from ..outcome.export import export as write
+    from ..records.run_folder import RunFolder
+
+    run = RunFolder.of(folder, run_id or folder.latest_good.name)
+    for file in write(FinishedRun.open(folder, run), out, names):
+        echo(file)
+
+
+@click.command()
+@click.argument("words", metavar="[SITE.yaml] TASK", nargs=-1, required=True)
+@out_option
+@date_option
+@work_option
+def debug(words: tuple[str, ...], out: Path, date: datetime.date | None, work: str | None) -> None:
+    """One task's inputs as ordinary files, its parameters, and a short script that runs it alone.
+
+    A task is a stage and its subject. Images are PNG, tables CSV, clouds PLY, other arrays npy; task.json says where each is.
+    The site is the one in this folder, if none is named.
+
+    \b
+    wbflow debug site.yaml 'disparity gate--roof' --out look
+    wbflow debug site.yaml frames gate --date yesterday --out look
+    python look/run.py          what it makes, and whether the cache has the same bytes
+    """
+    from ..outcome.artifacts import task_named
+    from ..outcome.debug import write_task
+    from ..pipeline.stages import STAGES
+
+    named = " ".join(words).split(" ")
+    site_is_here = named[0] in {row.name for row in STAGES}
+    site = Path() if site_is_here else Path(words[0])
+    task = " ".join(named if site_is_here else words[1:])
+    if not task:
+        raise UsageError("name a task", remedy=f"for example: wbflow debug {site} 'frames CAMERA' --out {out}")
+    files = write_task(load(site, work), task_named(task), out, date)
+    for file in files:
+        echo(file)
+    echo(f"now try  python {files[0]}")
+
+
+@click.command()
+@site_argument
+@click.option("--keep", type=click.IntRange(min=1), required=True, metavar="N", help="Runs whose artifacts stay.")
+@click.option("--clouds", type=click.IntRange(min=1), metavar="N", help="Also remove clouds, except those of N nights.")
+@click.option("--reports", type=click.IntRange(min=1), metavar="N", help="Also remove reports and logs except those of N nights.")
+@click.option("--dry-run", is_flag=True, help="Only print how much would go.")
+@work_option
+def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_run: bool, work: str | None) -> None:
+    """Remove artifacts that the last N runs don't use.  What has been published stays, unless it is named.
+
+    \b
+    wbflow clean site.yaml --keep 7 --dry-run     how much that is
+    wbflow clean site.yaml --keep 7 --clouds 30
+    """
+    folder = load(site, work).work_folder
+    from ..cache.cleanup import clean as remove
+    from ..cache.keep import Keep
+    from ..cache.writing import hold_to_write
+
+    with hold_to_write(folder, wait=False):
+        done = remove(folder, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
+    verb = "would remove" if dry_run else "removed"
+    echo(f"{verb} {counted(done.files, 'file')}, {done.bytes / 1e6:,.1f} MB, and {counted(len(done.runs), 'run')}")
+
+
+@click.command("site-report")
+@sites_argument
+@click.option("--out", type=PATH, default=Path("sites.html"), metavar="FILE", help="The page.")
+def site_report(sites: tuple[Path, ...], out: Path) -> None:
+    """One page over several sites and their last nights, with links to the reports.
+
+    SITE.yaml may be a folder: then all site files in it, and in the folders in it, are meant.
+
+    \b
+    wbflow site-report /srv/sites --out /srv/www/sites.html
+    wbflow site-report harbour/site.yaml yard/site.yaml
+    """
+    from ..cache.atomic import write_atomic
+    from ..report.sites import page, site_files
+
+    if not site_files(sites):
+        raise UsageError(f"there is no site file in {', '.join(map(str, sites))}", remedy="name site files, or a folder of them")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(out, page(sites, out).encode(errors="backslashreplace"))
+    echo(out)
