@@ -16,10 +16,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wbflow.cache.ply import read_ply
-from wbflow_stages.synthetic.night_files import LARGE, SMALL
-from wbflow_stages.synthetic.nights import moving
-from wbflow_stages.synthetic.scene import Scene
-from wbflow_stages.synthetic.shots import Shots
+from wbflow_demo.night_files import LARGE, SMALL
+from wbflow_demo.nights import moving
+from wbflow_demo.scene import Scene
+from wbflow_demo.shots import Shots
 from wbflow_stages.types import Float64s
 
 NEAR = 0.15

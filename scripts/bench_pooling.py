@@ -20,15 +20,15 @@ import numpy as np
 
 import wbflow
 from wbflow.pipeline.rows import Role
+from wbflow_demo.encode import jpeg, png
+from wbflow_demo.scenes import render
+from wbflow_demo.shooting import DemoCamera
 from wbflow_stages.core.cameras import backproject, project, ray_angles
 from wbflow_stages.features import detect
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.pooled import pool_matches
-from wbflow_stages.synthetic.encode import jpeg, png
-from wbflow_stages.synthetic.scenes import render
-from wbflow_stages.synthetic.shooting import DemoCamera
 from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
 from wbflow_stages.types import Camera, Capture, Float32s, Float64s, Frame, Geometry, Matches, Rejected
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wbflow_stages.synthetic.cameras import CENTRE, MOUNTS, Viewpoint, choose_mounts
-from wbflow_stages.synthetic.encode import jpeg, png
-from wbflow_stages.synthetic.files import calibration_of
-from wbflow_stages.synthetic.layout import static_yard, yard_light
-from wbflow_stages.synthetic.movers import movers
-from wbflow_stages.synthetic.shooting import DemoSite, Night, photograph
-from wbflow_stages.synthetic.shots import Shots
+from wbflow_demo.cameras import CENTRE, MOUNTS, Viewpoint, choose_mounts
+from wbflow_demo.encode import jpeg, png
+from wbflow_demo.files import calibration_of
+from wbflow_demo.layout import static_yard, yard_light
+from wbflow_demo.movers import movers
+from wbflow_demo.shooting import DemoSite, Night, photograph
+from wbflow_demo.shots import Shots
 
 
 def viewpoints(count: int, every: int = 1) -> tuple[Viewpoint, ...]:

@@ -13,8 +13,8 @@ import networkx
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = sorted([*ROOT.glob("wbflow/**/*.py"), *ROOT.glob("stages/**/*.py")])
-ENGINE = ROOT / "wbflow"
+ENGINE, VISION, DEMO = ROOT / "wbflow", ROOT / "stages", ROOT / "sites" / "demo"
+SOURCES = sorted(file for folder in (ENGINE, VISION, DEMO) for file in folder.glob("**/*.py"))
 ENGINE_FILES = [file for file in SOURCES if file.is_relative_to(ENGINE)]
 EVERY_FILE = sorted([*SOURCES, *ROOT.glob("scripts/*.py"), *ROOT.glob("tests/**/*.py")])
 
@@ -23,7 +23,7 @@ FLOORS = [
     {"twoview", "matching", "io"},
     {"capture", "rectification", "stereo", "sfm", "mvs", "fusion", "change"},
     {"stages"},
-    {"synthetic", "exports", "evaluate"},
+    {"exports", "evaluate"},
 ]
 """Rooms of the vision from the ground up: each imports from its own floor and from those below it.  "stages": the stage files."""
 
@@ -56,6 +56,11 @@ def name_of(file: Path) -> str:
     """The dotted name of a source file; that of a folder for its `__init__.py`."""
     parts = file.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def installed(name: str) -> str:
+    """The name that a module, named by its folders, has when it is installed."""
+    return re.sub(r"^sites\.demo\b", "wbflow_demo", re.sub(r"^stages\b", "wbflow_stages", name))
 
 
 NAMES = {name_of(file): file for file in SOURCES}
@@ -103,15 +108,19 @@ def floor(name: str) -> int | None:
 def test_every_package_is_listed_for_installation() -> None:
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     folders = {name_of(file) for file in SOURCES if file.name == "__init__.py"}
-    assert listed == {folder.replace("stages", "wbflow_stages", 1) for folder in folders}
+    assert listed == {installed(folder) for folder in folders}
 
 
 @pytest.mark.parametrize("file", SOURCES, ids=name_of)
 def test_the_engine_sees_no_pixel_and_the_vision_no_engine(file: Path) -> None:
-    banned = (
-        {"cv2", "open3d", "numba", "poselib", "pycolmap"} if file.is_relative_to(ROOT / "wbflow") else {"wbflow", "wbflow_stages"}
-    )
-    assert not {name.split(".")[0] for name in imports(file)} & banned
+    pixels = {"cv2", "open3d", "numba", "poselib", "pycolmap"}
+    banned = {
+        ENGINE: {*pixels, "wbflow_stages", "wbflow_demo"},
+        VISION: {"wbflow", "wbflow_stages", "wbflow_demo"},
+        DEMO: {"wbflow"},
+    }
+    (folder,) = (folder for folder in banned if file.is_relative_to(folder))
+    assert not {name.split(".")[0] for name in imports(file)} & banned[folder]
 
 
 def test_nothing_is_pickled() -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import pytest
 
-from wbflow_stages.synthetic.shooting import DemoCamera, DemoSite
-from wbflow_stages.synthetic.shots import Daytime, Shots
-from wbflow_stages.synthetic.yard import yard
+from wbflow_demo.shooting import DemoCamera, DemoSite
+from wbflow_demo.shots import Daytime, Shots
+from wbflow_demo.yard import yard
 
 
 def small_yard(light: Daytime = "day", captures: int = 3, seed: int = 0) -> DemoSite:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from wbflow_demo.cameras import look_at
 from wbflow_stages.evaluate import (
     compare_clouds,
     correct_matches,
@@ -18,7 +19,6 @@ from wbflow_stages.evaluate import (
     turn_errors_deg,
     voxel_means,
 )
-from wbflow_stages.synthetic.cameras import look_at
 from wbflow_stages.twoview.epipolar import fundamental_from_cameras
 from wbflow_stages.types import Camera
 

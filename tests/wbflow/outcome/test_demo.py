@@ -20,8 +20,8 @@ from wbflow.cache.ply import read_ply
 from wbflow.outcome.demo import NotADemo, write_demo
 from wbflow.runner.captures import find_captures, night
 from wbflow.site.load import load_site
-from wbflow_stages.synthetic.shooting import DemoSite
-from wbflow_stages.synthetic.shots import Shots
+from wbflow_demo.shooting import DemoSite
+from wbflow_demo.shots import Shots
 
 
 def rendered(shots: Shots) -> DemoSite:
@@ -32,14 +32,14 @@ def rendered(shots: Shots) -> DemoSite:
 
 @pytest.fixture(autouse=True)
 def _rendered_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wbflow_stages.synthetic.yard.yard", rendered)
+    monkeypatch.setattr("wbflow_demo.yard.yard", rendered)
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demo") / "yard"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wbflow_stages.synthetic.yard.yard", rendered)
+        patch.setattr("wbflow_demo.yard.yard", rendered)
         write_demo(folder, small=True)
     return folder
 
@@ -105,7 +105,7 @@ def test_files_of_an_earlier_demo_that_are_not_written_again_go_away(tmp_path: P
 
 
 def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wbflow_stages.synthetic import files
+    from wbflow_demo import files
 
     def stops(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes]]:
         yield "captures/mast-2/2026-11-19_1.jpg", b"half"
@@ -141,7 +141,7 @@ def test_what_was_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
 def test_another_scene_is_a_site_of_its_own_and_the_yards_manifest_names_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wbflow_stages.synthetic.square.square", rendered)
+    monkeypatch.setattr("wbflow_demo.square.square", rendered)
     write_demo(tmp_path / "square", scene="square", small=True, captures=2)
     assert load_site(tmp_path / "square").name == "square"
     assert json.loads((tmp_path / "square" / "demo.json").read_text())["scene"] == "square"

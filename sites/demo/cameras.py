@@ -1,0 +1,220 @@
+"""Cameras: where they hang (the yard's in a table), their lenses, and the rays of their (distorted) pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from wbflow_stages.core.jit import kernel
+from wbflow_stages.core.lenses import lens_pixels
+from wbflow_stages.types import Camera, Float32s, Float64s, Lens
+
+CENTRE = (20.0, 18.0)
+"""What the half ring of cameras surrounds, metres east and north."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A fixed camera."""
+
+    name: str
+    centre: tuple[float, float, float]
+    """Metres."""
+    target: tuple[float, float, float]
+    """What it looks at, metres."""
+    hfov_deg: float
+    distortion: tuple[float, ...]
+    """Coefficients of the lens: of a brown one k1 k2 p1 p2 k3."""
+    roll_deg: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
+    """How far the principal point lies off the middle, in units of 0.6 % of the width."""
+    model: Literal["brown", "fisheye"] = "brown"
+    scale: float = 1.0
+    """Of its pictures' size."""
+    whole_picture: bool = False
+    """`hfov_deg` is that of the (distorted) picture, rather than of the pinhole with the same K."""
+    sight: Literal["colour", "grey", "infrared"] = "colour"
+    """What its sensor sees; infrared light is its own lamp's at night."""
+
+    def size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(width, height) of its pictures where those of others have `size`."""
+        return round(self.scale * size[0]), round(self.scale * size[1])
+
+
+def off_middle(k: int) -> tuple[float, float]:
+    """The `shift` of a scene's k-th camera: principal points lie a little off the middle, as in real cameras."""
+    return float(np.sin(k + 0.5)), float(np.cos(1.7 * k))
+
+
+@dataclass(frozen=True)
+class Mount:
+    """A camera's place."""
+
+    name: str
+    bearing_deg: float
+    """East of south, seen from CENTRE."""
+    distance: float
+    height: float
+    """Metres."""
+    target: tuple[float, float, float]
+    """What it looks at."""
+    hfov_deg: float
+    distortion: tuple[float, float, float, float, float]
+    """Its lens."""
+
+
+# Distortions of the size of real surveillance lenses: barrel, a little decentring.
+MOUNTS = (
+    Mount("gate", -71.0, 19.5, 6.2, (21.0, 20.5, 1.2), 70.0, (-0.21, 0.055, 0.0004, -0.0003, -0.008)),
+    Mount("mast-1", -50.0, 20.0, 7.6, (20.5, 21.5, 1.4), 66.0, (-0.16, 0.032, -0.0005, 0.0002, 0.0)),
+    Mount("crane-1", -30.5, 19.0, 9.4, (20.0, 22.0, 1.0), 68.0, (-0.19, 0.046, 0.0002, 0.0004, -0.005)),
+    Mount("mast-2", -10.0, 19.5, 7.0, (20.5, 22.5, 1.8), 67.0, (-0.17, 0.035, 0.0, -0.0004, 0.0)),
+    Mount("mast-3", 10.5, 19.0, 8.2, (19.5, 22.5, 1.5), 65.0, (-0.15, 0.028, 0.0003, 0.0003, 0.0)),
+    Mount("crane-2", 30.0, 20.0, 9.0, (20.0, 22.0, 1.2), 69.0, (-0.20, 0.050, -0.0002, -0.0003, -0.006)),
+    Mount("quay", 50.0, 19.5, 6.6, (19.5, 21.5, 1.5), 66.0, (-0.16, 0.030, 0.0004, 0.0002, 0.0)),
+    Mount("roof", 70.0, 19.8, 7.4, (19.0, 20.5, 1.0), 70.0, (-0.22, 0.060, -0.0003, 0.0004, -0.009)),
+)
+
+
+def choose_mounts(cameras: int) -> tuple[Mount, ...]:
+    """The `cameras` neighbours in the middle of the half ring."""
+    if not 1 <= cameras <= len(MOUNTS):
+        raise ValueError(f"the yard has 1 to {len(MOUNTS)} cameras, not {cameras}")
+    first = (len(MOUNTS) - cameras) // 2
+    return MOUNTS[first : first + cameras]
+
+
+def position(mount: Mount) -> Float64s:
+    """Camera centre (3,) float64, metres."""
+    bearing = np.deg2rad(mount.bearing_deg)
+    return np.array([CENTRE[0] + mount.distance * np.sin(bearing), CENTRE[1] - mount.distance * np.cos(bearing), mount.height])
+
+
+def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float64s:
+    """R (3, 3), world to camera axes, of a camera at `centre` that looks at `target` with z up."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
+    return np.array([c * right + s * down, -s * right + c * down, forward])
+
+
+def viewpoint_of(mount: Mount) -> Viewpoint:
+    """Where a mount's camera is, and what it looks at."""
+    x, y, z = position(mount)
+    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
+    shift = np.sin(np.array([1.0, 2.0]) * (mount.bearing_deg + 7.0))
+    return Viewpoint(
+        mount.name,
+        (float(x), float(y), float(z)),
+        mount.target,
+        mount.hfov_deg,
+        mount.distortion,
+        roll_deg=1.2 * float(np.sin(mount.bearing_deg)),
+        shift=(float(shift[0]), float(shift[1])),
+    )
+
+
+def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
+    """As `camera_at`, of a mount of the yard."""
+    return camera_at(viewpoint_of(mount), size)
+
+
+def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens]:
+    """The pinhole without distortion, and the lens with it, of `size` = (width, height) pixels.
+
+    Of a fisheye the first has its pose, size and K, but is no pinhole.
+    """
+    width, height = size
+    focal = 0.5 * width / _half_width(viewpoint)
+    shift = 0.006 * width * np.array(viewpoint.shift)
+    K = np.array([[focal, 0, (width - 1) / 2 + shift[0]], [0, focal, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
+    centre = np.array(viewpoint.centre)
+    R = look_at(centre, np.array(viewpoint.target), roll_deg=viewpoint.roll_deg)
+    lens = Lens(K=K, distortion=np.array(viewpoint.distortion), width=width, height=height, model=viewpoint.model)
+    return Camera(K, R, centre, width, height), lens
+
+
+def _half_width(viewpoint: Viewpoint) -> float:
+    """Of the picture, over the focal length."""
+    angle = np.deg2rad(viewpoint.hfov_deg) / 2
+    if viewpoint.model == "fisheye" or viewpoint.whole_picture:
+        lens = Lens(K=np.eye(3), distortion=np.array(viewpoint.distortion), model=viewpoint.model)
+        return float(lens_pixels(lens, np.array([[np.sin(angle), 0.0, np.cos(angle)]]))[0, 0])
+    return float(np.tan(angle))
+
+
+@kernel
+def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
+    """Ray directions (x, y, 1) in camera axes of distorted pixels, by fixed-point steps on Brown's model to 1e-12."""
+    k1, k2, p1, p2, k3 = distortion
+    for k in range(x.shape[0]):
+        u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
+        a, b = u, v
+        for _ in range(60):
+            r2 = a * a + b * b
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            da = 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+            db = p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+            before_a, before_b = a, b
+            a, b = (u - da) / radial, (v - db) / radial
+            if abs(a - before_a) + abs(b - before_b) < 1e-12:
+                break
+        rays[k, 0], rays[k, 1], rays[k, 2] = a, b, 1.0
+
+
+@kernel
+def _unbend(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
+    """Unit ray directions in camera axes of the pixels of a fisheye, by Newton's steps on Kannala and Brandt's polynomial."""
+    k1, k2, k3, k4 = distortion
+    for k in range(x.shape[0]):
+        u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
+        radius = np.sqrt(u * u + v * v)
+        angle = radius
+        for _ in range(30):
+            t2 = angle * angle
+            off = angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius
+            step = off / (1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4))))
+            angle -= step
+            if abs(step) < 1e-13:
+                break
+        across = np.sin(angle) / radius if radius > 0 else 0.0
+        rays[k, 0], rays[k, 1], rays[k, 2] = across * u, across * v, np.cos(angle)
+
+
+def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
+    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion).
+
+    Parameters
+    ----------
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    x : ndarray
+        (n,) pixels.
+    y : ndarray
+        (n,) pixels.
+    """
+    rays = np.empty((len(x), 3))
+    if lens is not None and lens.model == "fisheye":
+        _unbend(rays, x, y, camera.K, lens.distortion)
+    else:
+        _undistort(rays, x, y, camera.K, np.zeros(5) if lens is None else lens.distortion)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.asarray(rays @ camera.R, dtype=np.float32)
+
+
+def distort(lens: Lens, x: Float64s) -> Float64s:
+    """Pixels (n, 2) of the undistorted view with the same K, as the lens images them (Brown's model, OpenCV's order)."""
+    assert lens.K is not None
+    K, (k1, k2, p1, p2, k3) = lens.K, lens.distortion
+    a, b = (x[:, 0] - K[0, 2]) / K[0, 0], (x[:, 1] - K[1, 2]) / K[1, 1]
+    r2 = a * a + b * b
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+    v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+    return np.column_stack([K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2]])

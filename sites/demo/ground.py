@@ -1,0 +1,213 @@
+"""Textures of what one stands on: cobbles, concrete, gravel, and the harbour's water."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from wbflow_stages.types import Float32s
+
+from .paint import Colour, Texture, encode, mix, palette, shape_of, stones, weather
+from .random_fields import Rng, blobs, cracks, fractal_noise, lettering, smoothstep
+
+COBBLE_TONES: tuple[Colour, ...] = (
+    (0.21, 0.20, 0.19),
+    (0.28, 0.26, 0.24),
+    (0.15, 0.15, 0.155),
+    (0.24, 0.21, 0.18),
+    (0.33, 0.31, 0.29),
+)
+
+
+def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Setts with worn tracks, moss and sand in the joints, oil, relaid patches, covers, painted lines and litter.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
+    shape = shape_of(width_m, height_m, texel_m)
+    cover, tone, relief = stones(rng, shape, texel_m, (0.17, 0.125), 0.018, bond=0.5, jitter=0.16, warp=0.02)
+    image = palette(COBBLE_TONES, tone)
+    relaid = blobs(rng, shape, texel_m, count=int(width_m * height_m / 40), radius_m=0.9)
+    mix(image, palette(COBBLE_TONES[::-1], -tone) * np.float32(1.35), (relaid > 0.6).astype(np.float32))
+    image *= (1 + 0.28 * relief)[..., None]
+    moss = smoothstep(0.3, 1.5, fractal_noise(rng, shape, texel_m, 4.0))
+    soil = np.asarray((0.13, 0.105, 0.075), np.float32) + moss[..., None] * np.asarray((-0.05, 0.015, -0.045), np.float32)
+    mix(image, soil, 1 - cover)
+    weather(rng, image, texel_m, strength=0.2)
+    tracks = _tracks(rng, shape, texel_m, count=7)
+    image *= (1 - 0.22 * tracks)[..., None]
+    image *= (1 - 0.6 * blobs(rng, shape, texel_m, count=int(width_m * height_m / 22), radius_m=0.22))[..., None]
+    _markings(rng, image, texel_m)
+    _covers(rng, image, texel_m, count=int(width_m * height_m / 130) + 1)
+    _litter(rng, image, texel_m, count=int(width_m * height_m * 1.6))
+    return encode(image, texel_m)
+
+
+def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_m: float = 5.0, text: str = "") -> Texture:
+    """Cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    slab_m : float
+        Side of a slab, metres.
+    text : str
+        Painted on it; "" for none.
+    """
+    shape = shape_of(width_m, height_m, texel_m)
+    cover, tone, _ = stones(rng, shape, texel_m, (slab_m, slab_m * 0.8), 0.03, bond=0.0, jitter=0.0, warp=0.003)
+    base = np.float32(0.27) * (1 + 0.1 * tone + 0.07 * fractal_noise(rng, shape, texel_m, 0.06, octaves=3))
+    image = base[..., None] * np.asarray((1.0, 0.965, 0.90), np.float32)
+    worn = smoothstep(-0.7, 0.5, fractal_noise(rng, shape, texel_m, 0.5))
+    if text:
+        mix(
+            image,
+            (0.75, 0.72, 0.6),
+            0.85 * worn * lettering(shape, texel_m, text, 0.1 * width_m, 0.3 * height_m, min(1.2, 0.4 * height_m)),
+        )
+        stripe = (np.indices(shape, dtype=np.float32).sum(axis=0) * texel_m % 0.8 < 0.4).astype(np.float32)
+        stripe[int(0.45 / texel_m) :] = 0
+        mix(image, (0.62, 0.42, 0.03), 0.8 * worn * stripe)
+    weather(rng, image, texel_m, strength=0.2)
+    mix(image, (0.08, 0.075, 0.07), 0.8 * cracks(rng, shape, texel_m, count=int(width_m * height_m / 9), length_m=2.5))
+    mix(image, (0.10, 0.09, 0.08), 1 - cover)
+    mix(image, (0.07, 0.065, 0.06), 0.75 * blobs(rng, shape, texel_m, count=int(width_m * height_m / 14), radius_m=0.25))
+    image *= (1 - 0.3 * _tracks(rng, shape, texel_m, count=5))[..., None]
+    _litter(rng, image, texel_m, count=int(width_m * height_m * 0.8))
+    return encode(image, texel_m)
+
+
+def gravel(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Crushed stone.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
+    shape = shape_of(width_m, height_m, texel_m)
+    cover, tone, relief = stones(rng, shape, texel_m, (0.085, 0.07), 0.012, bond=0.5, jitter=0.3, warp=0.03)
+    image = palette(COBBLE_TONES, tone) * (1.15 + 0.4 * relief)[..., None]
+    mix(image, (0.07, 0.065, 0.06), 1 - cover)
+    weather(rng, image, texel_m, strength=0.2)
+    return encode(image, texel_m)
+
+
+def water(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
+    """Rippled harbour water.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    width_m : float
+        Metres.
+    height_m : float
+        Metres.
+    texel_m : float
+        Side of a texel, metres.
+    """
+    shape = shape_of(width_m, height_m, texel_m)
+    ripples = fractal_noise(rng, shape, texel_m, 3.0, octaves=5, stretch=0.4)
+    return encode((1 + 0.35 * ripples)[..., None] * np.asarray((0.055, 0.075, 0.075), np.float32), texel_m)
+
+
+def _tracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int) -> Float32s:
+    """Coverage of pairs of curved wheel tracks across the surface."""
+    cover = np.zeros(shape, np.uint8)
+    h, w = shape
+    t = np.linspace(0, 1, 40)[:, None]
+    for _ in range(count):
+        ends = rng.uniform((-0.1 * w, -0.1 * h), (1.1 * w, 1.1 * h), (3, 2))
+        path = (1 - t) ** 2 * ends[0] + 2 * t * (1 - t) * ends[1] + t**2 * ends[2]
+        along = np.gradient(path, axis=0)
+        side = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+        for offset in (-0.85, 0.85):
+            line = path + side * offset / texel_m
+            cv2.polylines(
+                cover,
+                [np.round(line * 16).astype(np.int32)],
+                False,
+                int(rng.integers(90, 220)),
+                max(int(0.24 / texel_m), 1),
+                cv2.LINE_AA,
+                4,
+            )
+    return cover.astype(np.float32) / np.float32(255) * smoothstep(-1.2, 0.8, fractal_noise(rng, shape, texel_m, 0.5))
+
+
+def _markings(rng: Rng, image: Float32s, texel_m: float) -> None:
+    """Worn paint: bays with numbers, a driveway's broken line, arrows."""
+    shape = (image.shape[0], image.shape[1])
+    paint = np.zeros(shape, np.uint8)
+    wide = max(round(0.12 / texel_m), 1)
+    width_m, height_m = shape[1] * texel_m, shape[0] * texel_m
+
+    def line(*points_m: tuple[float, float]) -> None:
+        path = np.round(np.array(points_m) / texel_m * 16).astype(np.int32)
+        cv2.polylines(paint, [path], False, 255, wide, cv2.LINE_AA, 4)
+
+    for k in range(int(width_m / 3.2)):
+        line((3.2 * k + 0.8, 0.3), (3.2 * k + 0.8, 0.17 * height_m))
+    for k in range(int(width_m / 2.5)):
+        line((2.5 * k, 0.9 * height_m), (2.5 * k + 1.3, 0.9 * height_m))
+    for x, y in ((0.33, 0.5), (0.64, 0.66), (0.52, 0.84), (0.17, 0.78)):
+        line((x * width_m, y * height_m + 1.1), (x * width_m, y * height_m - 1.1))
+        line((x * width_m - 0.5, y * height_m - 0.4), (x * width_m, y * height_m - 1.1), (x * width_m + 0.5, y * height_m - 0.4))
+    cover = paint.astype(np.float32) / np.float32(255)
+    for k in range(int(width_m / 3.2)):
+        cover = np.maximum(cover, lettering(shape, texel_m, str(k + 11), 3.2 * k + 1.7, 0.12 * height_m, 0.8))
+    worn = smoothstep(-0.4, 0.6, fractal_noise(rng, shape, texel_m, 0.4))
+    mix(image, (0.60, 0.58, 0.50), 0.8 * cover * worn)
+
+
+def _covers(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
+    """Round iron covers with a raised pattern."""
+    h, w = image.shape[:2]
+    radius = int(0.36 / texel_m)
+    if radius < 3:
+        return
+    yy, xx = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
+    disc = np.clip(radius - np.hypot(xx, yy), 0, 1)
+    studs = (np.sin(xx * texel_m * 55) * np.sin(yy * texel_m * 55) > 0.1).astype(np.float32)
+    ring = (np.abs(np.hypot(xx, yy) - 0.86 * radius) < 0.06 * radius).astype(np.float32)
+    face = np.asarray((0.10, 0.085, 0.075), np.float32) * (1 + 0.9 * np.maximum(studs, ring))[..., None]
+    for _ in range(count):
+        y, x = (int(rng.integers(radius, n - radius - 1)) for n in (h, w))
+        mix(image[y - radius : y + radius + 1, x - radius : x + radius + 1], face, disc)
+
+
+def _litter(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
+    """Leaves, scraps and pebbles of 3 to 10 cm in random tones."""
+    h, w = image.shape[:2]
+    for _ in range(count):
+        centre = rng.uniform((0, 0), (w, h))
+        size = rng.uniform(0.03, 0.10) / texel_m
+        corners = centre + rng.normal(0, 0.6, (5, 2)) * size
+        hull = cv2.convexHull(np.round(corners * 16).astype(np.int32))
+        tone = rng.choice(np.array([[0.5, 0.36, 0.12], [0.62, 0.6, 0.55], [0.08, 0.07, 0.06], [0.33, 0.2, 0.1]])) * rng.uniform(
+            0.6, 1.2
+        )
+        cv2.fillConvexPoly(image, hull, tone.tolist(), cv2.LINE_AA, 4)

@@ -1,0 +1,154 @@
+"""People and vehicles: what stands elsewhere at every capture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbflow_stages.types import Float64s
+
+from .random_fields import Rng
+from .scene import MOVING, Scene, SceneBuilder
+from .textures import cloth, painted_steel, sign_board
+
+Place = tuple[float, float, float]
+
+CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
+
+PAINTS = ((0.62, 0.62, 0.60), (0.60, 0.40, 0.03), (0.08, 0.18, 0.42))
+
+ROUTES = (
+    # lanes that stay free of everything static: from, to (metres east, north)
+    ((6.0, 3.0), (34.0, 4.5)),
+    ((13.5, 9.0), (14.5, 24.0)),
+    ((26.0, 8.0), (25.0, 24.5)),
+    ((8.0, 26.0), (32.0, 26.5)),
+    ((15.0, 12.5), (25.0, 13.5)),
+)
+
+
+def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles: int = 2) -> list[Scene]:
+    """The same people and vehicles at other places of the routes for each capture; all scenes have the same textures.
+
+    Parameters
+    ----------
+    rng : Generator
+        The source of all that is random in it.
+    texel_m : float
+        Side of a texel, metres.
+    captures : int
+        So many moments.
+    people : int
+        How many.
+    vehicles : int
+        How many.
+    """
+    build = SceneBuilder()
+    build.kind = MOVING
+    skin, dark, glass = (
+        build.add_texture(cloth(rng, texel_m, c)) for c in ((0.45, 0.27, 0.19), (0.035, 0.035, 0.04), (0.05, 0.07, 0.08))
+    )
+    clothes = [build.add_texture(cloth(rng, texel_m, c)) for c in CLOTHES]
+    helmets = [build.add_texture(cloth(rng, texel_m, c)) for c in ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))]
+    worn = rng.integers(len(clothes), size=(people, 2))
+    paints = [build.add_texture(painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[k % len(PAINTS)])) for k in range(vehicles)]
+    board = build.add_texture(sign_board(rng, 3.0, 1.5, texel_m, ("HAFEN", "DIENST"), PAINTS[0], (0.05, 0.1, 0.3)))
+    scenes = []
+    for _ in range(captures):
+        build = build.with_same_textures()
+        for k, (jacket, trousers) in enumerate(worn):
+            place, yaw = _on_route(rng, k)
+            person(build, rng, place, yaw, (clothes[jacket], clothes[trousers], skin, helmets[k % len(helmets)]))
+        for k, paint in enumerate(paints):
+            place, yaw = _on_route(rng, 3 * k)
+            if k % 2 == 0:
+                van(build, place, yaw, (paint, board, dark, glass))
+            else:
+                _forklift(build, place, yaw, paint, dark)
+        scenes.append(build.build())
+    return scenes
+
+
+def _on_route(rng: Rng, k: int) -> tuple[Place, float]:
+    """A random place and heading on route k."""
+    start, end = (np.array(p) for p in ROUTES[k % len(ROUTES)])
+    place = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, 0.4, 2)
+    yaw = float(np.arctan2(*(end - start)[::-1])) + float(rng.normal(0, 0.15)) + np.pi * float(rng.integers(2))
+    return (float(place[0]), float(place[1]), 0.0), yaw
+
+
+def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
+    """A walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    place : Place
+        x, y, metres.
+    yaw : float
+        Radians.
+    look : tuple of int
+        Textures of jacket, trousers, skin, helmet.
+    """
+    jacket, trousers, skin, helmet = look
+    x, y, _ = place
+    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    step = 0.18 * float(rng.uniform(0.3, 1.2))
+    hip = np.array([x, y, 0.88])
+    for sign in (-1, 1):
+        build.beam(
+            hip + 0.09 * sign * side, hip + 0.09 * sign * side + sign * step * ahead - np.array([0, 0, 0.88]), 0.15, trousers
+        )
+        shoulder = np.array([x, y, 1.42]) + 0.22 * sign * side
+        build.beam(shoulder, shoulder - sign * step * ahead - np.array([0, 0, 0.6]), 0.10, jacket)
+    build.ball((x, y, 1.18), (0.21, 0.21, 0.36), jacket, steps=6)
+    build.ball((x, y, 1.63), (0.10, 0.10, 0.13), skin, steps=5)
+    build.ball((x, y, 1.70), (0.13, 0.13, 0.10), helmet, steps=5)
+
+
+def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
+    """A delivery van of 4.8 m.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    place : Place
+        x, y, metres.
+    yaw : float
+        Radians.
+    look : tuple of int
+        Textures of paint, sides, tyres, glass.
+    """
+    paint, board, dark, glass = look
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
+    p = np.array(place)
+    build.box(p - 0.6 * ahead + (0, 0, 0.45), (3.4, 1.95, 1.95), paint, yaw=yaw, sides=board)
+    build.box(p + 1.75 * ahead + (0, 0, 0.45), (1.3, 1.9, 0.95), paint, yaw=yaw)
+    build.box(p + 1.35 * ahead + (0, 0, 1.4), (0.5, 1.8, 0.8), glass, yaw=yaw)
+    _wheels(build, p, yaw, 1.45, 0.85, 0.36, dark)
+
+
+def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: int) -> None:
+    """A forklift of 2.4 m with its mast."""
+    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    p = np.array(place)
+    build.box(p - 0.2 * ahead + (0, 0, 0.3), (1.9, 1.15, 0.9), paint, yaw=yaw)
+    for a in (-0.7, 0.5):
+        for s in (-0.5, 0.5):
+            build.beam(p + a * ahead + s * side + (0, 0, 1.2), p + a * ahead + s * side + (0, 0, 2.1), 0.08, dark)
+    build.box(p - 0.1 * ahead + (0, 0, 2.1), (1.5, 1.15, 0.08), paint, yaw=yaw)
+    for s in (-0.35, 0.35):
+        build.beam(p + 0.95 * ahead + s * side, p + 0.95 * ahead + s * side + (0, 0, 2.5), 0.12, dark)
+        build.beam(p + 0.95 * ahead + s * side + (0, 0, 0.15), p + 2.0 * ahead + s * side + (0, 0, 0.15), 0.10, dark)
+    _wheels(build, p, yaw, 0.6, 0.5, 0.3, dark)
+
+
+def _wheels(build: SceneBuilder, p: Float64s, yaw: float, a: float, s: float, radius: float, dark: int) -> None:
+    """Four wheels."""
+    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    for i in (-a, a):
+        for j in (-s, s):
+            build.ball(p + i * ahead + j * side + (0, 0, radius), (radius, radius, radius), dark, steps=5)

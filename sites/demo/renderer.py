@@ -1,0 +1,220 @@
+"""Renders a scene: open3d finds what each ray hits, compiled kernels filter the textures and add up the light.
+
+Surfaces are matt.  Sun and lamps cast shadows by rays, one for every sample, toward a point of the (wide) source; light of sky
+and surroundings comes from a coarse grid of directional visibilities, computed once a scene.  Every sample depends on its own
+ray and on nothing else, so that the same scene gives the same picture on any number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbflow_stages.core.jit import kernel
+from wbflow_stages.types import Float32s, Float64s, Int32s, Uint8s
+
+from .light import Lamp
+from .prepared import PreparedScene, Seen
+from .scene import GLOWING
+from .sky import add_sheen, sky_radiance
+
+
+def look(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Seen:
+    """What n rays from one point meet.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    centre : ndarray
+        (3,) where all rays start, metres.
+    directions : ndarray
+        (n, 3) float32 unit vectors.
+    spread : float
+        Radians between neighbouring rays.
+    """
+    origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
+    distance, facet = prepared.cast(origins, directions)
+    scene, atlas = prepared.scene, prepared.atlas
+    hit = facet >= 0
+    rays, far, on = directions[hit], distance[hit], facet[hit]
+    points = np.asarray(centre, np.float32) + rays * far[:, None]
+    facing = np.where((np.einsum("ni,ni->n", scene.normals[on], rays) > 0)[:, None], -scene.normals[on], scene.normals[on])
+    albedo = np.empty_like(points)
+    _filter(
+        albedo, points, rays, facing, far, on, spread,
+        scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of,
+        atlas.texels, atlas.starts, atlas.heights, atlas.widths, atlas.texel_m,
+    )  # fmt: skip
+    return Seen(directions, distance, facet, points, facing, albedo)
+
+
+def shade(prepared: PreparedScene, seen: Seen, jitter: Float32s) -> Float32s:
+    """Radiance (n, 3) float32 of what n rays meet, in the light of a scene.
+
+    jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample asks.
+    """
+    scene, light = prepared.scene, prepared.light
+    hit = seen.facet >= 0
+    radiance = np.empty_like(seen.directions)
+    radiance[~hit] = sky_radiance(light, seen.directions[~hit])
+    if not hit.any():
+        return radiance
+    points, facing = seen.points, seen.facing
+    received = np.empty_like(points)
+    _sky_light(
+        received, points, facing, prepared.sky.open, prepared.sky.corner, prepared.sky.cell_m,
+        np.array(light.sky, np.float32), np.array(light.ground, np.float32),
+    )  # fmt: skip
+    lifted = points + facing * np.float32(0.004) * np.maximum(seen.distance[hit] * np.float32(0.05), 1)[:, None]
+    _add_sun(prepared, received, lifted, facing, jitter[hit])
+    for lamp in light.lamps:
+        _add_lamp(prepared, received, lifted, facing, lamp)
+    if light.lamps:
+        received[scene.kinds[seen.facet[hit]] == GLOWING] = 1.2
+    radiance[hit] = add_sheen(prepared, seen, lifted, seen.albedo * received)
+    return radiance
+
+
+def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, jitter: Float32s) -> None:
+    """Sunlight on lit facets, with the sun widened to 1 degree for soft edges."""
+    sun = np.asarray(prepared.light.sun_direction, np.float32)
+    side = np.cross(sun, (0, 0, 1)).astype(np.float32)
+    side /= np.linalg.norm(side)
+    cosine = facing @ sun
+    lit = np.flatnonzero(cosine > 0)
+    if not len(lit) or max(prepared.light.sun) <= 0:
+        return
+    towards = sun + np.float32(0.009) * (jitter[lit, :1] * side + jitter[lit, 1:] * np.cross(side, sun).astype(np.float32))
+    clear = prepared.reaches(points[lit], towards.astype(np.float32))
+    received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(prepared.light.sun, np.float32)
+
+
+def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
+    """Light of one lamp, where it is bright enough to matter."""
+    place, power = np.asarray(lamp.position, np.float32), np.asarray(lamp.power, np.float32)
+    strength = np.empty(len(points), np.float32)
+    _lamp_strength(strength, points, facing, place, float(0.012 / power.max()))
+    lit = np.flatnonzero(strength)
+    if len(lit):
+        clear = prepared.reaches(points[lit], place - points[lit], far=0.97)
+        received[lit] += (strength[lit] * clear)[:, None] * power
+
+
+@kernel
+def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, place: Float32s, least: float) -> None:
+    """Falloff and slant of a hooded lamp's light (little goes up), faded to exactly 0 below `least`."""
+    for k in range(points.shape[0]):
+        x, y, z = place[0] - points[k, 0], place[1] - points[k, 1], place[2] - points[k, 2]
+        square = x * x + y * y + z * z
+        distance = np.sqrt(square)
+        cosine = (normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z) / distance
+        hood = min(max(0.15 + z / distance, 0.03), 1.0)
+        strength[k] = max(max(cosine, 0.0) * hood / (square + 0.3) - least, 0.0)
+
+
+@kernel
+def _mirror(i: int, n: int) -> int:
+    """Position i of an endlessly mirrored row of n texels."""
+    i = i % (2 * n)
+    return i if i < n else 2 * n - 1 - i
+
+
+@kernel
+def _filter(
+    albedo: Float32s,
+    points: Float32s,
+    rays: Float32s,
+    normals: Float32s,
+    distance: Float32s,
+    facet: Int32s,
+    spread: float,
+    origins: Float32s,
+    along_u: Float32s,
+    along_v: Float32s,
+    offsets: Float32s,
+    texture_of: Int32s,
+    texels: Uint8s,
+    starts: Int32s,
+    heights: Int32s,
+    widths: Int32s,
+    texel_m: Float32s,
+) -> None:
+    """Texture colour under each sample's footprint: the level of the short axis, several taps along the long one."""
+    for k in range(points.shape[0]):
+        f = facet[k]
+        t = texture_of[f]
+        cosine = 0.0
+        for c in range(3):
+            cosine -= rays[k, c] * normals[k, c]
+        cosine = max(cosine, 0.03)
+        width = distance[k] * spread
+        # long axis: the ray's own direction laid into the facet; short axis: across it
+        lx = rays[k, 0] + cosine * normals[k, 0]
+        ly = rays[k, 1] + cosine * normals[k, 1]
+        lz = rays[k, 2] + cosine * normals[k, 2]
+        norm = np.sqrt(lx * lx + ly * ly + lz * lz) + 1e-9
+        lu = (lx * along_u[f, 0] + ly * along_u[f, 1] + lz * along_u[f, 2]) / norm
+        lv = (lx * along_v[f, 0] + ly * along_v[f, 1] + lz * along_v[f, 2]) / norm
+        long_m = width / cosine
+        u, v = offsets[f, 0], offsets[f, 1]
+        for c in range(3):
+            u += (points[k, c] - origins[f, c]) * along_u[f, c]
+            v += (points[k, c] - origins[f, c]) * along_v[f, c]
+        taps = min(int(1.0 / cosine) + 1, 8)
+        footprint = max(width, long_m / taps) / texel_m[t]
+        level = 0
+        while footprint > 1.5 and level < 8:
+            footprint *= 0.5
+            level += 1
+        scale = 1.0 / (texel_m[t] * (1 << level))
+        h, w, start = heights[t, level], widths[t, level], starts[t, level]
+        red, green, blue = 0.0, 0.0, 0.0
+        for tap in range(taps):
+            along = ((tap + 0.5) / taps - 0.5) * long_m
+            x = (u + along * lu) * scale - 0.5
+            y = (v + along * lv) * scale - 0.5
+            x0, y0 = int(np.floor(x)), int(np.floor(y))
+            ax, ay = x - x0, y - y0
+            for dy in range(2):
+                row = start + _mirror(y0 + dy, h) * w
+                for dx in range(2):
+                    weight = (ax if dx else 1 - ax) * (ay if dy else 1 - ay)
+                    index = row + _mirror(x0 + dx, w)
+                    red += weight * float(texels[index, 0]) ** 2
+                    green += weight * float(texels[index, 1]) ** 2
+                    blue += weight * float(texels[index, 2]) ** 2
+        gain = 1.0 / (taps * 255.0 * 255.0)
+        albedo[k, 0], albedo[k, 1], albedo[k, 2] = red * gain, green * gain, blue * gain
+
+
+@kernel
+def _sky_light(
+    received: Float32s,
+    points: Float32s,
+    normals: Float32s,
+    grid: Float32s,
+    corner: Float32s,
+    cell: float,
+    sky: Float32s,
+    ground: Float32s,
+) -> None:
+    """Light from sky and surroundings: visibilities of the grid around a point just off the surface, weighed by its normal."""
+    nz, ny, nx = grid.shape[:3]
+    for k in range(points.shape[0]):
+        x = min(max((points[k, 0] + 0.6 * cell * normals[k, 0] - corner[0]) / cell, 0.0), nx - 1.001)
+        y = min(max((points[k, 1] + 0.6 * cell * normals[k, 1] - corner[1]) / cell, 0.0), ny - 1.001)
+        z = min(max((points[k, 2] + 0.6 * cell * normals[k, 2] - corner[2]) / cell, 0.0), nz - 1.001)
+        ix, iy, iz = int(x), int(y), int(z)
+        ax, ay, az = x - ix, y - iy, z - iz
+        seen = 0.0
+        for axis in range(3):
+            n = normals[k, axis]
+            side = 2 * axis + (0 if n > 0 else 1)
+            for dz in range(2):
+                for dy in range(2):
+                    for dx in range(2):
+                        weight = (ax if dx else 1 - ax) * (ay if dy else 1 - ay) * (az if dz else 1 - az)
+                        seen += n * n * weight * grid[iz + dz, iy + dy, ix + dx, side]
+        up = 0.5 + 0.5 * normals[k, 2]
+        for c in range(3):
+            received[k, c] = seen * (sky[c] * (0.35 + 0.65 * up) + ground[c] * (1 - up))

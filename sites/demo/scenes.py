@@ -1,0 +1,99 @@
+"""All demo scenes by name: for `wbflow demo`, for benches and tests.
+
+site = render("square", cameras=3)
+site["pole-1"].captures, site["pole-1"].camera, site["pole-1"].depth, site.reference
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import cast
+
+from .shooting import DemoSite
+from .shots import Daytime, Shots
+from .variants import check_lenses
+from .weak import check_surfaces
+
+
+@dataclass(frozen=True)
+class SceneRow:
+    """A scene of the table."""
+
+    function: str
+    """module:function; takes `Shots` and returns a DemoSite."""
+    about: str
+    angles_deg: tuple[float, float]
+    """Between which angles its views are worth matching."""
+    cameras: int = 6
+    captures: int = 4
+    size: tuple[int, int] = (960, 540)
+    """Of the large form, where not said otherwise."""
+    small_cameras: int | None = None
+    """How many cameras the small form has; None: as many as the large."""
+
+
+_HERE = "wbflow_demo"
+SCENES = {
+    "yard": SceneRow(f"{_HERE}.yard:yard", "a harbour yard", (8, 50), 8, 3, (1280, 720), small_cameras=4),
+    "square": SceneRow(f"{_HERE}.square:square", "a public square whose tiles repeat exactly", (8, 100), captures=10),
+    "hall": SceneRow(f"{_HERE}.hall:hall", "a market hall whose four sides are alike but for a few things", (8, 70), 8, 3),
+    "hall-2": SceneRow(f"{_HERE}.hall:hall_2", "a market hall that is the same after half a turn", (8, 70), 8, 3),
+    "hall-4": SceneRow(f"{_HERE}.hall:hall_4", "a market hall that is the same after a quarter turn", (8, 70), 8, 3),
+    "houses": SceneRow(f"{_HERE}.houses:houses", "a row of identical houses along a street", (0, 60)),
+    "carpark": SceneRow(f"{_HERE}.carpark:carpark", "a car park with rows of the same car", (4, 70)),
+    "containers": SceneRow(f"{_HERE}.depot:containers", "stacks of one and the same container", (4, 70)),
+    "apron": SceneRow(f"{_HERE}.apron:apron", "an airport apron with three aircraft of one type", (4, 80), 8, 3),
+    "stadium": SceneRow(f"{_HERE}.stadium:stadium", "a stadium with stands of identical seats", (4, 80), 10, 3),
+    "mast": SceneRow(f"{_HERE}.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
+}
+
+
+def render(
+    name: str,
+    *,
+    small: bool = False,
+    cameras: int | None = None,
+    size: tuple[int, int] | None = None,
+    captures: int | None = None,
+    seed: int = 0,
+    light: str = "day",
+    lenses: str = "standard",
+    surfaces: str = "standard",
+) -> DemoSite:
+    """Render a scene in memory; the same arguments give the same bytes.
+
+    Parameters
+    ----------
+    name : str
+        A name of `SCENES`.
+    small : bool
+        320 x 180 pixels and 3 captures, where not said otherwise: in seconds.
+    cameras, size, captures : optional
+        How many cameras, width and height in pixels, and captures of each camera; the scene's own where not given.
+    seed : int
+        Of textures, movers, exposures and noise.
+    light : str
+        "day", "dusk", "night", or "dark": night without lamps.
+    lenses : str
+        A name of `variants.VARIANTS`.
+    surfaces : str
+        A name of `weak.SURFACES`.
+
+    Raises
+    ------
+    ValueError
+        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
+    """
+    if name not in SCENES:
+        raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")
+    row = SCENES[name]
+    check_lenses(lenses)
+    check_surfaces(surfaces, name)
+    if small:
+        cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures
+    module, _, function = row.function.partition(":")
+    scene = getattr(import_module(module), function)
+    counts = (row.cameras if cameras is None else cameras, row.captures if captures is None else captures)
+    shots = Shots(*counts, size or row.size, seed, cast(Daytime, light), lenses=lenses, surfaces=surfaces)
+    return cast(DemoSite, scene(shots))

@@ -1,0 +1,136 @@
+"""What happens in the demo yard night after night: the light, what becomes of cameras, what appears, vanishes and moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import date, datetime, time, timedelta
+from typing import Literal
+
+import numpy as np
+
+from wbflow_stages.types import Float64s
+
+from .layout import LAMPS
+from .light import Light
+from .lighting import light_of, overcast_of
+
+FIRST_NIGHT = date(2026, 11, 10)
+BETWEEN_FRAMES = timedelta(seconds=97)
+Weather = Literal["afternoon", "noon", "overcast", "rain", "dusk", "lamps"]
+NIGHTS: tuple[Weather, ...] = (
+    "afternoon", "noon", "overcast", "dusk", "noon", "rain", "afternoon", "lamps", "overcast", "dusk",
+)  # fmt: skip
+"""Light of the nights, from the first; then from the beginning again."""
+
+Event = Literal["none", "turned", "nudged", "covered", "frozen", "foreign"]
+
+
+@dataclass(frozen=True)
+class CameraEvent:
+    """What becomes of a camera for one night; the next morning it is put right."""
+
+    night: int
+    """From 1."""
+    camera: str
+    what: Event
+    turn: tuple[float, float] = (0.0, 0.0)
+    """Pan (to the right) and tilt (upward): degrees of `turned`, pixels at the principal point of `nudged`."""
+
+
+EVENTS = (
+    CameraEvent(3, "crane-2", "turned", (0.4, 0.3)),
+    CameraEvent(3, "gate", "covered"),
+    CameraEvent(3, "mast-3", "frozen"),
+    CameraEvent(3, "quay", "foreign"),
+    CameraEvent(5, "mast-2", "nudged", (-2.4, 1.8)),
+)
+
+
+@dataclass(frozen=True)
+class Stay:
+    """A thing stands at one place for some nights."""
+
+    first: int
+    """Night, from 1."""
+    last: int
+    at: tuple[float, float]
+    """Metres east and north."""
+    yaw: float
+    """Radians."""
+
+
+FOREVER = 1_000_000
+THINGS: Mapping[str, tuple[Stay, ...]] = {
+    "container": (Stay(7, FOREVER, (9.2, 15.3), 0.12),),
+    "vehicle": (Stay(7, FOREVER, (28.3, 16.4), 1.5),),
+    "stack": (Stay(1, 6, (22.0, 10.8), 0.2),),
+    "crate": (Stay(1, 11, (16.6, 9.6), 0.3), Stay(12, FOREVER, (16.2, 7.4), 0.5)),
+}
+"""Things that do not stand in the yard every night, besides what moves from frame to frame."""
+
+
+@dataclass(frozen=True)
+class Hour:
+    """The light of a night."""
+
+    sensor: str
+    """What the sensors are set for: day, dusk or night."""
+    begins: time
+    light: Light
+    rain: bool = False
+
+
+def hour_of(weather: Weather) -> Hour:
+    """The light, and the time of the first frame."""
+    day = light_of("day", LAMPS)
+    if weather == "afternoon":
+        return Hour("day", time(14, 2, 11), day)
+    if weather == "noon":
+        return Hour("day", time(12, 7, 40), replace(day, sun_direction=(0.105, -0.640, 0.761), sun=(1.62, 1.56, 1.44)))
+    if weather == "overcast":
+        return Hour("day", time(11, 15, 2), overcast_of("day", LAMPS))
+    if weather == "rain":
+        grey = overcast_of("day", LAMPS)
+        return Hour("day", time(10, 31, 55), replace(grey, sky=(0.75, 0.77, 0.80), ground=(0.33, 0.32, 0.31)), rain=True)
+    if weather == "dusk":
+        return Hour("dusk", time(16, 41, 5), light_of("dusk", LAMPS))
+    return Hour("night", time(22, 14, 37), light_of("night", LAMPS))
+
+
+def weather_of(night: int) -> Weather:
+    """night: from 1."""
+    return NIGHTS[(night - 1) % len(NIGHTS)]
+
+
+def date_of(night: int) -> date:
+    """night: from 1."""
+    return FIRST_NIGHT + timedelta(days=night - 1)
+
+
+def frame_time(night: int, frame: int, late_s: int) -> datetime:
+    """When a camera takes a frame (from 0); late_s: how many seconds after the others."""
+    return (
+        datetime.combine(date_of(night), hour_of(weather_of(night)).begins) + frame * BETWEEN_FRAMES + timedelta(seconds=late_s)
+    )
+
+
+def event_of(night: int, camera: str) -> CameraEvent:
+    """What becomes of a camera in a night."""
+    found = (event for event in EVENTS if (event.night, event.camera) == (night, camera))
+    return next(found, CameraEvent(night, camera, "none"))
+
+
+def stays(night: int) -> dict[str, Stay]:
+    """Where the things that are there stand in a night."""
+    return {name: stay for name, places in THINGS.items() for stay in places if stay.first <= night <= stay.last}
+
+
+def turn_of(event: CameraEvent, focal_px: float) -> Float64s:
+    """(3, 3) the turn of a camera's axes: camera axes as they should be to camera axes as they are."""
+    pan, tilt = event.turn if event.what == "turned" else np.degrees(np.arctan(np.array(event.turn) / focal_px))
+    # x right, y down, z ahead: a pan to the right turns z towards x, a tilt upward turns it towards -y
+    a, b = np.radians(float(pan)), np.radians(float(tilt))
+    panned = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    tilted = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
+    return np.asarray(tilted @ panned, np.float64)

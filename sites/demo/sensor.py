@@ -1,0 +1,111 @@
+"""What a camera makes of the light: exposure, white balance, vignetting, blur, noise, and a clock burned into the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from wbflow_stages.types import Bools, Float32s, Uint8s
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How light becomes pixels."""
+
+    gain: float
+    """Exposure factor."""
+    balance: tuple[float, float, float]
+    """Factors of red, green, blue."""
+    full_well: float
+    """Electrons at white (fewer: noisier)."""
+    read: float
+    """Electrons of read noise."""
+    vignette: float
+    """Loss of light in the corners."""
+
+
+def sensor_of(rng: np.random.Generator, light: str) -> Sensor:
+    """A camera's own sensor: up to a quarter stop of exposure and a few per cent of colour away from its neighbours'."""
+    gain = {"day": 1.0, "dusk": 1.9, "night": 3.4, "dark": 13.0}[light] * float(2 ** rng.uniform(-0.28, 0.28))
+    warm = float(rng.uniform(-0.06, 0.06))
+    balance = (1 + warm, 1.0, 1 - warm + float(rng.uniform(-0.02, 0.02)))
+    full_well = {"day": 9000.0, "dusk": 2600.0, "night": 900.0, "dark": 235.0}[light]
+    return Sensor(gain, balance, full_well, 6.0, float(rng.uniform(0.12, 0.25)))
+
+
+_SENSITIVE = {"grey": (0.30, 0.59, 0.11), "infrared": (0.85, 0.10, 0.05)}
+"""To red, green and blue, of sensors that see one kind of light: near infrared is much like red."""
+
+
+def seen_as(radiance: Float32s, sight: str) -> Float32s:
+    """Radiance (h, w, 3) as a sensor sees it that sees "colour", "grey" or "infrared"."""
+    if sight == "colour":
+        return radiance
+    return np.repeat((radiance @ np.array(_SENSITIVE[sight], np.float32))[..., None], 3, axis=2)
+
+
+def colourless(image: Uint8s) -> Uint8s:
+    """A picture (h, w, 3) without the colours that a sensor's balance and noise give it."""
+    return np.repeat(image[..., 1:2], 3, axis=2)
+
+
+def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.Generator) -> Uint8s:
+    """One capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor.
+
+    Parameters
+    ----------
+    radiance : ndarray
+        (h, w, 3) linear.
+    sensor : Sensor
+        Noise, blur, vignetting.
+    exposure : float
+        This capture's own factor.
+    rng : Generator
+        Of the noise.
+    """
+    h, w = radiance.shape[:2]
+    x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
+    fall = 1 - np.float32(sensor.vignette) * (0.75 * x * x + 0.25 * y * y)
+    gain = np.asarray(sensor.balance, np.float32) * np.float32(sensor.gain * exposure)
+    light = cv2.GaussianBlur(radiance, (0, 0), 0.45) * fall[..., None] * gain
+    noise = rng.standard_normal(light.shape, dtype=np.float32)
+    electrons = np.clip(light, 0, 1.5) * np.float32(sensor.full_well)
+    electrons += noise * np.sqrt(electrons + np.float32(sensor.read**2))
+    return _encode(electrons * np.float32(1 / sensor.full_well))
+
+
+def _encode(linear: Float32s) -> Uint8s:
+    """sRGB with a soft shoulder, so that lamps and sunlit walls do not clip hard."""
+    x = np.clip(linear, 0, None)
+    x = np.where(x > 0.7, 1 - 0.3 * np.exp(-(x - 0.7) / 0.3), x)
+    table = np.linspace(0, 1, 4096)
+    curve = np.where(table <= 0.0031308, 12.92 * table, 1.055 * table ** (1 / 2.4) - 0.055)
+    return (curve * 255 + 0.5).astype(np.uint8)[(x * 4095 + 0.5).astype(np.intp)]
+
+
+def clock_area(size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """x, y, width, height in pixels of the strip that the clock covers, for an image of `size` = (width, height)."""
+    w, h = size
+    return 0, 0, round(0.40 * w), max(round(0.046 * h), 9)
+
+
+def burn_clock(image: Uint8s, text: str) -> Uint8s:
+    """A copy of the picture with white text on a dark strip in the top left corner."""
+    x, y, w, h = clock_area((image.shape[1], image.shape[0]))
+    out = image.copy()
+    out[y : y + h, x : x + w] //= 4
+    unit_w, unit_h = cv2.getTextSize("0" * len(text), cv2.FONT_HERSHEY_SIMPLEX, 1.0, 1)[0]
+    scale = min(0.94 * w / unit_w, 0.62 * h / unit_h)
+    origin = (x + int(0.02 * w), y + round(0.5 * (h + scale * unit_h)))
+    cv2.putText(out, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, (245, 245, 240), max(round(h / 22), 1), cv2.LINE_AA)
+    return out
+
+
+def clock_mask(size: tuple[int, int]) -> Bools:
+    """(h, w) bool, True where a pixel may be used: everywhere but under the clock."""
+    x, y, w, h = clock_area(size)
+    mask = np.ones((size[1], size[0]), np.bool_)
+    mask[y : y + h, x : x + w] = False
+    return mask

@@ -1,0 +1,337 @@
+"""Photographing a scene: fixed cameras, several captures each with what moves standing elsewhere, and the exact truth.
+
+Captures are what a camera would write (distorted, noisy, with a clock burned in); the truth is of the empty scene: lenses, poses,
+depth, and a reference cloud.  The same arguments give the same bytes.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+import numpy as np
+import numpy.typing as npt
+
+from wbflow_stages.capture.wide import views_of_lens
+from wbflow_stages.core.cameras import project
+from wbflow_stages.core.lenses import lens_pixels
+from wbflow_stages.types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
+
+from .atlas import build_atlas
+from .cameras import Viewpoint, camera_at, distort, pixel_rays
+from .light import Light
+from .prepared import PreparedScene, Seen, SkyGrid
+from .reference import reference_cloud
+from .renderer import look, shade
+from .scene import WATER, Scene, joined
+from .sensor import burn_clock, clock_mask, colourless, develop, seen_as, sensor_of
+from .shots import Daytime, Shots
+from .variants import fitted, lit, own_lamp
+
+FIRST_CAPTURE = {
+    "day": datetime(2026, 11, 19, 14, 2, 11),
+    "dusk": datetime(2026, 11, 19, 16, 41, 5),
+    "night": datetime(2026, 11, 19, 22, 14, 37),
+    "dark": datetime(2026, 11, 19, 23, 47, 52),
+}
+
+SAMPLES = 2
+"""Samples along each side of a pixel."""
+
+
+@dataclass(frozen=True)
+class DemoCamera:
+    """One fixed camera and what it saw."""
+
+    name: str
+    captures: tuple[Uint8s, ...]
+    """(h, w, 3) uint8 RGB each, as captured (distorted)."""
+    times: tuple[datetime, ...]
+    """When each was taken."""
+    mask: Bools
+    """(h, w) bool, False under the clock."""
+    depth: Float32s
+    """(h, w) float32, metres along the axis, of the empty scene in the undistorted view with the lens's own K, 0 where there is
+    only sky or water.  Of a fisheye: metres along the ray of each pixel of a capture."""
+    camera: Camera
+    """That undistorted view."""
+    lens: Lens
+    placement: Placement
+    """The same as a site file would state them."""
+
+
+@dataclass(frozen=True)
+class DemoSite:
+    """A photographed scene."""
+
+    cameras: tuple[DemoCamera, ...]
+    reference: Cloud
+    """Surfaces that at least two cameras see, one point (their mean) per cell of `voxel_m` metres."""
+    voxel_m: float
+
+    def __getitem__(self, name: str) -> DemoCamera:
+        return next(c for c in self.cameras if c.name == name)
+
+
+@dataclass(frozen=True)
+class Night:
+    """What stands before the cameras."""
+
+    viewpoints: tuple[Viewpoint, ...]
+    still: Scene
+    """The empty scene."""
+    traffic: tuple[Scene, ...]
+    """What moves, at each capture; all with the same textures."""
+    lighting: Light
+    sky: SkyGrid | None = None
+    """Sky visibility of the empty scene; None: computed."""
+
+
+@dataclass(frozen=True)
+class _Shoot:
+    """A night made ready to be looked at: the empty scene, and the scene with its movers at each capture."""
+
+    empty: PreparedScene
+    busy: tuple[PreparedScene, ...]
+    movers: tuple[Scene, ...]
+    light: Daytime
+    seed: int
+
+
+def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
+    """Let every camera work, several at a time; `voxel_m`: cell of the reference cloud."""
+    scenes = [joined(night.still, each) for each in night.traffic]
+    atlas = build_atlas(scenes[0].textures)
+    empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
+    busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
+    shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
+    with ThreadPoolExecutor(shots.threads) as pool:
+        viewpoints = fitted(night.viewpoints, shots.lenses)
+        done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, viewpoint.size(shots.size)), viewpoints))
+    views = [view for _, seen in done for view in seen]
+    pinholes, depths, normals, colors = zip(*views, strict=True)
+    return DemoSite(tuple(camera for camera, _ in done), reference_cloud(pinholes, depths, normals, colors, voxel_m), voxel_m)
+
+
+TrueView = tuple[Camera, Float32s, Float32s, Uint8s]
+"""A pinhole view, depth (h, w) and normals (h, w, 3) of the empty scene in it, and its colours (h, w, 3)."""
+
+
+def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, list[TrueView]]:
+    """All captures of one camera and its truth, and what it sees in one pinhole or, of a fisheye, in several."""
+    camera, lens = camera_at(viewpoint, size)
+    depth, normals = true_range(shoot.empty, camera, lens) if lens.model == "fisheye" else true_depth(shoot.empty, camera)
+    seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
+    sensor = sensor_of(np.random.default_rng(seed), shoot.light)
+    own_light = own_lamp(shoot.empty.light, viewpoint, shoot.light)
+    still = render_view(lit(shoot.empty, own_light), camera, lens)
+    images, times = [], []
+    for k, (prepared, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
+        rng = np.random.default_rng([*seed, k])
+        time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
+        radiance = still.copy()
+        pixels = np.flatnonzero(touched(scene, shoot.empty.light, camera, lens))
+        radiance.reshape(-1, 3)[pixels] = render_pixels(lit(prepared, own_light), camera, lens, pixels)
+        image = develop(seen_as(radiance, viewpoint.sight), sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+        image = image if viewpoint.sight == "colour" else colourless(image)
+        images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
+        times.append(time)
+    placement = Placement(R=camera.R, C=camera.C)
+    demo = DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement)
+    if lens.model != "fisheye":
+        return demo, [(camera, depth, normals, upright(demo))]
+    pinholes = pinholes_of(camera, lens, viewpoint.name)
+    return demo, [(pinhole, *true_depth(shoot.empty, pinhole), upright(demo, pinhole)) for pinhole in pinholes]
+
+
+def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
+    """Linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
+    every = np.arange(camera.width * camera.height)
+    return render_pixels(prepared, camera, lens, every).reshape(camera.height, camera.width, 3)
+
+
+def render_pixels(
+    prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
+) -> Float32s:
+    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    pixels : ndarray
+        (n,) indices in the image, row by row.
+    batch : int
+        Pixels at once.
+    """
+    out = np.empty((len(pixels), 3), np.float32)
+    for start in range(0, len(pixels), batch):
+        out[start : start + batch] = light_up(prepared, look_at_pixels(prepared, camera, lens, pixels[start : start + batch]))
+    return out
+
+
+def look_at_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Seen:
+    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    camera : Camera
+        Pose and size.
+    lens : Lens or None
+        Distortion; None for none.
+    pixels : ndarray
+        (n,) indices in the image, row by row.
+    """
+    y, x = np.divmod(pixels[:, None], camera.width)
+    sub_y, sub_x = _in_pixel()
+    column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
+    rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
+    return look(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
+
+
+def light_up(prepared: PreparedScene, seen: Seen) -> Float32s:
+    """Linear radiance (n, 3) float32 of n pixels that `look_at_pixels` has looked at, in the light of `prepared`."""
+    sub_y, sub_x = _in_pixel()
+    pixels = len(seen.directions) // (SAMPLES * SAMPLES)
+    # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
+    disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (pixels, 1))
+    return np.asarray(shade(prepared, seen, disc.astype(np.float32)).reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
+
+
+def _in_pixel() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Row and column of each sample within its pixel."""
+    rows, columns = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
+    return rows, columns
+
+
+def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
+    """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
+    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
+    distance, normals = _truth(prepared, camera.C, rays)
+    depth = (distance * (rays @ camera.R[2].astype(np.float32))).astype(np.float32)
+    shape = (camera.height, camera.width)
+    return depth.reshape(shape), normals.reshape(*shape, 3)
+
+
+def true_range(prepared: PreparedScene, camera: Camera, lens: Lens) -> tuple[Float32s, Float32s]:
+    """Metres (h, w) float32 along the rays of a lens's pixels, and normals, as `true_depth`."""
+    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    rays = pixel_rays(camera, lens, x.astype(np.float64), y.astype(np.float64))
+    distance, normals = _truth(prepared, camera.C, rays)
+    return distance.reshape(camera.height, camera.width), normals.reshape(camera.height, camera.width, 3)
+
+
+def _truth(prepared: PreparedScene, centre: Float64s, rays: Float32s) -> tuple[Float32s, Float32s]:
+    """Distance (n,) along unit rays (n, 3), 0 where there is no truth, and normals (n, 3) against them."""
+    distance, facet = prepared.cast(np.broadcast_to(centre.astype(np.float32), rays.shape), rays)
+    known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
+    normals = prepared.scene.normals[np.maximum(facet, 0)]
+    normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
+    return np.where(known, distance, np.float32(0)), normals
+
+
+def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
+    """The pinhole views in which together all is seen that a wide lens sees.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its pose.
+    lens : Lens
+        Wide.
+    name : str
+        The camera's id, which all of them have in their `lens`.
+    """
+    assert lens.K is not None
+    found = []
+    for turn, (left, right, up, down) in views_of_lens(
+        lens.K.tolist(), lens.distortion.tolist(), lens.width, lens.height, lens.model
+    ):
+        f = lens.K[0, 0]
+        K = np.array([[f, 0.0, -f * left - 0.5], [0.0, f, -f * up - 0.5], [0.0, 0.0, 1.0]])
+        size = round(f * (right - left)), round(f * (down - up))
+        R = np.array(turn) @ camera.R
+        found.append(Camera(K, R, camera.C, *size, lens=replace(lens, camera=name, turn=np.array(turn))))
+    return found
+
+
+def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
+    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is added.
+    light : Light
+        For the shadows.
+    camera : Camera
+        Pose and size.
+    lens : Lens
+        Distortion.
+    tile : int
+        Side of a tile, pixels.
+    """
+    rows, cols = -(-camera.height // tile), -(-camera.width // tile)
+    mark = np.zeros((rows + 1, cols + 1), np.int32)
+    facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
+    swept = [np.concatenate([facets, shadow], axis=1) for shadow in _shadows(facets, light)]
+    for group in [facets, *swept]:
+        if lens.model == "fisheye":
+            rays = (group.reshape(-1, 3) - camera.C) @ camera.R.T
+            pixels, ahead = lens_pixels(lens, rays), np.linalg.norm(rays, axis=1)
+        else:
+            pinhole, ahead = project(camera, group.reshape(-1, 3))
+            pixels = distort(lens, pinhole)
+        at = pixels.reshape(len(group), -1, 2) / tile
+        at = at[(ahead.reshape(len(group), -1) > 0.5).all(axis=1) & (np.abs(at) < 1e4).all(axis=(1, 2))]
+        low = np.clip(np.floor(at.min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
+        high = np.clip(np.floor(at.max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
+        # +1 and -1 at the corners of each rectangle: their running sum counts the rectangles over a tile
+        for y, x, sign in ((low, low, 1), (low, high, -1), (high, low, -1), (high, high, 1)):
+            np.add.at(mark, (y[:, 1], x[:, 0]), sign)
+    covered = mark.cumsum(axis=0).cumsum(axis=1)[:rows, :cols] > 0
+    return np.repeat(np.repeat(covered, tile, axis=0), tile, axis=1)[: camera.height, : camera.width]
+
+
+def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
+    """Where shadows of facets (t, 3, 3) fall on the ground, for each light; a lamp's only near it, further off they are faint."""
+    found = []
+    if max(light.sun) > 0:
+        found.append(_on_ground(facets, facets - 1e4 * np.asarray(light.sun_direction)))
+    for lamp in light.lamps:
+        away = facets - np.asarray(lamp.position)
+        near = np.linalg.norm(away, axis=2).max(axis=1) < 9.0
+        found.append(np.where(near[:, None, None], _on_ground(facets, facets + away), facets))
+    return found
+
+
+def _on_ground(start: Float64s, end: Float64s) -> Float64s:
+    """Where the way from `start` down to `end` meets z = 0; its end where it doesn't get there."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip(np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0), 0, 1)
+    return np.asarray(start + share[..., None] * (end - start), np.float64)
+
+
+def upright(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
+    """Colours (h, w, 3) of the undistorted view, or of another pinhole of it: the median of the captures at the nearest pixel."""
+    view = pinhole or camera.camera
+    y, x = np.divmod(np.arange(view.width * view.height), view.width)
+    pixels = np.column_stack([x, y]).astype(np.float64)
+    if view.lens is None:
+        at = distort(camera.lens, pixels)
+    else:
+        assert view.lens.turn is not None
+        rays = np.column_stack([pixels, np.ones(len(x))]) @ np.linalg.inv(view.K).T
+        at = np.nan_to_num(lens_pixels(camera.lens, rays @ view.lens.turn))
+    at = np.rint(at).astype(np.intp)
+    u, v = np.clip(at[:, 0], 0, camera.lens.width - 1), np.clip(at[:, 1], 0, camera.lens.height - 1)
+    middle = np.median(np.stack([image[v, u] for image in camera.captures]), axis=0).astype(np.uint8)
+    return np.asarray(middle.reshape(view.height, view.width, 3), np.uint8)

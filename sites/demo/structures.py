@@ -1,0 +1,336 @@
+"""The parts of the yard: façades with recessed windows, containers with ribs, a lattice crane, stacks, posts."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbflow_stages.types import Float64s
+
+from .random_fields import Rng
+from .scene import SceneBuilder
+from .textures import container_roof, container_side, painted_steel
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A window or door of a façade: left, top, width, height in metres on the wall, seen from outside."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    texture: int
+    depth: float = 0.16
+
+
+@dataclass(frozen=True)
+class Box:
+    """A container: where (metres; level 1 stands on another), heading (radians), length, paint and the line's name."""
+
+    x: float
+    y: float
+    level: int
+    yaw: float
+    length: float
+    colour: tuple[float, float, float]
+    name: str
+
+
+def facade(
+    build: SceneBuilder,
+    corner: Float64s,
+    right: Float64s,
+    size: tuple[float, float],
+    wall: int,
+    openings: list[Opening],
+    sill: int,
+) -> None:
+    """A wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
+
+    The wall is cut along the edges of its openings; all its pieces continue one texture.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    corner : ndarray
+        (3,) top left, seen from outside.
+    right : ndarray
+        (3,) unit direction, seen from outside.
+    size : tuple of float
+        Width and height, metres.
+    wall : int
+        Texture of the wall.
+    openings : list of Opening
+        Doors and windows.
+    sill : int
+        Texture of reveals.
+    """
+    inward = np.cross(right, -UP)
+    xs = sorted({0.0, size[0], *(o.left for o in openings), *(o.left + o.width for o in openings)})
+    ys = sorted({0.0, size[1], *(o.top for o in openings), *(o.top + o.height for o in openings)})
+    for top, bottom in itertools.pairwise(ys):
+        for left, end in itertools.pairwise(xs):
+            if min(end - left, bottom - top) < 1e-6:  # edges of two openings that agree but for rounding
+                continue
+            x, y = 0.5 * (left + end), 0.5 * (top + bottom)
+            if not any(o.left < x < o.left + o.width and o.top < y < o.top + o.height for o in openings):
+                build.quad(corner + left * right - top * UP, (end - left) * right, -(bottom - top) * UP, wall, (left, top))
+    for o in openings:
+        _recess(build, corner + o.left * right - o.top * UP, right, inward, o, wall, sill)
+
+
+def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Float64s, o: Opening, wall: int, sill: int) -> None:
+    """The pane or door leaf, its four reveals, and a sill that sticks out."""
+    deep, across, down = o.depth * inward, o.width * right, -o.height * UP
+    build.quad(corner + deep, across, down, o.texture)
+    build.quad(corner, deep, down, wall, (o.left, o.top))
+    build.quad(corner + across + deep, -deep, down, wall, (o.left + o.width, o.top))
+    build.quad(corner + deep + down, across, -deep, wall, (o.left, o.top + o.height))
+    build.quad(corner, across, deep, wall, (o.left, o.top))
+    if o.depth < 0.2:
+        middle = corner + 0.5 * across + down - 0.04 * inward
+        yaw = float(np.arctan2(right[1], right[0]))
+        build.box(middle - 0.08 * UP, (o.width + 0.24, 0.26, 0.08), sill, yaw=yaw)
+
+
+def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
+    """A shipping container: ribbed walls painted one by one, corner posts, door end with bars.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    texel_m : float
+        Side of a texel, metres.
+    box : Box
+        Place, size and paint.
+    """
+    yaw, length, colour, name = box.yaw, box.length, box.colour, box.name
+    width, height, post = 2.44, 2.59, 0.16
+    ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
+    foot = np.array([box.x, box.y, 2.6 * box.level])
+    serial = f"{name[:3]}U {rng.integers(100000, 999999)} {rng.integers(10)}"
+    for sign in (-1, 1):
+        right, outward = -sign * ahead, sign * side
+        long_side = build.add_texture(container_side(rng, length, height, texel_m, colour, name, serial))
+        corner = foot - right * length / 2 + outward * width / 2 + height * UP
+        _ribs(build, corner, right, outward, length, height, post, long_side)
+        end = build.add_texture(container_side(rng, width, height, texel_m, colour, name if sign > 0 else "", serial))
+        across, away = (side if sign > 0 else -side), sign * ahead
+        corner = foot - across * width / 2 + away * length / 2 + height * UP
+        if sign > 0:
+            _ribs(build, corner, across, away, width, height, post, end)
+        else:
+            build.quad(corner, across * width, -height * UP, end)
+            for bar in (0.45, 0.95, 1.5, 2.0):
+                build.beam(
+                    corner + bar * across + 0.04 * away - 0.05 * UP,
+                    corner + bar * across + 0.04 * away - (height - 0.05) * UP,
+                    0.05,
+                    end,
+                )
+    roof = build.add_texture(container_roof(rng, length, width, texel_m, colour))
+    build.quad(foot - ahead * length / 2 + side * width / 2 + height * UP, ahead * length, -side * width, roof)
+
+
+def _ribs(
+    build: SceneBuilder,
+    corner: Float64s,
+    right: Float64s,
+    outward: Float64s,
+    length: float,
+    height: float,
+    post: float,
+    texture: int,
+) -> None:
+    """A corrugated wall between posts and rails: trapezoids of 0.28 m, 36 mm deep; the texture is measured straight across."""
+    pitch, deep = 0.28, 0.036
+    down = -(height - 2 * post) * UP
+    build.quad(corner, length * right, -post * UP, texture)
+    build.quad(corner - (height - post) * UP, length * right, -post * UP, texture, (0.0, height - post))
+    for at in (0.0, length - post):
+        build.quad(corner + at * right - post * UP, post * right, down, texture, (at, post))
+    inner = length - 2 * post
+    count = max(int(inner / pitch), 1)
+    pitch = inner / count
+    top = corner + post * right - post * UP
+    for k in range(count):
+        x = k * pitch
+        profile = ((0.0, 0.0), (0.25, 0.0), (0.5, -deep), (0.75, -deep), (1.0, 0.0))
+        for (a, za), (b, zb) in itertools.pairwise(profile):
+            start = top + (x + a * pitch) * right + za * outward
+            step = (b - a) * pitch * right + (zb - za) * outward
+            build.quad(start, step, down, texture, (post + x + a * pitch, post), run=right)
+
+
+def crane(
+    build: SceneBuilder, rng: Rng, foot: tuple[float, float], texel_m: float, *, height: float, reach: float, bearing: float
+) -> None:
+    """A slewing crane: lattice tower, cabin, lattice jib with a hook, counterweight.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    foot : tuple of float
+        x, y, metres.
+    texel_m : float
+        Side of a texel, metres.
+    height : float
+        Of the tower, metres.
+    reach : float
+        Of the jib, metres.
+    bearing : float
+        Of the jib, radians.
+    """
+    yellow = build.add_texture(painted_steel(rng, 12.0, 3.0, texel_m, (0.58, 0.36, 0.02)))
+    striped = build.add_texture(painted_steel(rng, 3.0, 2.0, texel_m, (0.62, 0.42, 0.03), stripes=True))
+    base = np.array([*foot, 0.0])
+    build.box(base, (3.0, 3.0, 1.0), striped)
+    _lattice(build, base + 1.0 * UP, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), UP, 1.5, height - 1.0, yellow)
+    ahead = np.array([np.cos(bearing), np.sin(bearing), 0])
+    aside = np.array([-ahead[1], ahead[0], 0])
+    build.box(base + height * UP, (2.4, 2.2, 2.1), yellow, yaw=bearing)
+    build.box(base - 3.2 * ahead + height * UP, (2.2, 1.8, 1.2), striped, yaw=bearing)
+    build.beam(base - 3.0 * ahead + (height + 0.2) * UP, base + (height + 0.2) * UP, 0.5, yellow)
+    rise = ahead * np.cos(0.16) + UP * np.sin(0.16)
+    _lattice(build, base + 1.2 * ahead + (height + 0.6) * UP, aside, np.cross(rise, aside), rise, 0.9, reach, yellow)
+    tip = base + ahead * (1.2 + reach * 0.97) + (height + 0.6 + reach * 0.16) * UP
+    build.beam(tip, tip - (height * 0.45) * UP, 0.05, striped)
+    build.box(tip - (height * 0.45 + 0.7) * UP, (0.4, 0.4, 0.7), striped)
+
+
+def _lattice(
+    build: SceneBuilder, start: Float64s, a: Float64s, b: Float64s, along: Float64s, width: float, length: float, texture: int
+) -> None:
+    """A square lattice girder: four chords and zigzag braces."""
+    corners = [start + width / 2 * (i * a + j * b) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    bays = max(round(length / width), 1)
+    for k, corner in enumerate(corners):
+        build.beam(corner, corner + length * along, 0.14, texture, at=0.3 * k)
+        neighbour = corners[(k + 1) % 4]
+        for bay in range(bays):
+            low, high = (bay / bays) * length * along, ((bay + 1) / bays) * length * along
+            build.beam(corner + (low if bay % 2 else high), neighbour + (high if bay % 2 else low), 0.08, texture, at=0.7 * bay)
+            build.beam(corner + low, neighbour + low, 0.07, texture, at=0.5 * bay)
+
+
+def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, rows: int, levels: int) -> None:
+    """A stack of crates of different sizes on pallets, set down by hand.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    place : tuple of float
+        Of its foot on the ground: x, y, metres.
+    textures : list of int
+        To choose from.
+    rows : int
+        Of stacks.
+    levels : int
+        Of a stack.
+    """
+    for k in range(rows):
+        z = 0.0
+        x, y = place[0] + 1.25 * k + rng.normal(0, 0.1), place[1] + rng.normal(0, 0.25)
+        for _ in range(int(rng.integers(1, levels + 1))):
+            size = (float(rng.uniform(0.8, 1.15)), float(rng.uniform(0.7, 1.1)), float(rng.uniform(0.45, 0.95)))
+            yaw = float(rng.normal(0, 0.25))
+            build.box((x, y, z), (1.2, 1.0, 0.14), textures[0], yaw=yaw, at=float(rng.uniform(0, 2)))
+            texture = textures[int(rng.integers(len(textures)))]
+            build.box((x, y, z + 0.14), size, texture, yaw=yaw, at=float(rng.uniform(0, 4)))
+            z += 0.14 + size[2]
+
+
+def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, count: int) -> None:
+    """A loose group of oil drums.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    place : tuple of float
+        Of its foot on the ground: x, y, metres.
+    textures : list of int
+        To choose from.
+    count : int
+        How many.
+    """
+    for k in range(count):
+        x = place[0] + 0.72 * (k % 4) + rng.normal(0, 0.06)
+        y = place[1] + 0.72 * (k // 4) + rng.normal(0, 0.06)
+        build.tube((x, y, 0.0), 0.29, 0.88, textures[int(rng.integers(len(textures)))])
+
+
+def heap(
+    build: SceneBuilder, rng: Rng, place: tuple[float, float], radius: float, height: float, texture: int, *, steps: int = 18
+) -> None:
+    """A tipped heap of gravel, rough on the scale of its facets.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    rng : Generator
+        The source of all that is random in it.
+    place : tuple of float
+        Of its foot on the ground: x, y, metres.
+    radius : float
+        Metres.
+    height : float
+        Metres.
+    texture : int
+        Number of a texture of the builder.
+    steps : int
+        Facets around it.
+    """
+    side = np.linspace(-radius, radius, steps + 1)
+    x, y = np.meshgrid(side, side)
+    z = height * (1 - (np.hypot(x, y) / radius) ** 1.3) + 0.04 * rng.standard_normal(x.shape)
+    grid = np.stack([x + place[0], y + place[1], z], axis=-1)
+    for i in range(steps):
+        for j in range(steps):
+            a, b, c, d = grid[i, j], grid[i, j + 1], grid[i + 1, j + 1], grid[i + 1, j]
+            for corners in ((a, b, c), (a, c, d)):
+                if max(p[2] for p in corners) > 0:
+                    build.triangle(
+                        np.array(corners),
+                        np.array([1.0, 0, 0]),
+                        np.array([0, 1.0, 0]),
+                        texture,
+                        (x[i, j] + radius, y[i, j] + radius),
+                    )
+
+
+def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int) -> None:
+    """A post with an arm.
+
+    Parameters
+    ----------
+    build : SceneBuilder
+        What it is added to.
+    place : tuple of float
+        Of its foot on the ground: x, y, metres.
+    height : float
+        Metres.
+    steel : int
+        Number of a texture.
+    """
+    x, y = place
+    build.tube((x, y, 0.0), 0.09, height, steel, sides=8)
+    build.beam((x, y, height - 0.1), (x, y + 1.1, height), 0.09, steel)

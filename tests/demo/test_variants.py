@@ -1,0 +1,65 @@
+"""Scenes seen by other cameras: what a lens of each kind sees is what is there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbflow_demo.cameras import MOUNTS, camera_at, viewpoint_of
+from wbflow_demo.files import demo_files
+from wbflow_demo.scenes import render
+from wbflow_demo.shooting import DemoSite
+from wbflow_demo.variants import fitted
+from wbflow_stages.core.cameras import project
+from wbflow_stages.core.lenses import lens_rays, off_axis
+
+SIZE = (96, 54)
+
+
+def yard(lenses: str, light: str = "day", cameras: int = 2) -> DemoSite:
+    return render("yard", size=SIZE, cameras=cameras, captures=1, lenses=lenses, light=light)
+
+
+def test_a_fisheye_sees_180_degrees_and_its_truth_is_that_of_its_neighbour() -> None:
+    site = yard("fisheye")
+    pinhole, wide = site.cameras
+    height, width = wide.captures[0].shape[:2]
+    assert (width, height) == (2 * SIZE[0], 2 * SIZE[1])
+    assert wide.lens.K is not None
+    edges = np.array([[-0.5, wide.lens.K[1, 2]], [width - 0.5, wide.lens.K[1, 2]]])
+    assert np.degrees(off_axis(lens_rays(wide.lens, edges))).sum() == pytest.approx(180, abs=0.5)
+    y, x = np.nonzero(wide.depth)
+    rays = lens_rays(wide.lens, np.column_stack([x, y]).astype(float))
+    X = wide.camera.C + (rays * wide.depth[y, x, None]) @ wide.camera.R
+    at, depth = project(pinhole.camera, X)
+    with np.errstate(invalid="ignore"):
+        inside = (depth > 0) & (at > 0).all(axis=1) & (at < np.array(SIZE) - 1).all(axis=1)
+    there = pinhole.depth[tuple(np.rint(at[inside]).astype(int).T[::-1])]
+    agree = np.abs(depth[inside] / np.maximum(there, 1e-3) - 1) < 0.03
+    assert inside.sum() > 1000
+    assert agree.mean() > 0.6  # the rest is hidden from one of the two
+    assert len(site.reference.points) > 5000
+
+
+def test_a_strongly_bent_lens_sees_100_degrees() -> None:
+    _, lens = camera_at(fitted([viewpoint_of(MOUNTS[0])], "brown")[0], SIZE)
+    assert lens.K is not None
+    edges = np.array([[-0.5, lens.K[1, 2]], [SIZE[0] - 0.5, lens.K[1, 2]]])
+    assert np.degrees(off_axis(lens_rays(lens, edges))).sum() == pytest.approx(100, abs=1.0)
+
+
+def test_neighbours_of_mixed_cameras_differ_fourfold() -> None:
+    small, large = (viewpoint.size(SIZE)[0] for viewpoint in fitted([viewpoint_of(mount) for mount in MOUNTS[:2]], "mixed"))
+    assert large == 4 * small
+
+
+def test_infrared_cameras_see_without_colour_and_by_their_own_lamp() -> None:
+    coloured, infrared = (camera.captures[0][SIZE[1] // 4 :].astype(int) for camera in yard("infrared", "dark").cameras)
+    assert np.ptp(coloured, axis=2).max() > 0
+    assert np.ptp(infrared, axis=2).max() == 0
+    assert infrared.mean() > 1.5 * coloured.mean()
+
+
+def test_an_unknown_kind_of_lenses_is_refused() -> None:
+    with pytest.raises(ValueError, match="lenses are standard, fisheye, brown, mixed, infrared"):
+        demo_files("yard", lenses="fish-eye", small=True, cameras=1, captures=1)
