@@ -16,10 +16,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wbflow.cache.ply import read_ply
-from wbflow_demo.night_files import LARGE, SMALL
+from wbflow_demo.files import NIGHT_LARGE, NIGHT_SMALL
 from wbflow_demo.nights import moving
+from wbflow_demo.photograph import Shots
 from wbflow_demo.scene import Scene
-from wbflow_demo.shots import Shots
 from wbflow_stages.types import Float64s
 
 NEAR = 0.15
@@ -52,7 +52,7 @@ def main() -> None:
     arguments = parser.parse_args()
     told = json.loads((arguments.demo / "demo.json").read_text())
     frames = int(told["frames"])
-    shots = Shots(int(told["cameras"]), frames, SMALL if told["small"] else LARGE, int(told["seed"]))
+    shots = Shots(int(told["cameras"]), frames, NIGHT_SMALL if told["small"] else NIGHT_LARGE, int(told["seed"]))
     moves = cKDTree(np.vstack([surface(scene) for scene in moving(int(told["nights"]), shots)[:frames]]))
     still = cKDTree(points_of(arguments.demo / "truth" / "reference.ply"))
     cell = float(json.loads((arguments.demo / "truth" / "reference.json").read_text())["voxel_m"])

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from wbflow_demo.cameras import CENTRE, MOUNTS, Viewpoint, choose_mounts
-from wbflow_demo.encode import jpeg, png
 from wbflow_demo.files import calibration_of
-from wbflow_demo.layout import static_yard, yard_light
 from wbflow_demo.movers import movers
-from wbflow_demo.shooting import DemoSite, Night, photograph
-from wbflow_demo.shots import Shots
+from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.sensor import jpeg, png
+from wbflow_demo.yard import static_yard, yard_light
 
 
 def viewpoints(count: int, every: int = 1) -> tuple[Viewpoint, ...]:

@@ -24,7 +24,7 @@ from wbflow_stages.twoview.epipolar import fundamental_from_cameras, symmetric_e
 from wbflow_stages.types import Camera, Capture, Features, Float64s, Frame, Uint8s, View
 
 if TYPE_CHECKING:
-    from wbflow_demo.shots import Daytime
+    from wbflow_demo.photograph import Daytime
 
 DATA = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 CORRECT_PX = 3.0
@@ -131,6 +131,8 @@ def rendered(light: Daytime, cache: Path, width: int = 1280) -> dict[str, TrueVi
 
 def rendered_scene(scene: str, light: Daytime, cache: Path, width: int = 960, captures: int = 2) -> dict[str, TrueView]:
     """All cameras of a demo scene, by name; rendered once (about 40 s) into `cache`."""
+    import scenes  # noqa: F401  # adds the scenes that only benches use
+
     from wbflow_demo.scenes import render
 
     cache.mkdir(parents=True, exist_ok=True)
@@ -240,12 +242,11 @@ WALLS = (
 
 def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
-    from wbflow_demo.atlas import build_atlas
     from wbflow_demo.cameras import choose_mounts, look_at
-    from wbflow_demo.layout import static_yard, yard_light
-    from wbflow_demo.prepared import PreparedScene
+    from wbflow_demo.photograph import render_view, true_depth
+    from wbflow_demo.renderer import PreparedScene, build_atlas
     from wbflow_demo.sensor import develop, sensor_of
-    from wbflow_demo.shooting import render_view, true_depth
+    from wbflow_demo.yard import static_yard, yard_light
 
     cache.mkdir(parents=True, exist_ok=True)
     height = width * 9 // 16

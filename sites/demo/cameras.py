@@ -1,8 +1,9 @@
-"""Cameras: where they hang (the yard's in a table), their lenses, and the rays of their (distorted) pixels."""
+"""Cameras: where they hang, their lenses and sensors, and the rays of their (distorted) pixels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -186,19 +187,7 @@ def _unbend(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: F
 
 
 def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
-    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion).
-
-    Parameters
-    ----------
-    camera : Camera
-        Pose and size.
-    lens : Lens or None
-        Distortion; None for none.
-    x : ndarray
-        (n,) pixels.
-    y : ndarray
-        (n,) pixels.
-    """
+    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion)."""
     rays = np.empty((len(x), 3))
     if lens is not None and lens.model == "fisheye":
         _unbend(rays, x, y, camera.K, lens.distortion)
@@ -218,3 +207,42 @@ def distort(lens: Lens, x: Float64s) -> Float64s:
     u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
     v = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
     return np.column_stack([K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2]])
+
+
+VARIANTS = {
+    "standard": "as the scene has them",
+    "fisheye": "every second camera sees 180 degrees, with twice the pixels along each side",
+    "brown": "all see 100 degrees with half as many pixels again along each side, and bend lines strongly",
+    "mixed": "every second camera has four times the pixels of its neighbours along each side",
+    "infrared": "colour, infrared, grey, infrared; at night the infrared ones see by their own lamp",
+}
+"""What each is."""
+
+_FISHEYE = (-0.012, 0.004, -0.0011, 0.0001)
+"""k1..k4 of a lens that is nearly equidistant."""
+_BARREL = (-0.15, 0.02, 0.0004, -0.0003, 0.0)
+_SIGHTS: tuple[Literal["colour", "grey", "infrared"], ...] = ("colour", "infrared", "grey", "infrared")
+
+
+def check_lenses(lenses: str) -> None:
+    """Raises ValueError for what is no row of `VARIANTS`."""
+    if lenses not in VARIANTS:
+        raise ValueError(f"lenses are {', '.join(VARIANTS)}, not {lenses!r}")
+
+
+def fitted(viewpoints: Sequence[Viewpoint], lenses: str) -> tuple[Viewpoint, ...]:
+    """The viewpoints with the lenses of a row of `VARIANTS`."""
+    return tuple(_fitted(viewpoint, k, lenses) for k, viewpoint in enumerate(viewpoints))
+
+
+def _fitted(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
+    every_second = k % 2 == 1
+    if lenses == "fisheye" and every_second:
+        return replace(viewpoint, model="fisheye", distortion=_FISHEYE, hfov_deg=180.0, scale=2.0)
+    if lenses == "brown":
+        return replace(viewpoint, distortion=_BARREL, hfov_deg=100.0, whole_picture=True, scale=1.5)
+    if lenses == "mixed":
+        return replace(viewpoint, scale=2.0 if every_second else 0.5)
+    if lenses == "infrared":
+        return replace(viewpoint, sight=_SIGHTS[k % len(_SIGHTS)])
+    return viewpoint

@@ -6,15 +6,14 @@ import numpy as np
 
 from . import textures as paint
 from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .paving import asphalt, lawn, with_lines
-from .random_fields import Rng
+from .ground import asphalt, lawn, with_lines
+from .light import light_of
+from .movers import traffic
+from .paint import Rng
+from .photograph import DemoSite, Night, Shots, photograph
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
 from .street import Furniture, car, car_textures, furniture_textures, street_lamp, tree
 from .structures import Opening, facade
-from .traffic import traffic
 
 WIDE, DEEP = 50.0, 36.0
 BAY_M, BAYS = 2.5, 18

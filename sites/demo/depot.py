@@ -5,14 +5,13 @@ from __future__ import annotations
 from . import ground
 from . import textures as paint
 from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .random_fields import Rng
+from .light import light_of
+from .movers import traffic
+from .paint import Rng
+from .photograph import DemoSite, Night, Shots, photograph
 from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
 from .street import furniture_textures, street_lamp
 from .structures import Box, container
-from .traffic import traffic
 
 COLUMNS, ROWS = (-19.5, -13.0, -6.5, 6.5, 13.0, 19.5), (-13.0, -10.4, -1.3, 1.3, 10.4, 13.0)
 """Middles of the stacks, metres east and north: three blocks of two rows, an aisle across."""

@@ -1,8 +1,9 @@
-"""What lights a scene: sun, sky, haze, what comes back from the ground, lamps."""
+"""The light of a scene: sun, sky, haze, ground and lamps; by day, at dusk, at night, in the dark, and under an even grey sky."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -30,3 +31,41 @@ class Light:
     lamps: tuple[Lamp, ...] = ()
     clouds: float = 0.25
     """How clearly the sky is banded."""
+
+
+SUN = (-0.547, -0.526, 0.652)
+"""Towards the afternoon's sun: in the south-west, 40 degrees up."""
+
+Place = tuple[float, float, float]
+
+
+def light_of(light: str, lamps: Sequence[Place]) -> Light:
+    """The light at an hour.
+
+    day: afternoon sun; dusk: the last of it, with the lamps on; night: lamps; dark: night without lamps, where a camera still
+    sees something by the sky's glow.  lamps: where they hang, metres.
+    """
+    if light == "day":
+        return Light(SUN, (1.55, 1.45, 1.27), (0.52, 0.60, 0.76), (0.30, 0.28, 0.25), (0.86, 0.90, 0.95))
+    if light == "dusk":
+        low_sun = (-0.909, -0.354, 0.222)
+        return Light(low_sun, (0.22, 0.13, 0.07), (0.17, 0.20, 0.29), (0.10, 0.09, 0.085), (0.45, 0.33, 0.27), _lit(lamps, 0.35))
+    if light in ("night", "dark"):
+        burning = _lit(lamps, 0.5) if light == "night" else ()
+        return Light(SUN, (0.0, 0.0, 0.0), (0.030, 0.034, 0.045), (0.030, 0.026, 0.020), (0.02, 0.018, 0.016), burning)
+    raise ValueError(f"light is day, dusk, night or dark, not {light!r}")
+
+
+def overcast_of(light: str, lamps: Sequence[Place]) -> Light:
+    """As `light_of`, under an even sky without sun: the same from all sides."""
+    lit = light_of(light, lamps)
+    if light == "day":
+        lit = replace(lit, sky=(1.25, 1.27, 1.32), ground=(0.55, 0.54, 0.52), haze=(0.9, 0.92, 0.95))
+    alike = tuple(replace(lamp, power=lit.lamps[0].power) for lamp in lit.lamps)
+    return replace(lit, sun=(0.0, 0.0, 0.0), clouds=0.0, lamps=alike)
+
+
+def _lit(places: Sequence[Place], strength: float) -> tuple[Lamp, ...]:
+    """Lamps, two kinds of them."""
+    warm, white = (34.0 * strength, 27.0 * strength, 17.0 * strength), (30.0 * strength, 29.0 * strength, 26.0 * strength)
+    return tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(places))

@@ -2,46 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from wbflow_stages.types import Float64s
 
-from .random_fields import Rng
+from .paint import Colour, Rng
 from .scene import MOVING, Scene, SceneBuilder
+from .street import car, car_textures
 from .textures import cloth, painted_steel, sign_board
 
 Place = tuple[float, float, float]
+Way = tuple[tuple[float, float], tuple[float, float]]
+"""From and to, metres east and north."""
 
 CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
 
 PAINTS = ((0.62, 0.62, 0.60), (0.60, 0.40, 0.03), (0.08, 0.18, 0.42))
 
-ROUTES = (
-    # lanes that stay free of everything static: from, to (metres east, north)
+ROUTES: tuple[Way, ...] = (
     ((6.0, 3.0), (34.0, 4.5)),
     ((13.5, 9.0), (14.5, 24.0)),
     ((26.0, 8.0), (25.0, 24.5)),
     ((8.0, 26.0), (32.0, 26.5)),
     ((15.0, 12.5), (25.0, 13.5)),
 )
+"""Of the yard: lanes that stay free of everything that stands still."""
 
 
 def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles: int = 2) -> list[Scene]:
-    """The same people and vehicles at other places of the routes for each capture; all scenes have the same textures.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    texel_m : float
-        Side of a texel, metres.
-    captures : int
-        So many moments.
-    people : int
-        How many.
-    vehicles : int
-        How many.
-    """
+    """The same people and vehicles at other places of the routes for each capture; all scenes have the same textures."""
     build = SceneBuilder()
     build.kind = MOVING
     skin, dark, glass = (
@@ -56,10 +47,10 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
     for _ in range(captures):
         build = build.with_same_textures()
         for k, (jacket, trousers) in enumerate(worn):
-            place, yaw = _on_route(rng, k)
+            place, yaw = _on_way(rng, ROUTES[k % len(ROUTES)], 0.4, 0.15)
             person(build, rng, place, yaw, (clothes[jacket], clothes[trousers], skin, helmets[k % len(helmets)]))
         for k, paint in enumerate(paints):
-            place, yaw = _on_route(rng, 3 * k)
+            place, yaw = _on_way(rng, ROUTES[3 * k % len(ROUTES)], 0.4, 0.15)
             if k % 2 == 0:
                 van(build, place, yaw, (paint, board, dark, glass))
             else:
@@ -68,30 +59,8 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
     return scenes
 
 
-def _on_route(rng: Rng, k: int) -> tuple[Place, float]:
-    """A random place and heading on route k."""
-    start, end = (np.array(p) for p in ROUTES[k % len(ROUTES)])
-    place = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, 0.4, 2)
-    yaw = float(np.arctan2(*(end - start)[::-1])) + float(rng.normal(0, 0.15)) + np.pi * float(rng.integers(2))
-    return (float(place[0]), float(place[1]), 0.0), yaw
-
-
 def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """A walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    place : Place
-        x, y, metres.
-    yaw : float
-        Radians.
-    look : tuple of int
-        Textures of jacket, trousers, skin, helmet.
-    """
+    """A walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
     jacket, trousers, skin, helmet = look
     x, y, _ = place
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
@@ -109,19 +78,7 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
 
 
 def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """A delivery van of 4.8 m.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    place : Place
-        x, y, metres.
-    yaw : float
-        Radians.
-    look : tuple of int
-        Textures of paint, sides, tyres, glass.
-    """
+    """A delivery van of 4.8 m."""
     paint, board, dark, glass = look
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
     p = np.array(place)
@@ -152,3 +109,42 @@ def _wheels(build: SceneBuilder, p: Float64s, yaw: float, a: float, s: float, ra
     for i in (-a, a):
         for j in (-s, s):
             build.ball(p + i * ahead + j * side + (0, 0, radius), (radius, radius, radius), dark, steps=5)
+
+
+COATS: tuple[Colour, ...] = (
+    (0.06, 0.07, 0.09), (0.34, 0.30, 0.24), (0.40, 0.06, 0.05), (0.10, 0.17, 0.33),
+    (0.16, 0.22, 0.12), (0.55, 0.53, 0.48), (0.50, 0.30, 0.05),
+)  # fmt: skip
+HAIR: tuple[Colour, ...] = ((0.05, 0.035, 0.025), (0.16, 0.10, 0.05), (0.30, 0.28, 0.26))
+
+
+def traffic(
+    rng: Rng, texel_m: float, captures: int, *, people: int, walks: Sequence[Way], cars: int = 0, roads: Sequence[Way] = ()
+) -> tuple[Scene, ...]:
+    """The same people and cars at other places of their ways for each capture; all scenes have the same textures."""
+    build = SceneBuilder()
+    build.kind = MOVING
+    skin = build.add_texture(cloth(rng, texel_m, (0.45, 0.27, 0.19)))
+    coats = [build.add_texture(cloth(rng, texel_m, c)) for c in COATS]
+    hair = [build.add_texture(cloth(rng, texel_m, c)) for c in HAIR]
+    worn = rng.integers(len(coats), size=(people, 2))
+    vehicles = [car(build, car_textures(build, rng, texel_m), k) for k in range(cars)]
+    scenes = []
+    for _ in range(captures):
+        build = build.with_same_textures()
+        for k, (coat, trousers) in enumerate(worn):
+            place, yaw = _on_way(rng, walks[k % len(walks)], 0.9, 0.1)
+            person(build, rng, place, yaw, (coats[coat], coats[trousers], skin, hair[k % len(hair)]))
+        for k, vehicle in enumerate(vehicles):
+            place, yaw = _on_way(rng, roads[k % len(roads)], 0.15, 0.1)
+            build.stamp(vehicle, place, yaw=yaw)
+        scenes.append(build.build())
+    return tuple(scenes)
+
+
+def _on_way(rng: Rng, way: Way, stray_m: float, veer: float) -> tuple[Place, float]:
+    """A random place on a way, and a heading along it, to or fro: up to about `stray_m` metres and `veer` radians off."""
+    start, end = (np.array(p) for p in way)
+    x, y = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, stray_m, 2)
+    yaw = float(np.arctan2(*(end - start)[::-1])) + float(rng.normal(0, veer)) + np.pi * float(rng.integers(2))
+    return (float(x), float(y), 0.0), yaw

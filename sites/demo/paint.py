@@ -1,19 +1,101 @@
-"""What all textures are made with: a texture's form, colours laid over each other, rows of stones, weather.
+"""What all textures are painted with: noise, cracks, spots, lettering, rows of stones, weathering, colours laid over each other.
 
-Colours are linear reflectances, stored as square roots in 8 bits (about what sRGB does), so that filtering can be done in linear
-light.
+Everything that is random comes from an explicit generator `rng`; `shape` is (height, width) in texels, `texel_m` the side of a
+texel in metres.  Colours are linear reflectances, stored as square roots in 8 bits (about what sRGB does), so that filtering can
+be done in linear light.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from wbflow_stages.core.jit import kernel
 from wbflow_stages.types import Float32s, Uint8s
 
-from .random_fields import Rng, fractal_noise, smoothstep
+Rng = np.random.Generator
+
+
+def smooth_noise(rng: Rng, shape: tuple[int, int], wave_px: tuple[float, float]) -> Float32s:
+    """Value noise: (h, w) float32 of about unit variance, correlated over `wave_px` = (along y, along x) pixels."""
+    rows, cols = (int(np.ceil(n / max(w, 1.0))) + 2 for n, w in zip(shape, wave_px, strict=True))
+    coarse = rng.standard_normal((rows, cols), dtype=np.float32)
+    if wave_px[0] <= 1.0 and wave_px[1] <= 1.0:
+        return np.ascontiguousarray(coarse[: shape[0], : shape[1]])
+    size = (int(np.ceil(cols * max(wave_px[1], 1.0))), int(np.ceil(rows * max(wave_px[0], 1.0))))
+    fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR if max(wave_px) < 3 else cv2.INTER_CUBIC)
+    return np.ascontiguousarray(fine[: shape[0], : shape[1]], dtype=np.float32) * np.float32(1.35)
+
+
+def fractal_noise(
+    rng: Rng,
+    shape: tuple[int, int],
+    texel_m: float,
+    longest_m: float,
+    *,
+    octaves: int = 6,
+    gain: float = 0.6,
+    stretch: float = 1.0,
+) -> Float32s:
+    """Sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y."""
+    total = np.zeros(shape, np.float32)
+    power, weight, wave = 0.0, 1.0, longest_m / texel_m
+    for _ in range(octaves):
+        if wave < 1.0 and power > 0:
+            break
+        total += np.float32(weight) * smooth_noise(rng, shape, (wave * stretch, wave))
+        power += weight**2
+        weight *= gain
+        wave *= 0.5
+    return total * np.float32(1.0 / np.sqrt(power))
+
+
+def smoothstep(low: float, high: float, x: Float32s) -> Float32s:
+    """0 below `low`, 1 above `high`, smooth between."""
+    t = np.clip((x - np.float32(low)) / np.float32(high - low), 0, 1)
+    return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)
+
+
+def lettering(
+    shape: tuple[int, int], texel_m: float, text: str, x_m: float, y_m: float, height_m: float, *, bold: float = 0.16
+) -> Float32s:
+    """Coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high."""
+    cover = np.zeros(shape, np.uint8)
+    height = max(height_m / texel_m, 3.0)
+    unit = cv2.getTextSize("H", cv2.FONT_HERSHEY_DUPLEX, 4.0, 1)[0][1] / 4.0
+    thickness = max(round(height * bold), 1)
+    origin = (round(x_m / texel_m), round(y_m / texel_m + height))
+    cv2.putText(cover, text, origin, cv2.FONT_HERSHEY_DUPLEX, height / unit, 255, thickness, cv2.LINE_AA)
+    return cover.astype(np.float32) / np.float32(255)
+
+
+def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, length_m: float) -> Float32s:
+    """Coverage (h, w) float32 of `count` wandering hairlines of about `length_m`."""
+    cover = np.zeros(shape, np.uint8)
+    step = 0.12 / texel_m
+    for _ in range(count):
+        steps = max(int(length_m * rng.uniform(0.4, 1.6) / 0.12), 3)
+        heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.35, steps))
+        start = rng.uniform((0, 0), (shape[1], shape[0]))
+        path = start + step * np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
+        cv2.polylines(cover, [np.round(path * 16).astype(np.int32)], False, 255, max(round(0.012 / texel_m), 1), cv2.LINE_AA, 4)
+    return cover.astype(np.float32) / np.float32(255)
+
+
+def blobs(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, radius_m: float) -> Float32s:
+    """Coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`."""
+    cover = np.zeros(shape, np.uint8)
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    for _ in range(count):
+        radius = radius_m / texel_m * rng.lognormal(0, 0.5)
+        outline = radius * (1 + 0.25 * np.convolve(np.tile(rng.standard_normal(24), 3), np.ones(3) / 3, "same")[24:48])
+        centre = rng.uniform((0, 0), (shape[1], shape[0]))
+        path = centre + np.column_stack([np.cos(angle), np.sin(angle)]) * outline[:, None]
+        cv2.fillPoly(cover, [np.round(path * 16).astype(np.int32)], int(rng.integers(90, 255)), cv2.LINE_AA, 4)
+    return cover.astype(np.float32) / np.float32(255)
+
 
 Colour = tuple[float, float, float]
 
@@ -92,27 +174,7 @@ def stones(
     jitter: float,
     warp: float,
 ) -> tuple[Float32s, Float32s, Float32s]:
-    """Coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    shape : tuple of int
-        Height and width, texels.
-    texel_m : float
-        Side of a texel, metres.
-    unit : tuple of float
-        Width and height of a stone with its joint, metres.
-    joint : float
-        Metres.
-    bond : float
-        Shift of every other row, in stones.
-    jitter : float
-        How unequal stones are.
-    warp : float
-        How crooked rows are, metres.
-    """
+    """Coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
     rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
     table = rng.standard_normal((rows, cols), dtype=np.float32)
     edges = (unit[0] * jitter * rng.uniform(-1, 1, (rows, cols))).astype(np.float32)
@@ -131,21 +193,7 @@ def palette(tones: tuple[Colour, ...], tone: Float32s) -> Float32s:
 
 
 def weather(rng: Rng, image: Float32s, texel_m: float, *, strength: float, streaks: float = 0.0) -> None:
-    """Large stains, fine grain, and rain streaks down the wall, as factors on `image` in place.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    image : ndarray
-        (h, w, 3), changed in place.
-    texel_m : float
-        Side of a texel, metres.
-    strength : float
-        Of stains and grain.
-    streaks : float
-        Of rain down the wall.
-    """
+    """Large stains, fine grain, and rain streaks down the wall, as factors on `image` in place."""
     shape = image.shape[:2]
     factor = 1 + strength * (
         0.55 * fractal_noise(rng, shape, texel_m, 5.0, octaves=5) + 0.45 * fractal_noise(rng, shape, texel_m, 0.4, octaves=5)

@@ -18,21 +18,7 @@ def reference_cloud(
 ) -> Cloud:
     """One point, the mean, per cell of `voxel_m` of all that two cameras or more see.
 
-    `views` of the cloud: the most cameras that see a point of the cell (its own among them).
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        That see it.
-    depths : sequence of Float32s
-        (h, w) of each camera, 0 where nothing.
-    normals : sequence of Float32s
-        (h, w, 3) of each camera, towards it.
-    colors : sequence of Uint8s
-        (h, w, 3) of the same pixels.
-    voxel_m : float
-        Side of a cell, metres.
-    """
+    `views` of the cloud: the most cameras that see a point of the cell (its own among them)."""
     cells: _Cells | None = None
     for k, (camera, depth, normal, color) in enumerate(zip(cameras, depths, normals, colors, strict=True)):
         v, u = np.nonzero(depth > 0)

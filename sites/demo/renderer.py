@@ -1,37 +1,205 @@
 """Renders a scene: open3d finds what each ray hits, compiled kernels filter the textures and add up the light.
 
-Surfaces are matt.  Sun and lamps cast shadows by rays, one for every sample, toward a point of the (wide) source; light of sky
-and surroundings comes from a coarse grid of directional visibilities, computed once a scene.  Every sample depends on its own
-ray and on nothing else, so that the same scene gives the same picture on any number of threads.
+Surfaces are matt, or wet.  Sun and lamps cast shadows by rays, one for every sample, toward a point of the (wide) source; light
+of sky and surroundings comes from a coarse grid of directional visibilities, computed once a scene.  Every sample depends on its
+own ray and on nothing else, so that the same scene gives the same picture on any number of threads.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+import open3d as o3d
 
 from wbflow_stages.core.jit import kernel
 from wbflow_stages.types import Float32s, Float64s, Int32s, Uint8s
 
-from .light import Lamp
-from .prepared import PreparedScene, Seen
-from .scene import GLOWING
-from .sky import add_sheen, sky_radiance
+from .light import Lamp, Light
+from .paint import Texture
+from .scene import GLOWING, STATIC, Scene
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """All textures and their halvings in one array of bytes."""
+
+    texels: Uint8s
+    """(n, 3) uint8."""
+    starts: Int32s
+    heights: Int32s
+    widths: Int32s
+    """(textures, levels) int32."""
+    texel_m: Float32s
+    """(textures,) float32."""
+
+
+LEVELS = 9
+
+
+@kernel
+def _halve(fine: Uint8s, coarse: Uint8s) -> None:
+    """Mean of 2 x 2 texels in linear light (texels hold square roots)."""
+    h, w = fine.shape[:2]
+    for i in range(coarse.shape[0]):
+        for j in range(coarse.shape[1]):
+            i2, j2 = min(2 * i + 1, h - 1), min(2 * j + 1, w - 1)
+            for c in range(3):
+                total = float(fine[2 * i, 2 * j, c]) ** 2 + float(fine[2 * i, j2, c]) ** 2
+                total += float(fine[i2, 2 * j, c]) ** 2 + float(fine[i2, j2, c]) ** 2
+                coarse[i, j, c] = np.uint8(np.sqrt(0.25 * total) + 0.5)
+
+
+def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
+    """Textures with their pyramids."""
+    parts: list[Uint8s] = []
+    starts, heights, widths = (np.zeros((len(textures), LEVELS), np.int32) for _ in range(3))
+    position = 0
+    for t, texture in enumerate(textures):
+        pixels = texture.pixels
+        for level in range(LEVELS):
+            starts[t, level], heights[t, level], widths[t, level] = position, pixels.shape[0], pixels.shape[1]
+            parts.append(pixels.reshape(-1, 3))
+            position += len(parts[-1])
+            coarse = np.empty(((pixels.shape[0] + 1) // 2, (pixels.shape[1] + 1) // 2, 3), np.uint8)
+            _halve(pixels, coarse)
+            pixels = coarse
+    texel_m = np.array([t.texel_m for t in textures], np.float32)
+    return Atlas(np.concatenate(parts), starts, heights, widths, texel_m)
+
+
+AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
+
+
+@dataclass(frozen=True)
+class SkyGrid:
+    """How much of the sky points in space see."""
+
+    open: Float32s
+    """(nz, ny, nx, 6) float32, along +x -x +y -y +z -z."""
+    corner: Float32s
+    """(3,) float32: the first point, metres."""
+    cell_m: float
+    """From each point to the next."""
+
+
+OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1e4)
+"""All points see all of the sky: for landscapes."""
+
+
+def _tensor(array: Any) -> Any:
+    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
+
+
+class PreparedScene:
+    """A scene made ready to be looked at: rays, light, atlas of its textures, sky visibility (computed where not given)."""
+
+    def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
+        self.scene = scene
+        self.light = light
+        self._rays = o3d.t.geometry.RaycastingScene()
+        index = np.arange(len(scene.vertices), dtype=np.uint32).reshape(-1, 3)
+        self._rays.add_triangles(_tensor(scene.vertices), _tensor(index))
+        self.atlas = atlas
+        self.sky = self.sky_grid(spiral(48)) if sky is None else sky
+
+    def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
+        """Distance (inf for nothing) and facet (-1 for nothing) of what each of n rays hits first."""
+        answer = self._rays.cast_rays(_tensor(np.hstack([origins, directions])))
+        facet = answer["primitive_ids"].numpy().astype(np.int64)
+        return answer["t_hit"].numpy(), np.where(facet < len(self.scene.kinds), facet, -1).astype(np.int32)
+
+    def reaches(self, origins: Float32s, directions: Float32s, far: float = np.inf) -> Float32s:
+        """1 where a ray of length `far` (in units of its direction) meets nothing, else 0."""
+        rays = _tensor(np.hstack([origins, directions]))
+        hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
+        return np.asarray(~hit, dtype=np.float32)
+
+    def sky_grid(self, directions: Float32s, cell_m: float = 0.8) -> SkyGrid:
+        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis; by rays
+        along `directions` (n, 3)."""
+        still = np.repeat(self.scene.kinds == STATIC, 3)
+        low = self.scene.vertices[still].min(axis=0) - cell_m
+        count = np.ceil((self.scene.vertices[still].max(axis=0) + cell_m - low) / cell_m).astype(int) + 1
+        axes = [low[k] + cell_m * np.arange(count[k], dtype=np.float32) for k in range(3)]
+        z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+        points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
+        seen = np.zeros((len(points), 6), np.float32)
+        total = np.zeros(6, np.float32)
+        for d in directions:
+            facing = np.maximum(AXES @ d, 0)
+            # sideways and downward light also comes back from the ground: rays below the horizon count a little when free
+            clear = self.reaches(points, np.broadcast_to(d, points.shape).astype(np.float32), far=25.0)
+            seen += (clear if d[2] > 0 else 0.5 + 0.5 * clear)[:, None] * facing
+            total += facing
+        return SkyGrid((seen / total).reshape(*z.shape, 6), low.astype(np.float32), cell_m)
+
+
+def spiral(n: int) -> Float32s:
+    """n unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    k = np.arange(n) + 0.5
+    z = 1 - 2 * k / n
+    turn = np.pi * (1 + 5**0.5) * k
+    return np.column_stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z]).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What rays from one point meet, before light falls on it: the same under any light."""
+
+    directions: Float32s
+    """(n, 3) float32 unit vectors."""
+    distance: Float32s
+    """(n,) float32 metres, inf for sky."""
+    facet: Int32s
+    """(n,) int32, -1 for sky."""
+    points: Float32s
+    facing: Float32s
+    albedo: Float32s
+    """(m, 3) float32 each, of the m rays that meet something: where, its normal towards the camera, its colour."""
+
+
+_HEAD_ON = 0.02
+"""What water mirrors of light that falls straight on it."""
+
+
+def sky_radiance(light: Light, directions: Float32s) -> Float32s:
+    """The sky: haze at the horizon, the light's own colour higher up, drifting bands of cloud."""
+    up = np.clip(directions[:, 2], 0, 1)[:, None]
+    blend = np.sqrt(up)
+    x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
+    band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0) + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(
+        3.3 * y - 1.2 * x
+    )
+    cloud = light.clouds * np.clip(band, 0, 1)[:, None]
+    colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
+    return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
+
+
+def add_sheen(prepared: PreparedScene, seen: Seen, lifted: Float32s, radiance: Float32s) -> Float32s:
+    """Radiance (n, 3) of surfaces that are hit, with the sky mirrored in those that have a gloss.
+
+    What stands before the sky is mirrored as one dark tone, in its right outline: that it moves over the ground with who looks
+    is what misleads a matcher.  Schlick's approximation of Fresnel's equations (Computer Graphics Forum 1994)."""
+    gloss = np.array([texture.gloss for texture in prepared.scene.textures], np.float32)
+    if not gloss.any():
+        return radiance
+    hit = seen.facet >= 0
+    share = gloss[prepared.scene.texture_of[seen.facet[hit]]]
+    wet = np.flatnonzero(share > 0)
+    rays, facing = seen.directions[hit][wet], seen.facing[wet]
+    cosine = np.clip(-np.sum(rays * facing, axis=1, keepdims=True), 0, 1)
+    mirrored = (rays + 2 * cosine * facing).astype(np.float32)
+    clear = prepared.reaches(lifted[wet], mirrored)[:, None]
+    there = clear * sky_radiance(prepared.light, mirrored) + (1 - clear) * np.asarray(prepared.light.ground, np.float32) * 0.5
+    part = share[wet, None] * (_HEAD_ON + (1 - _HEAD_ON) * (1 - cosine) ** 5)
+    radiance[wet] += part * (there - radiance[wet])
+    return radiance
 
 
 def look(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Seen:
-    """What n rays from one point meet.
-
-    Parameters
-    ----------
-    prepared : PreparedScene
-        The scene.
-    centre : ndarray
-        (3,) where all rays start, metres.
-    directions : ndarray
-        (n, 3) float32 unit vectors.
-    spread : float
-        Radians between neighbouring rays.
-    """
+    """What n rays from one point meet."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
     scene, atlas = prepared.scene, prepared.atlas

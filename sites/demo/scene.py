@@ -72,23 +72,7 @@ class SceneBuilder:
         at: tuple[float, float] = (0.0, 0.0),
         run: Vector | None = None,
     ) -> None:
-        """A parallelogram seen from its front: top-left `corner`, edges `right` and `down`.
-
-        Parameters
-        ----------
-        corner : Vector
-            Top left, seen from its front.
-        right : Vector
-            Edge from there.
-        down : Vector
-            Edge from there.
-        texture : int
-            Number of a texture of the builder.
-        at : tuple of float
-            Texture position of the corner, metres.
-        run : Vector or None
-            Unit direction along which the texture's u is measured, where it isn't that of `right` (ribs).
-        """
+        """A parallelogram seen from its front: top-left `corner`, edges `right` and `down`."""
         c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
         u = np.asarray(run, np.float64) if run is not None else r / np.linalg.norm(r)
         v = d / np.linalg.norm(d)
@@ -99,21 +83,7 @@ class SceneBuilder:
             self._paint.append((texture, self.kind))
 
     def triangle(self, corners: Float64s, u: Float64s, v: Float64s, texture: int, at: tuple[float, float] = (0.0, 0.0)) -> None:
-        """One triangle, corners (3, 3) counter-clockwise from its front; texture axes u, v from its first corner.
-
-        Parameters
-        ----------
-        corners : ndarray
-            (3, 3), counter-clockwise from its front.
-        u : ndarray
-            (3,) texture axis from the first corner.
-        v : ndarray
-            (3,) texture axis from the first corner.
-        texture : int
-            Number of a texture of the builder.
-        at : tuple of float
-            Texture position of the first corner, metres.
-        """
+        """One triangle, corners (3, 3) counter-clockwise from its front; texture axes u, v from its first corner."""
         self._corners.append(np.asarray(corners, np.float64))
         self._axes.append((np.asarray(corners[0], np.float64), np.asarray(u, np.float64), np.asarray(v, np.float64), at))
         self._paint.append((texture, self.kind))
@@ -129,25 +99,7 @@ class SceneBuilder:
         front: int | None = None,
         at: float = 0.0,
     ) -> None:
-        """A box on the centre of its foot: `texture` on all faces, `sides` on the upright ones, `front` on the one facing -y.
-
-        Parameters
-        ----------
-        base : Vector
-            Centre of its foot.
-        size : Vector
-            Along x, y, z, metres.
-        texture : int
-            Of all faces that have no other.
-        yaw : float
-            Radians.
-        sides : int or None
-            Texture of the upright faces.
-        front : int or None
-            Texture of the one facing -y.
-        at : float
-            Texture position, metres.
-        """
+        """A box on the centre of its foot: `texture` on all faces, `sides` on the upright ones, `front` on the one facing -y."""
         x, y, z = (float(s) for s in size)
         ex, ey, ez = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0]), np.array([0, 0, 1.0])
         foot = np.asarray(base, np.float64)
@@ -164,21 +116,7 @@ class SceneBuilder:
         self.quad(corner(-1, -1, 0), ex * x, ey * y, texture, (at, z))
 
     def beam(self, start: Vector, end: Vector, thick: float, texture: int, *, at: float = 0.0) -> None:
-        """A square bar between two points.
-
-        Parameters
-        ----------
-        start : Vector
-            Centre of one end.
-        end : Vector
-            Centre of the other.
-        thick : float
-            Side of its section, metres.
-        texture : int
-            Number of a texture of the builder.
-        at : float
-            Texture position, metres.
-        """
+        """A square bar between two points."""
         a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
         along = b - a
         length = float(np.linalg.norm(along))
@@ -192,23 +130,7 @@ class SceneBuilder:
             self.quad(a + half * p - half * q, thick * q, along, texture, (at, at))
 
     def tube(self, base: Vector, radius: float, height: float, texture: int, *, sides: int = 14, top: bool = True) -> None:
-        """An upright cylinder; the texture runs around it.
-
-        Parameters
-        ----------
-        base : Vector
-            Centre of its foot.
-        radius : float
-            Metres.
-        height : float
-            Metres.
-        texture : int
-            Number of a texture of the builder.
-        sides : int
-            Facets around it.
-        top : bool
-            Has it a lid?
-        """
+        """An upright cylinder; the texture runs around it."""
         foot = np.asarray(base, np.float64)
         turn = np.linspace(0, 2 * np.pi, sides + 1)
         ring = foot + np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(sides + 1)])
@@ -221,19 +143,7 @@ class SceneBuilder:
                 self.triangle(cap, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), texture, (radius, radius))
 
     def ball(self, centre: Vector, radii: Vector, texture: int, *, steps: int = 8) -> None:
-        """An ellipsoid of `steps` x 2 `steps` facets: heads, shoulders, wheels seen from afar.
-
-        Parameters
-        ----------
-        centre : Vector
-            Metres.
-        radii : Vector
-            Along x, y, z, metres.
-        texture : int
-            Number of a texture of the builder.
-        steps : int
-            Half the facets around it.
-        """
+        """An ellipsoid of `steps` x 2 `steps` facets: heads, shoulders, wheels seen from afar."""
         c, r = np.asarray(centre, np.float64), np.asarray(radii, np.float64)
         theta = np.linspace(0, np.pi, steps + 1)
         phi = np.linspace(0, 2 * np.pi, 2 * steps + 1)
@@ -254,19 +164,7 @@ class SceneBuilder:
 
     def stamp(self, part: SceneBuilder, at: Vector = (0.0, 0.0, 0.0), *, yaw: float = 0.0, quarters: int = 0) -> None:
         """Another copy of a part that shares this builder's textures: turned by `yaw` radians and `quarters` right angles (these
-        exactly) about its origin, then moved to `at`.
-
-        Parameters
-        ----------
-        part : SceneBuilder
-            That shares this builder's textures.
-        at : Vector
-            Where its origin comes to lie, metres.
-        yaw : float
-            Radians.
-        quarters : int
-            Right angles, exactly.
-        """
+        exactly) about its origin, then moved to `at`."""
         c, s = np.cos(yaw), np.sin(yaw)
         quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
         turn = quarter @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import cast
 
-from .shooting import DemoSite
-from .shots import Daytime, Shots
-from .variants import check_lenses
+from .cameras import check_lenses
+from .photograph import Daytime, DemoSite, Shots
 from .weak import check_surfaces
 
 
@@ -33,20 +32,12 @@ class SceneRow:
     """How many cameras the small form has; None: as many as the large."""
 
 
-_HERE = "wbflow_demo"
 SCENES = {
-    "yard": SceneRow(f"{_HERE}.yard:yard", "a harbour yard", (8, 50), 8, 3, (1280, 720), small_cameras=4),
-    "square": SceneRow(f"{_HERE}.square:square", "a public square whose tiles repeat exactly", (8, 100), captures=10),
-    "hall": SceneRow(f"{_HERE}.hall:hall", "a market hall whose four sides are alike but for a few things", (8, 70), 8, 3),
-    "hall-2": SceneRow(f"{_HERE}.hall:hall_2", "a market hall that is the same after half a turn", (8, 70), 8, 3),
-    "hall-4": SceneRow(f"{_HERE}.hall:hall_4", "a market hall that is the same after a quarter turn", (8, 70), 8, 3),
-    "houses": SceneRow(f"{_HERE}.houses:houses", "a row of identical houses along a street", (0, 60)),
-    "carpark": SceneRow(f"{_HERE}.carpark:carpark", "a car park with rows of the same car", (4, 70)),
-    "containers": SceneRow(f"{_HERE}.depot:containers", "stacks of one and the same container", (4, 70)),
-    "apron": SceneRow(f"{_HERE}.apron:apron", "an airport apron with three aircraft of one type", (4, 80), 8, 3),
-    "stadium": SceneRow(f"{_HERE}.stadium:stadium", "a stadium with stands of identical seats", (4, 80), 10, 3),
-    "mast": SceneRow(f"{_HERE}.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
+    "yard": SceneRow("wbflow_demo.yard:yard", "a harbour yard", (8, 50), 8, 3, (1280, 720), small_cameras=4),
+    "square": SceneRow("wbflow_demo.square:square", "a public square whose tiles repeat exactly", (8, 100), captures=10),
+    "carpark": SceneRow("wbflow_demo.carpark:carpark", "a car park with rows of the same car", (4, 70)),
 }
+"""By name; benches add theirs."""
 
 
 def render(

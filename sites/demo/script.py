@@ -11,9 +11,8 @@ import numpy as np
 
 from wbflow_stages.types import Float64s
 
-from .layout import LAMPS
-from .light import Light
-from .lighting import light_of, overcast_of
+from .light import Light, light_of, overcast_of
+from .yard import LAMPS
 
 FIRST_NIGHT = date(2026, 11, 10)
 BETWEEN_FRAMES = timedelta(seconds=97)

@@ -1,4 +1,4 @@
-"""What a camera makes of the light: exposure, white balance, vignetting, blur, noise, and a clock burned into the picture."""
+"""What a camera makes of the light: rain, exposure, white balance, vignetting, blur, noise, a burned-in clock, a file."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 
 from wbflow_stages.types import Bools, Float32s, Uint8s
+
+from .light import Light
 
 
 @dataclass(frozen=True)
@@ -52,19 +54,7 @@ def colourless(image: Uint8s) -> Uint8s:
 
 
 def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.Generator) -> Uint8s:
-    """One capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor.
-
-    Parameters
-    ----------
-    radiance : ndarray
-        (h, w, 3) linear.
-    sensor : Sensor
-        Noise, blur, vignetting.
-    exposure : float
-        This capture's own factor.
-    rng : Generator
-        Of the noise.
-    """
+    """One capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
     h, w = radiance.shape[:2]
     x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
     fall = 1 - np.float32(sensor.vignette) * (0.75 * x * x + 0.25 * y * y)
@@ -109,3 +99,42 @@ def clock_mask(size: tuple[int, int]) -> Bools:
     mask = np.ones((size[1], size[0]), np.bool_)
     mask[y : y + h, x : x + w] = False
     return mask
+
+
+VEIL = 0.12
+"""Share of the light that falling water replaces by that of the sky."""
+STREAKS = 0.0016
+"""For each pixel."""
+
+
+def rain_over(radiance: Float32s, light: Light, rng: np.random.Generator) -> Float32s:
+    """A picture (h, w, 3) of linear radiance through rain: a veil, and streaks that are elsewhere in every frame."""
+    height, width = radiance.shape[:2]
+    scale = width / 640
+    streaks = np.zeros((height, width), np.uint8)
+    slant = rng.normal(0.18, 0.03)
+    for _ in range(round(STREAKS * height * width / max(scale, 0.5))):
+        x, y = rng.uniform(0, width), rng.uniform(-0.05 * height, height)
+        long = rng.uniform(8, 34) * scale
+        end = (round(x + slant * long), round(y + long))
+        cv2.line(streaks, (round(x), round(y)), end, int(rng.integers(35, 130)), max(round(scale), 1), cv2.LINE_AA)
+    cover = np.float32(VEIL) + cv2.GaussianBlur(streaks, (0, 0), 0.6 * max(scale, 0.7)).astype(np.float32)[..., None] / 255
+    grey = np.asarray(light.haze, np.float32) * np.float32(0.8)
+    return np.asarray(radiance * (1 - cover) + grey * cover, np.float32)
+
+
+def jpeg(image: Uint8s, quality: int = 92) -> bytes:
+    """JPEG of (h, w, 3) uint8 RGB."""
+    return _encoded(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+def png(mask: Bools) -> bytes:
+    """PNG of (h, w) bool: white is True."""
+    return _encoded(".png", mask.astype(np.uint8) * np.uint8(255), [])
+
+
+def _encoded(kind: str, image: Uint8s, options: list[int]) -> bytes:
+    done, data = cv2.imencode(kind, image, options)
+    if not done:
+        raise ValueError(f"this picture cannot be written as {kind}: {image.shape}, {image.dtype}")
+    return bytes(data.tobytes())

@@ -11,16 +11,14 @@ import numpy as np
 
 from . import textures as paint
 from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .paint import Colour
-from .paving import ashlar, asphalt, repeating_tiles
-from .random_fields import Rng
+from .ground import asphalt, repeating_tiles
+from .light import light_of
+from .movers import traffic
+from .paint import Colour, Rng
+from .photograph import DemoSite, Night, Shots, photograph
 from .scene import STATIC, WATER, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
 from .street import Furniture, bench, furniture_textures, street_lamp, tree
 from .structures import Opening, facade
-from .traffic import traffic
 
 HALF = 20.0
 TILE_M = 0.8
@@ -124,7 +122,7 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
         if kind == "brick":
             wall = paint.brick_wall(rng, width, height, texel_m, tint=tint)
         elif kind == "ashlar":
-            wall = ashlar(rng, width, height, texel_m, tint=tint)
+            wall = paint.ashlar(rng, width, height, texel_m, tint=tint)
         else:
             wall = paint.plaster(rng, width, height, texel_m, tint)
         house = build.with_same_textures()
@@ -155,7 +153,7 @@ def _openings(width: float, height: float, pane: int, shop: int, door: int) -> l
 
 def _fountain(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> None:
     """An eight-sided basin with water, a pedestal with an inscription, and a figure on it."""
-    stone = build.add_texture(ashlar(rng, 14.0, 1.5, texel_m, tint=(0.8, 0.8, 0.82)))
+    stone = build.add_texture(paint.ashlar(rng, 14.0, 1.5, texel_m, tint=(0.8, 0.8, 0.82)))
     bronze = build.add_texture(paint.painted_steel(rng, 2.0, 3.0, texel_m, (0.09, 0.15, 0.12)))
     build.tube((0.0, 0.0, 0.0), 2.6, 0.15, stone, sides=8)
     build.tube((0.0, 0.0, 0.15), 2.2, 0.5, stone, sides=8, top=False)

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import textures as paint
-from .paint import Colour, Texture, encode, shape_of
-from .paving import leaves
-from .random_fields import Rng, fractal_noise
+from .paint import Colour, Rng, Texture, encode, fractal_noise, shape_of
 from .scene import GLOWING, SceneBuilder
 
 Place = tuple[float, float, float]
@@ -53,19 +51,7 @@ def _lacquer(rng: Rng, texel_m: float, colour: Colour) -> Texture:
 
 
 def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 4.3) -> SceneBuilder:
-    """A car on the origin, nose along +x: a part to `stamp`.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    look : CarTextures
-        Textures of cars.
-    colour : int
-        Which of the paints.
-    length : float
-        Metres.
-    """
+    """A car on the origin, nose along +x: a part to `stamp`."""
     part = build.with_same_textures()
     body, half, wide = look.paints[colour % len(look.paints)], length / 2, 1.76
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
@@ -109,7 +95,7 @@ def furniture_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> Furnitu
     """Take the textures of street furniture into a scene."""
     return Furniture(
         bark=build.add_texture(paint.planks(rng, 1.0, 3.0, texel_m, (0.13, 0.10, 0.075))),
-        crown=build.add_texture(leaves(rng, texel_m)),
+        crown=build.add_texture(paint.leaves(rng, texel_m)),
         wood=build.add_texture(paint.planks(rng, 2.0, 1.0, texel_m)),
         steel=build.add_texture(paint.painted_steel(rng, 2.0, 5.0, texel_m, (0.10, 0.11, 0.11))),
         stone=build.add_texture(paint.plaster(rng, 3.0, 2.0, texel_m, (0.40, 0.38, 0.34))),
@@ -118,19 +104,7 @@ def furniture_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> Furnitu
 
 
 def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0) -> SceneBuilder:
-    """A trunk and a crown of leafy lumps, on the origin: a part to `stamp`.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    look : Furniture
-        Textures of the street.
-    height : float
-        Metres.
-    """
+    """A trunk and a crown of leafy lumps, on the origin: a part to `stamp`."""
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.03 * height, 0.55 * height, look.bark, sides=9)
     for _ in range(9):

@@ -9,7 +9,7 @@ import numpy as np
 
 from wbflow_stages.types import Float64s
 
-from .random_fields import Rng
+from .paint import Rng
 from .scene import SceneBuilder
 from .textures import container_roof, container_side, painted_steel
 
@@ -52,25 +52,7 @@ def facade(
 ) -> None:
     """A wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
 
-    The wall is cut along the edges of its openings; all its pieces continue one texture.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    corner : ndarray
-        (3,) top left, seen from outside.
-    right : ndarray
-        (3,) unit direction, seen from outside.
-    size : tuple of float
-        Width and height, metres.
-    wall : int
-        Texture of the wall.
-    openings : list of Opening
-        Doors and windows.
-    sill : int
-        Texture of reveals.
-    """
+    The wall is cut along the edges of its openings; all its pieces continue one texture."""
     inward = np.cross(right, -UP)
     xs = sorted({0.0, size[0], *(o.left for o in openings), *(o.left + o.width for o in openings)})
     ys = sorted({0.0, size[1], *(o.top for o in openings), *(o.top + o.height for o in openings)})
@@ -100,19 +82,7 @@ def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Floa
 
 
 def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
-    """A shipping container: ribbed walls painted one by one, corner posts, door end with bars.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    texel_m : float
-        Side of a texel, metres.
-    box : Box
-        Place, size and paint.
-    """
+    """A shipping container: ribbed walls painted one by one, corner posts, door end with bars."""
     yaw, length, colour, name = box.yaw, box.length, box.colour, box.name
     width, height, post = 2.44, 2.59, 0.16
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
@@ -174,25 +144,7 @@ def _ribs(
 def crane(
     build: SceneBuilder, rng: Rng, foot: tuple[float, float], texel_m: float, *, height: float, reach: float, bearing: float
 ) -> None:
-    """A slewing crane: lattice tower, cabin, lattice jib with a hook, counterweight.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    foot : tuple of float
-        x, y, metres.
-    texel_m : float
-        Side of a texel, metres.
-    height : float
-        Of the tower, metres.
-    reach : float
-        Of the jib, metres.
-    bearing : float
-        Of the jib, radians.
-    """
+    """A slewing crane: lattice tower, cabin, lattice jib with a hook, counterweight."""
     yellow = build.add_texture(painted_steel(rng, 12.0, 3.0, texel_m, (0.58, 0.36, 0.02)))
     striped = build.add_texture(painted_steel(rng, 3.0, 2.0, texel_m, (0.62, 0.42, 0.03), stripes=True))
     base = np.array([*foot, 0.0])
@@ -226,23 +178,7 @@ def _lattice(
 
 
 def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, rows: int, levels: int) -> None:
-    """A stack of crates of different sizes on pallets, set down by hand.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    place : tuple of float
-        Of its foot on the ground: x, y, metres.
-    textures : list of int
-        To choose from.
-    rows : int
-        Of stacks.
-    levels : int
-        Of a stack.
-    """
+    """A stack of crates of different sizes on pallets, set down by hand."""
     for k in range(rows):
         z = 0.0
         x, y = place[0] + 1.25 * k + rng.normal(0, 0.1), place[1] + rng.normal(0, 0.25)
@@ -256,21 +192,7 @@ def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: 
 
 
 def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, count: int) -> None:
-    """A loose group of oil drums.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    place : tuple of float
-        Of its foot on the ground: x, y, metres.
-    textures : list of int
-        To choose from.
-    count : int
-        How many.
-    """
+    """A loose group of oil drums."""
     for k in range(count):
         x = place[0] + 0.72 * (k % 4) + rng.normal(0, 0.06)
         y = place[1] + 0.72 * (k // 4) + rng.normal(0, 0.06)
@@ -280,25 +202,7 @@ def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures:
 def heap(
     build: SceneBuilder, rng: Rng, place: tuple[float, float], radius: float, height: float, texture: int, *, steps: int = 18
 ) -> None:
-    """A tipped heap of gravel, rough on the scale of its facets.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    rng : Generator
-        The source of all that is random in it.
-    place : tuple of float
-        Of its foot on the ground: x, y, metres.
-    radius : float
-        Metres.
-    height : float
-        Metres.
-    texture : int
-        Number of a texture of the builder.
-    steps : int
-        Facets around it.
-    """
+    """A tipped heap of gravel, rough on the scale of its facets."""
     side = np.linspace(-radius, radius, steps + 1)
     x, y = np.meshgrid(side, side)
     z = height * (1 - (np.hypot(x, y) / radius) ** 1.3) + 0.04 * rng.standard_normal(x.shape)
@@ -318,19 +222,7 @@ def heap(
 
 
 def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int) -> None:
-    """A post with an arm.
-
-    Parameters
-    ----------
-    build : SceneBuilder
-        What it is added to.
-    place : tuple of float
-        Of its foot on the ground: x, y, metres.
-    height : float
-        Metres.
-    steel : int
-        Number of a texture.
-    """
+    """A post with an arm."""
     x, y = place
     build.tube((x, y, 0.0), 0.09, height, steel, sides=8)
     build.beam((x, y, height - 0.1), (x, y + 1.1, height), 0.09, steel)

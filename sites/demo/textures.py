@@ -11,8 +11,22 @@ import numpy as np
 
 from wbflow_stages.types import Float32s
 
-from .paint import Colour, Texture, encode, mix, palette, shape_of, stones, weather
-from .random_fields import Rng, blobs, cracks, fractal_noise, lettering, smoothstep
+from .paint import (
+    Colour,
+    Rng,
+    Texture,
+    blobs,
+    cracks,
+    encode,
+    fractal_noise,
+    lettering,
+    mix,
+    palette,
+    shape_of,
+    smoothstep,
+    stones,
+    weather,
+)
 
 BRICK_TONES: tuple[Colour, ...] = (
     (0.30, 0.12, 0.075),
@@ -22,29 +36,14 @@ BRICK_TONES: tuple[Colour, ...] = (
     (0.27, 0.14, 0.11),
 )
 TILE_TONES: tuple[Colour, ...] = ((0.30, 0.12, 0.07), (0.24, 0.10, 0.07), (0.35, 0.16, 0.10), (0.17, 0.09, 0.07))
+ASHLAR_TONES: tuple[Colour, ...] = ((0.46, 0.41, 0.33), (0.52, 0.47, 0.38), (0.41, 0.37, 0.31), (0.49, 0.42, 0.32))
 RUST: Colour = (0.19, 0.075, 0.03)
 
 
 def brick_wall(
     rng: Rng, width_m: float, height_m: float, texel_m: float, *, sign: str = "", tint: Colour = (1.0, 1.0, 1.0)
 ) -> Texture:
-    """Old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    sign : str
-        Painted on it; "" for none.
-    tint : Colour
-        Factors on red, green, blue.
-    """
+    """Old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.25, 0.078), 0.013, bond=0.5, jitter=0.05, warp=0.004)
     repairs = blobs(rng, shape, texel_m, count=int(width_m * height_m / 18), radius_m=0.6)
@@ -69,19 +68,7 @@ def brick_wall(
 
 
 def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Pantiles in rows, dark under each row's lip, with moss and replaced tiles.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    """
+    """Pantiles in rows, dark under each row's lip, with moss and replaced tiles."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.24, 0.33), 0.02, bond=0.0, jitter=0.03, warp=0.008)
     image = palette(TILE_TONES, tone) * (1 + 0.35 * relief)[..., None]
@@ -92,21 +79,7 @@ def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Tex
 
 
 def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.62, 0.58, 0.48)) -> Texture:
-    """Nearly even render: a hard surface for matching on purpose; a few cracks, faint stains, flakes at the foot.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    """
+    """Nearly even render: a hard surface for matching on purpose; a few cracks, faint stains, flakes at the foot."""
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     image *= (1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2))[
@@ -120,25 +93,7 @@ def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
 
 
 def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, name: str, serial: str) -> Texture:
-    """Painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    name : str
-        The company's.
-    serial : str
-        Number on it.
-    """
+    """Painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams."""
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     pale: Colour = (0.72, 0.70, 0.66) if sum(colour) < 1.2 else (0.10, 0.16, 0.32)
@@ -158,21 +113,7 @@ def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 
 
 def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    """
+    """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
     shape = shape_of(width_m, height_m, texel_m)
     rib = np.asarray(np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28)), dtype=np.float32)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * (1 + 0.10 * rib)[None, :, None]
@@ -200,23 +141,7 @@ def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
 
 
 def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, *, stripes: bool = False) -> Texture:
-    """Painted steel of cranes, posts and vehicles, with or without warning stripes.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    stripes : bool
-        Black and yellow?
-    """
+    """Painted steel of cranes, posts and vehicles, with or without warning stripes."""
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     if stripes:
@@ -228,21 +153,7 @@ def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, col
 
 
 def planks(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.36, 0.24, 0.13)) -> Texture:
-    """Vertical boards with grain: gates, crates, pallets.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    """
+    """Vertical boards with grain: gates, crates, pallets."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (0.16, height_m + 1.0), 0.014, bond=0.0, jitter=0.06, warp=0.003)
     image = (1 + 0.22 * tone)[..., None] * np.asarray(colour, np.float32)
@@ -253,23 +164,7 @@ def planks(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Co
 
 
 def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, number: str) -> Texture:
-    """A slatted steel door with a large number.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    number : str
-        Painted on it.
-    """
+    """A slatted steel door with a large number."""
     shape = shape_of(width_m, height_m, texel_m)
     y = (np.arange(shape[0], dtype=np.float32) * texel_m % 0.12) / 0.12
     light = np.asarray(0.75 + 0.4 * np.sin(np.pi * y), dtype=np.float32)
@@ -304,25 +199,7 @@ def window(width_m: float, height_m: float, texel_m: float) -> Texture:
 def sign_board(
     rng: Rng, width_m: float, height_m: float, texel_m: float, lines: tuple[str, ...], colour: Colour, ink: Colour
 ) -> Texture:
-    """A painted board with a frame and lines of text.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m : float
-        Metres.
-    height_m : float
-        Metres.
-    texel_m : float
-        Side of a texel, metres.
-    lines : tuple of str
-        Of text.
-    colour : Colour
-        Linear red, green, blue of the fresh paint.
-    ink : Colour
-        Linear red, green, blue of the text.
-    """
+    """A painted board with a frame and lines of text."""
     shape = shape_of(width_m, height_m, texel_m)
     image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
     pitch = height_m / len(lines)
@@ -341,3 +218,23 @@ def cloth(rng: Rng, texel_m: float, colour: Colour) -> Texture:
     shape = shape_of(1.0, 1.0, texel_m)
     factor = 1 + 0.18 * fractal_noise(rng, shape, texel_m, 0.3)
     return encode(factor[..., None] * np.asarray(colour, np.float32), texel_m)
+
+
+def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tint: Colour = (1.0, 1.0, 1.0)) -> Texture:
+    """Dressed stone in courses, sooty from the top, with streaks."""
+    shape = shape_of(width_m, height_m, texel_m)
+    cover, tone, relief = stones(rng, shape, texel_m, (0.95, 0.42), 0.014, bond=0.5, jitter=0.10, warp=0.003)
+    image = palette(ASHLAR_TONES, tone) * np.asarray(tint, np.float32) * (1 + 0.05 * relief)[..., None]
+    image *= (1 + 0.06 * fractal_noise(rng, shape, texel_m, 0.08, octaves=3))[..., None]
+    mix(image, (0.22, 0.20, 0.17), 0.85 * (1 - cover))
+    weather(rng, image, texel_m, strength=0.12, streaks=0.2)
+    return encode(image, texel_m)
+
+
+def leaves(rng: Rng, texel_m: float, colour: Colour = (0.06, 0.095, 0.03)) -> Texture:
+    """Foliage from outside: clumps of light and shadow down to the leaf."""
+    shape = shape_of(3.0, 3.0, texel_m)
+    clumps = fractal_noise(rng, shape, texel_m, 0.7, octaves=6, gain=0.85)
+    image = np.clip(1 + 0.55 * clumps, 0.12, 3)[..., None] * np.asarray(colour, np.float32)
+    mix(image, (0.32, 0.22, 0.06), 0.5 * smoothstep(1.2, 2.2, fractal_noise(rng, shape, texel_m, 0.25, octaves=3)))
+    return encode(image, texel_m)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .paint import Colour, Texture, encode, mix, shape_of
-from .random_fields import Rng, cracks, fractal_noise
+from .paint import Colour, Rng, Texture, cracks, encode, fractal_noise, mix, shape_of
 
 SURFACES = {
     "standard": "as the scene has them",
@@ -26,15 +25,7 @@ def check_surfaces(surfaces: str, scene: str) -> None:
 
 
 def white_plaster(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Fresh paint on even render: a per cent of contrast, a few hair cracks.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m, height_m, texel_m : float
-        Its size and the side of a texel, metres.
-    """
+    """Fresh paint on even render: a per cent of contrast, a few hair cracks."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.80, 0.79, 0.76), broad=0.012, fine=0.006, fine_m=0.05)
     hair = cracks(rng, image.shape[:2], texel_m, count=int(width_m / 5), length_m=1.5)
     mix(image, (0.45, 0.43, 0.40), 0.4 * hair)
@@ -42,15 +33,7 @@ def white_plaster(rng: Rng, width_m: float, height_m: float, texel_m: float) -> 
 
 
 def wet_asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Dark, with stones of a few centimetres that hardly differ, and the sky in its water.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m, height_m, texel_m : float
-        Its size and the side of a texel, metres.
-    """
+    """Dark, with stones of a few centimetres that hardly differ, and the sky in its water."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.045, 0.045, 0.048), broad=0.06, fine=0.08, fine_m=0.04)
     seams = cracks(rng, image.shape[:2], texel_m, count=int(width_m * height_m / 60), length_m=3.0)
     mix(image, (0.02, 0.02, 0.02), 0.7 * seams)
@@ -58,15 +41,7 @@ def wet_asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Te
 
 
 def snow(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Fresh snow: soft waves of one per cent.
-
-    Parameters
-    ----------
-    rng : Generator
-        The source of all that is random in it.
-    width_m, height_m, texel_m : float
-        Its size and the side of a texel, metres.
-    """
+    """Fresh snow: soft waves of one per cent."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.86, 0.88, 0.90), broad=0.015, fine=0.010, fine_m=0.12)
     return encode(image, texel_m)
 

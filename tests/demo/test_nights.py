@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.images import decoded
-from wbflow_demo import night_files
+from wbflow_demo import files
 from wbflow_demo.files import Points
 from wbflow_demo.script import date_of, event_of, turn_of
 from wbflow_stages.core.cameras import project
@@ -25,8 +25,8 @@ NIGHTS = 7
 def rendered() -> dict[str, bytes | Points]:
     """Seven nights of 4 cameras, two frames of 96 x 54 pixels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(night_files, "SMALL", (96, 54))
-        return dict(night_files.demo_nights(NIGHTS, frames=2, small=True).files)
+        patch.setattr(files, "NIGHT_SMALL", (96, 54))
+        return dict(files.demo_nights(NIGHTS, frames=2, small=True).files)
 
 
 def file(name: str) -> bytes:
@@ -115,6 +115,6 @@ def test_changes_are_where_the_depth_has_changed() -> None:
 
 def test_impossible_nights_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one night"):
-        night_files.demo_nights(0, small=True)
+        files.demo_nights(0, small=True)
     with pytest.raises(ValueError, match="1 to 8 cameras"):
-        night_files.demo_nights(2, small=True, cameras=9)
+        files.demo_nights(2, small=True, cameras=9)

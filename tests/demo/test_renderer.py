@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.atlas import build_atlas
 from wbflow_demo.cameras import MOUNTS, camera_of, look_at
-from wbflow_demo.layout import static_yard, yard_light
 from wbflow_demo.light import Light
 from wbflow_demo.movers import movers
 from wbflow_demo.paint import Texture, encode
-from wbflow_demo.prepared import PreparedScene
+from wbflow_demo.photograph import Daytime, render_pixels, render_view, touched, true_depth
+from wbflow_demo.renderer import PreparedScene, build_atlas
 from wbflow_demo.scene import SceneBuilder, joined
-from wbflow_demo.shooting import render_pixels, render_view, touched, true_depth
-from wbflow_demo.shots import Daytime
+from wbflow_demo.yard import static_yard, yard_light
 from wbflow_stages.types import Camera
 
 OVERCAST = Light((0.0, 0.6, 0.8), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))

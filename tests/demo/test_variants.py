@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.cameras import MOUNTS, camera_at, viewpoint_of
+from wbflow_demo.cameras import MOUNTS, camera_at, fitted, viewpoint_of
 from wbflow_demo.files import demo_files
+from wbflow_demo.photograph import DemoSite
 from wbflow_demo.scenes import render
-from wbflow_demo.shooting import DemoSite
-from wbflow_demo.variants import fitted
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_rays, off_axis
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.atlas import build_atlas
 from wbflow_demo.ground import cobbles
-from wbflow_demo.lighting import light_of
-from wbflow_demo.prepared import PreparedScene
-from wbflow_demo.renderer import look, shade
+from wbflow_demo.light import light_of
+from wbflow_demo.renderer import PreparedScene, build_atlas, look, shade
 from wbflow_demo.scene import SceneBuilder
 from wbflow_demo.scenes import render
 from wbflow_demo.weak import snow, wet_asphalt, white_plaster

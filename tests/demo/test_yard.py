@@ -10,8 +10,7 @@ import pytest
 
 from tests.helpers.synthetic_site import single_pair, small_yard
 from wbflow_demo.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
-from wbflow_demo.shooting import DemoCamera
-from wbflow_demo.shots import Shots
+from wbflow_demo.photograph import DemoCamera, Shots
 from wbflow_demo.yard import yard
 from wbflow_stages.core.cameras import backproject, project
 from wbflow_stages.evaluate import correct_matches, true_correspondences

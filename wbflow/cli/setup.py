@@ -12,7 +12,7 @@ from .common import PATH, echo, jobs_option, stop, verbose_option
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=PATH)
-@click.option("--scene", default="yard", metavar="NAME", help="yard, square, hall, hall-2, hall-4, houses, ...")
+@click.option("--scene", default="yard", metavar="NAME", help="yard, square or carpark.")
 @click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Time of day; dark: no lamps.")
 @click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown, mixed or infrared: other cameras.")
@@ -40,7 +40,7 @@ def demo(
 
     \b
     wbflow demo yard                              eight cameras
-    wbflow demo hall --scene hall-2 --light dusk
+    wbflow demo market --scene square --light dusk
     wbflow demo wide --lenses fisheye             every second camera sees 180 degrees
     wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small

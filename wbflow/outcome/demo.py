@@ -42,7 +42,7 @@ def write_demo(
     folder : Path
         New, empty, or holding an earlier demo.
     scene : str
-        A name of `wbflow_demo.scenes.SCENES`.
+        "yard", "square" or "carpark" (`wbflow_demo.scenes.SCENES`).
     small : bool
         320x180 pixels: rendered in seconds.
     light : str
@@ -52,9 +52,9 @@ def write_demo(
     seed : int
         Of everything that is drawn at random.
     lenses : str
-        A name of `wbflow_demo.variants.VARIANTS`.
+        "standard", "fisheye", "brown", "mixed" or "infrared".
     surfaces : str
-        A name of `wbflow_demo.weak.SURFACES`.
+        "standard" or "weak".
 
     Raises
     ------

@@ -99,7 +99,7 @@ PAIR_RESULTS: Mapping[str, Role] = {
 DEMO_FILES = "wbflow_demo.files:demo_files"
 """Renders a demo: what is told of it, and its files; a ValueError says what cannot be rendered."""
 
-DEMO_NIGHTS = "wbflow_demo.night_files:demo_nights"
+DEMO_NIGHTS = "wbflow_demo.files:demo_nights"
 """The same, of several nights of the demo yard."""
 
 CLOUD_OBJECT = "wbflow_stages.exports.forms:point_cloud"

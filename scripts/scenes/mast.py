@@ -6,18 +6,15 @@ import itertools
 
 import numpy as np
 
+from wbflow_demo import textures as paint
+from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.light import light_of
+from wbflow_demo.movers import traffic
+from wbflow_demo.paint import Rng, Texture, encode, fractal_noise, mix, shape_of, smoothstep, weather
+from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.renderer import OPEN_SKY
+from wbflow_demo.scene import STATIC, Scene, SceneBuilder
 from wbflow_stages.types import Float64s
-
-from . import textures as paint
-from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .paint import Texture, encode, mix, shape_of, weather
-from .prepared import OPEN_SKY
-from .random_fields import Rng, fractal_noise, smoothstep
-from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
-from .traffic import traffic
 
 CENTRES = ((0.0, 0.0, 32.0), (0.3, 0.05, 32.1), (-0.5, 0.1, 33.0), (0.4, -0.1, 34.2), (-0.3, 0.0, 35.1), (0.2, 0.1, 35.9))
 """Metres east, north, up."""

@@ -1,4 +1,4 @@
-"""Photographing a scene: fixed cameras, several captures each with what moves standing elsewhere, and the exact truth.
+"""Photographs a scene: fixed cameras, several captures each with what moves standing elsewhere, and the exact truth.
 
 Captures are what a camera would write (distorted, noisy, with a clock burned in); the truth is of the empty scene: lenses, poses,
 depth, and a reference cloud.  The same arguments give the same bytes.
@@ -7,8 +7,10 @@ depth, and a reference cloud.  The same arguments give the same bytes.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,16 +20,57 @@ from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 
-from .atlas import build_atlas
-from .cameras import Viewpoint, camera_at, distort, pixel_rays
-from .light import Light
-from .prepared import PreparedScene, Seen, SkyGrid
+from .cameras import Viewpoint, camera_at, distort, fitted, pixel_rays
+from .light import Lamp, Light
 from .reference import reference_cloud
-from .renderer import look, shade
+from .renderer import PreparedScene, Seen, SkyGrid, build_atlas, look, shade
 from .scene import WATER, Scene, joined
 from .sensor import burn_clock, clock_mask, colourless, develop, seen_as, sensor_of
-from .shots import Daytime, Shots
-from .variants import fitted, lit, own_lamp
+
+Daytime = Literal["day", "dusk", "night", "dark"]
+
+
+@dataclass(frozen=True)
+class Shots:
+    """How many pictures are to be taken of a scene, how large, and when."""
+
+    cameras: int
+    """The scene's first ones."""
+    captures: int
+    """Of each camera."""
+    size: tuple[int, int] = (960, 540)
+    """Width and height, pixels."""
+    seed: int = 0
+    """Of textures, movers, exposures and noise."""
+    light: Daytime = "day"
+    """The hour."""
+    threads: int = 2
+    """Of rendering; the result does not depend on it."""
+    lenses: str = "standard"
+    """A name of `variants.VARIANTS`."""
+    surfaces: str = "standard"
+    """A name of `weak.SURFACES`."""
+
+    def check(self, there_are: int) -> None:
+        """Raises ValueError for pictures that are too small, or none, and for more cameras than `there_are`."""
+        if not 1 <= self.cameras <= there_are:
+            raise ValueError(f"this scene has 1 to {there_are} cameras, not {self.cameras}")
+        if self.captures < 1 or min(self.size) < 16:
+            wide, high = self.size
+            raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {self.captures} of {wide} x {high}")
+
+    def texel_m(self, width_m: float, finest_m: float, coarsest_m: float) -> float:
+        """Side of a texel, metres: a picture as wide as `width_m` of the scene has one for each of its pixels, within limits."""
+        return float(np.clip(width_m / self.size[0], finest_m, coarsest_m))
+
+    def voxel_m(self, width_m: float, coarsest_m: float = 0.1) -> float:
+        """The same of a cell of the reference cloud, in whole centimetres and at least two."""
+        return float(np.clip(round(width_m / self.size[0], 2), 0.02, coarsest_m))
+
+    def random(self, part: int) -> np.random.Generator:
+        """The random numbers of one part of the scene."""
+        return np.random.default_rng([self.seed, part])
+
 
 FIRST_CAPTURE = {
     "day": datetime(2026, 11, 19, 14, 2, 11),
@@ -154,21 +197,7 @@ def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> F
 def render_pixels(
     prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
 ) -> Float32s:
-    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples.
-
-    Parameters
-    ----------
-    prepared : PreparedScene
-        The scene.
-    camera : Camera
-        Pose and size.
-    lens : Lens or None
-        Distortion; None for none.
-    pixels : ndarray
-        (n,) indices in the image, row by row.
-    batch : int
-        Pixels at once.
-    """
+    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     for start in range(0, len(pixels), batch):
         out[start : start + batch] = light_up(prepared, look_at_pixels(prepared, camera, lens, pixels[start : start + batch]))
@@ -176,19 +205,7 @@ def render_pixels(
 
 
 def look_at_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Seen:
-    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet.
-
-    Parameters
-    ----------
-    prepared : PreparedScene
-        The scene.
-    camera : Camera
-        Pose and size.
-    lens : Lens or None
-        Distortion; None for none.
-    pixels : ndarray
-        (n,) indices in the image, row by row.
-    """
+    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet."""
     y, x = np.divmod(pixels[:, None], camera.width)
     sub_y, sub_x = _in_pixel()
     column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
@@ -239,17 +256,7 @@ def _truth(prepared: PreparedScene, centre: Float64s, rays: Float32s) -> tuple[F
 
 
 def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
-    """The pinhole views in which together all is seen that a wide lens sees.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its pose.
-    lens : Lens
-        Wide.
-    name : str
-        The camera's id, which all of them have in their `lens`.
-    """
+    """The pinhole views in which together all is seen that a wide lens sees."""
     assert lens.K is not None
     found = []
     for turn, (left, right, up, down) in views_of_lens(
@@ -264,21 +271,7 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
 
 
 def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
-    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image.
-
-    Parameters
-    ----------
-    scene : Scene
-        What is added.
-    light : Light
-        For the shadows.
-    camera : Camera
-        Pose and size.
-    lens : Lens
-        Distortion.
-    tile : int
-        Side of a tile, pixels.
-    """
+    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
@@ -335,3 +328,21 @@ def upright(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
     u, v = np.clip(at[:, 0], 0, camera.lens.width - 1), np.clip(at[:, 1], 0, camera.lens.height - 1)
     middle = np.median(np.stack([image[v, u] for image in camera.captures]), axis=0).astype(np.uint8)
     return np.asarray(middle.reshape(view.height, view.width, 3), np.uint8)
+
+
+_LAMP = 120.0
+"""Power of an infrared camera's own lamp: it lights a yard as well as the lamps on its walls do."""
+
+
+def own_lamp(light: Light, viewpoint: Viewpoint, hour: str) -> Light:
+    """The light that a camera sees by: an infrared one lights what it sees itself where it is night."""
+    if viewpoint.sight != "infrared" or hour not in {"night", "dark"}:
+        return light
+    return replace(light, lamps=(*light.lamps, Lamp(viewpoint.centre, (_LAMP, _LAMP, _LAMP))))
+
+
+def lit(prepared: PreparedScene, light: Light) -> PreparedScene:
+    """The same scene in another light."""
+    other = copy(prepared)
+    other.light = light
+    return other

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import textures as paint
-from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .paving import asphalt, lawn, repeating_tiles, with_lines
-from .random_fields import Rng
-from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
-from .street import Furniture, bench, car, car_textures, furniture_textures, street_lamp, tree
-from .structures import Opening, facade
-from .traffic import traffic
+from wbflow_demo import textures as paint
+from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.ground import asphalt, lawn, repeating_tiles, with_lines
+from wbflow_demo.light import light_of
+from wbflow_demo.movers import traffic
+from wbflow_demo.paint import Rng
+from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.scene import STATIC, Scene, SceneBuilder
+from wbflow_demo.street import Furniture, bench, car, car_textures, furniture_textures, street_lamp, tree
+from wbflow_demo.structures import Opening, facade
 
 PITCH_M, HOUSES = 8.0, 9
 """Width of a house, and how many stand in the row."""

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import ground
-from . import textures as paint
-from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .paving import lawn, with_lines
-from .random_fields import Rng
-from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
-from .street import car, car_textures, furniture_textures, street_lamp
-from .structures import Opening, facade
-from .traffic import traffic
+from wbflow_demo import ground
+from wbflow_demo import textures as paint
+from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.ground import lawn, with_lines
+from wbflow_demo.light import light_of
+from wbflow_demo.movers import traffic
+from wbflow_demo.paint import Rng
+from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.scene import STATIC, Scene, SceneBuilder
+from wbflow_demo.street import car, car_textures, furniture_textures, street_lamp
+from wbflow_demo.structures import Opening, facade
 
 WIDE, DEEP = 90.0, 56.0
 STANDS = (-28.0, 0.0, 28.0)

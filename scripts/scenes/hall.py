@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import ground
-from . import textures as paint
-from .atlas import build_atlas
-from .cameras import Viewpoint
-from .lighting import overcast_of
-from .paving import ashlar, lawn
-from .prepared import OPEN_SKY, PreparedScene, SkyGrid, spiral
-from .random_fields import Rng
-from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
-from .street import bench, car, car_textures, furniture_textures, street_lamp, tree
-from .structures import Opening, facade
-from .traffic import traffic
+from wbflow_demo import ground
+from wbflow_demo import textures as paint
+from wbflow_demo.cameras import Viewpoint
+from wbflow_demo.ground import lawn
+from wbflow_demo.light import overcast_of
+from wbflow_demo.movers import traffic
+from wbflow_demo.paint import Rng
+from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.renderer import OPEN_SKY, PreparedScene, SkyGrid, build_atlas, spiral
+from wbflow_demo.scene import STATIC, Scene, SceneBuilder
+from wbflow_demo.street import bench, car, car_textures, furniture_textures, street_lamp, tree
+from wbflow_demo.structures import Opening, facade
 
 HALF, HEIGHT, EDGE = 8.0, 8.4, 35.6
 """Of the hall, its walls, and the ground, metres."""
@@ -106,7 +104,7 @@ def static_hall(rng: Rng, texel_m: float, symmetry: int) -> Scene:
 def _quarter(build: SceneBuilder, rng: Rng, texel_m: float, *, portal: bool) -> SceneBuilder:
     """The south side, its part of the roof, and the ground and green before it."""
     part = build.with_same_textures()
-    stone = build.add_texture(ashlar(rng, 6.0, HEIGHT, texel_m, tint=(0.85, 0.83, 0.8)))
+    stone = build.add_texture(paint.ashlar(rng, 6.0, HEIGHT, texel_m, tint=(0.85, 0.83, 0.8)))
     tint = (1.0, 0.95, 0.9) if portal else (0.85, 0.95, 1.1)
     wall = build.add_texture(paint.brick_wall(rng, 2 * HALF, HEIGHT, texel_m, tint=tint, sign="MARKTHALLE" if portal else ""))
     tall, low = (build.add_texture(paint.window(w, h, texel_m)) for w, h in ((1.3, 3.0), (1.3, 1.2)))

@@ -6,18 +6,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from . import textures as paint
-from .cameras import Viewpoint, off_middle
-from .lighting import light_of
-from .paint import Colour, Texture, encode, shape_of
-from .paving import lawn, with_lines
-from .random_fields import Rng
-from .scene import STATIC, Scene, SceneBuilder
-from .shooting import DemoSite, Night, photograph
-from .shots import Shots
-from .street import furniture_textures
-from .structures import lamp_post
-from .traffic import traffic
+from wbflow_demo import textures as paint
+from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.ground import lawn, with_lines
+from wbflow_demo.light import light_of
+from wbflow_demo.movers import traffic
+from wbflow_demo.paint import Colour, Rng, Texture, encode, shape_of
+from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
+from wbflow_demo.scene import STATIC, Scene, SceneBuilder
+from wbflow_demo.street import furniture_textures
+from wbflow_demo.structures import lamp_post
 
 WIDE, DEEP = 60.0, 40.0
 CAMERAS = 10

@@ -1,0 +1,18 @@
+"""Scenes that only benches use: rendered by `wbflow_demo`, which knows them once this package is imported."""
+
+from __future__ import annotations
+
+from wbflow_demo.scenes import SCENES, SceneRow
+
+_ROWS = {
+    "hall": SceneRow("scenes.hall:hall", "a market hall whose four sides are alike but for a few things", (8, 70), 8, 3),
+    "hall-2": SceneRow("scenes.hall:hall_2", "a market hall that is the same after half a turn", (8, 70), 8, 3),
+    "hall-4": SceneRow("scenes.hall:hall_4", "a market hall that is the same after a quarter turn", (8, 70), 8, 3),
+    "houses": SceneRow("scenes.houses:houses", "a row of identical houses along a street", (0, 60)),
+    "containers": SceneRow("wbflow_demo.depot:containers", "stacks of one and the same container", (4, 70)),
+    "apron": SceneRow("scenes.apron:apron", "an airport apron with three aircraft of one type", (4, 80), 8, 3),
+    "stadium": SceneRow("scenes.stadium:stadium", "a stadium with stands of identical seats", (4, 80), 10, 3),
+    "mast": SceneRow("scenes.mast:mast", "a valley seen by cameras that hang on one mast", (0, 60), captures=3),
+}
+SCENES.update(_ROWS)
+NAMES = tuple(_ROWS)
