@@ -19,7 +19,7 @@ from wbflow.cache.functions import FunctionReader
 from wbflow.cache.layout import WorkFolder
 
 from .operations import arm
-from .processes import Ended, Started, fork_workers, forked, started_anew
+from .processes import Ended, Started, forked, started_anew
 
 QUICK = ("--jobs", "1", "--backend", "threading")
 """In one process: the one that is struck."""
@@ -217,7 +217,6 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
     from wbflow.cli.main import main
 
     digests._SETTLED_NS = -(10**18)  # captures that are new are remembered, too
-    fork_workers()
     if strike:
         arm(counter, strike.at, strike.kind)
     main.main(args=arguments, prog_name="wbflow", standalone_mode=True)

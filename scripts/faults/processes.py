@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from hostile_inputs import patience
 
@@ -80,58 +79,6 @@ def forked(work: Callable[[], object], output: Path) -> Started:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _end_with(work)
     return Started(pid, output)
-
-
-def fork_workers() -> None:
-    """From now on, worker processes of runs in this process are forked, not started anew: a third of a second less for each."""
-    from wbflow.runner import hand
-
-    vars(hand)["subprocess"] = _Forks
-
-
-class _Forks:
-    """What `night/hand.py` uses of `subprocess`."""
-
-    DEVNULL = subprocess.DEVNULL
-    TimeoutExpired = subprocess.TimeoutExpired
-
-    class Popen:
-        """A forked worker."""
-
-        def __init__(self, command: list[str], *, pass_fds: tuple[int], **rest: Any) -> None:
-            self._code: int | None = None
-            parent = os.getpid()
-            self.pid = os.fork()
-            if self.pid == 0:
-                _serve(pass_fds[0], parent)
-            with contextlib.suppress(OSError):  # the child may have been quicker
-                os.setpgid(self.pid, self.pid)
-
-        def poll(self) -> int | None:
-            if self._code is None:
-                done, status = os.waitpid(self.pid, os.WNOHANG)
-                self._code = os.waitstatus_to_exitcode(status) if done else None
-            return self._code
-
-        def wait(self, timeout: float | None = None) -> int:
-            end = time.monotonic() + (timeout or 3600)
-            while (code := self.poll()) is None:
-                if time.monotonic() > end:
-                    raise subprocess.TimeoutExpired("worker", timeout or 0)
-                time.sleep(0.005)
-            return code
-
-
-def _serve(descriptor: int, parent: int) -> NoReturn:
-    """In the worker: what a process that is started anew would not have is closed."""
-    os.setpgid(0, 0)
-    os.closerange(3, descriptor)
-    os.closerange(descriptor + 1, 1024)
-    for heeded in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(heeded, signal.SIG_DFL)
-    from wbflow.runner.service import serve
-
-    _end_with(lambda: serve(descriptor, parent))
 
 
 def _end_with(work: Callable[[], object]) -> NoReturn:

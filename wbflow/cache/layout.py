@@ -178,6 +178,11 @@ class WorkFolder:
         """The same as text, for whoever asks of every task whether it is there."""
         return f"{self._of(task)}/{key}.json"
 
+    @property
+    def progress(self) -> Path:
+        """What the workers of a run are at (see `runner.worker.Progress`); gone when it has ended."""
+        return self.root / ".progress"
+
     def half_written(self, task: Task) -> list[Path]:
         """Files of a task that somebody has begun and not finished."""
         return sorted(self.task(task).glob(f".*{_UNFINISHED}"))

@@ -12,6 +12,9 @@ from typing import Any
 class _Beside(str):
     """An entry of the module path that was added for a site."""
 
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:  # worker processes get the path before they can import this
+        return str, (str(self),)
+
 
 def offer(folder: Path | None) -> None:
     """Let modules in a folder be imported, after all that Python finds elsewhere; those of another site are forgotten."""

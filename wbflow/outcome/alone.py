@@ -13,7 +13,7 @@ from ..cache.plugins import load, offer
 from ..cache.ply import columns_of
 from ..pipeline.exports import FROM_PLAIN_FILES
 from ..pipeline.stages import REJECTED, stage_named
-from ..runner.hand import THREADS
+from ..runner.executors import THREADS
 from .artifacts import function
 
 TASK_FILE = "task.json"

@@ -24,7 +24,7 @@ from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.obstacles import Impossible, Waiting
 from ..runner.planner import Plan
 from ..runner.state import cached_state
-from ..runner.worker import run_lane
+from ..runner.worker import run_chain
 from ..site.models import Site
 from ..task import Subject, Task, camera_of
 from .create import CannotPin
@@ -125,7 +125,7 @@ def _made_of(pooled: Receipt, stage: Stage, then: Plan) -> list[Receipt] | None:
     pair = pooled.preimage.task.subject
     then.settle(pooled.preimage.task, cached_state(pooled))
     try:
-        done = [done for other in _resting_on(stage) for done in run_lane([then.spec_of(Task(other.name, pair))], then.cache)]
+        done = [done for other in _resting_on(stage) for done in run_chain([then.spec_of(Task(other.name, pair))], then.cache)]
     except (Waiting, Impossible):
         return None
     made = [one.receipt for one in done if one.receipt and one.receipt.outcome == "ran"]

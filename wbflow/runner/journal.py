@@ -40,7 +40,7 @@ class Journal:
 
     def tell(self, plan: Plan) -> None:
         """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache."""
-        self._damaged(plan.cache.damages())
+        self.damaged(plan.cache.damages())
         for task, state in plan.news():
             self.finished(task, state)
 
@@ -64,12 +64,12 @@ class Journal:
 
     def finished(self, task: Task, state: State, done: Done | None = None) -> None:
         """Tell of a task, unless it has been told of.  done: what the worker said that has just finished it."""
-        self._damaged(done.damages if done else ())
         if task not in self._told:
             self._told.add(task)
             self._add(_event(task, state, done))
 
-    def _damaged(self, damages: Iterable[Damage]) -> None:
+    def damaged(self, damages: Iterable[Damage]) -> None:
+        """Note damage that was found on disk, and is put right."""
         for damage in damages:
             self.repaired(f"{damage.what}: made again", task=damage.task)
 

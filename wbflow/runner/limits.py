@@ -1,9 +1,13 @@
-"""What a task may take before it is ended: time from what its stage took before, memory from what the machine has."""
+"""What tasks may take, of time and memory, by what such tasks took before and by what the machine has."""
 
 from __future__ import annotations
 
-import datetime
+import os
+import resource
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from ..records.costs import Past
 from ..task import Task
@@ -11,9 +15,14 @@ from ..task import Task
 SHORTEST = 600.0
 """No task is ended before it has had so many seconds, however quick its stage was before."""
 LONGEST = 6 * 3600.0
-"""A task that takes longer is taken for stuck, however slow its stage was before; so is one of a stage without a past."""
+"""A task that takes longer is stuck, however slow its stage was before; so is one of a stage without a past."""
 TIMES = 20.0
 """A task may take so many times what its stage took before (the median, by the clock)."""
+SHARE = 0.8
+"""Of the memory of this machine, or of the control group that the run is in, that its workers may hold together."""
+MB = 2**20
+_PROC = Path("/proc")
+_GROUPS = Path("/sys/fs/cgroup")
 
 
 @dataclass(frozen=True)
@@ -23,14 +32,86 @@ class Limits:
     memory: int = 0
     """Bytes that all workers together may hold; 0: no limit."""
     seconds: float | None = None
-    """For every task; None: told by the past."""
+    """For every task; None: by what its stage took before."""
     past: Past = field(default_factory=Past)
-    until: datetime.datetime | None = None
-    """When the run looks up, whatever is at work (local time)."""
+    seen_mb: dict[str, float] = field(default_factory=dict)
+    """MB that tasks of a stage held at most in this run."""
 
-    def seconds_for(self, task: Task) -> float:
-        """After how long a task is taken for stuck."""
+    def seconds_for(self, stage: str) -> float:
+        """Return after how long a task of a stage is stuck."""
         if self.seconds is not None:
             return self.seconds
-        before = self.past.stages.get(task.stage)
+        before = self.past.stages.get(stage)
         return LONGEST if before is None else min(max(SHORTEST, TIMES * before), LONGEST)
+
+    def learn(self, stage: str, mb: float) -> None:
+        """Note what a task of this run held."""
+        self.seen_mb[stage] = max(mb, self.seen_mb.get(stage, 0.0))
+
+    def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
+        """Return whether a chain may begin beside others.  One of which nothing is known may: if need be it runs again, alone."""
+        return not self.memory or sum(map(self._most_mb, [*begun, chain])) * MB <= self.memory
+
+    def _most_mb(self, chain: Iterable[Task]) -> float:
+        return max((self.past.held(task.stage, str(task), self.seen_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
+
+
+def memory() -> int:
+    """Return how many bytes workers may hold together, if nobody says otherwise; 0 where it is not known."""
+    known = [*_group_limits()]
+    with suppress(ValueError, OSError):
+        known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    return int(SHARE * min(known, default=0))
+
+
+def held_by(process: int) -> int:
+    """Return the bytes that a process holds for itself, without what it shares with others, such as libraries."""
+    import psutil
+
+    try:
+        info = psutil.Process(process).memory_info()
+    except psutil.Error:
+        return 0
+    return int(info.rss - getattr(info, "shared", 0))
+
+
+def reset_peak() -> None:
+    """Forget what this process held at most so far."""
+    with suppress(OSError):
+        (_PROC / "self" / "clear_refs").write_text("5")
+
+
+def peak() -> int:
+    """Return the bytes that this process held for itself at most since `reset_peak`; where /proc lacks it, since its start, with
+    what it shares."""
+    with suppress(OSError, ValueError, KeyError):
+        lines = (line.split() for line in (_PROC / "self" / "status").read_text().splitlines())
+        kb = {words[0]: int(words[1]) for words in lines if words[0] in {"VmHWM:", "RssFile:", "RssShmem:"}}
+        return (kb["VmHWM:"] - kb["RssFile:"] - kb["RssShmem:"]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def kills_for_memory() -> int:
+    """Return how often the kernel has killed a process because memory ran out, so far."""
+    counted = 0
+    for file in [_PROC / "vmstat", *(folder / "memory.events" for folder in _groups())]:
+        with suppress(OSError, ValueError):
+            rows = dict(line.split()[:2] for line in file.read_text().splitlines())
+            counted += int(rows.get("oom_kill", 0))
+    return counted
+
+
+def _groups() -> Iterator[Path]:
+    """The control group that this process is in, and those around it."""
+    with suppress(OSError):
+        for line in (_PROC / "self" / "cgroup").read_text().splitlines():
+            number, _, rest = line.partition(":")
+            if number == "0":
+                group = _GROUPS / rest.partition(":")[2].lstrip("/")
+                yield from (folder for folder in (group, *group.parents) if folder.is_relative_to(_GROUPS))
+
+
+def _group_limits() -> Iterator[int]:
+    for file in [*(folder / "memory.max" for folder in _groups()), _GROUPS / "memory" / "memory.limit_in_bytes"]:
+        with suppress(OSError, ValueError):  # "max": there is no limit
+            yield int(file.read_text())

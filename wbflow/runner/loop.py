@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..cache.disk import DiskFloor
 from ..cache.room import REMEDY
-from ..cache.store import Cache, DamagedArtifact, Receipt
+from ..cache.store import DamagedArtifact, Receipt
 from ..pipeline.rows import Role
 from ..pipeline.stages import stage_with
 from ..task import Task
 from .changes import Changes
 from .context import Night
 from .deadline import Deadline
+from .dispatch import Dispatcher
 from .journal import Costs, Journal
 from .options import Options
 from .planner import Plan
 from .spec import TaskSpec
 from .state import Cause, State
 from .worker import Done
-
-if TYPE_CHECKING:
-    from .executor import Executor
-    from .supervisor import Report
 
 MOST_REPAIRS = 3
 """How often one task's damaged artifact is made again in one run, before its disk is given up."""
@@ -65,67 +61,28 @@ def work(night: Night, options: Options, journal: Journal, costs: Costs) -> Work
     costs : Costs
         To which the costs of what runs are added.
     """
+    dispatcher = Dispatcher(options, night.plan.cache, journal)
     try:
-        with _Hands(options, night.plan.cache, journal) as hands:
-            return Worked(_until_settled(night, hands, journal, costs, Deadline(options.stop_at)))
+        return Worked(_run_tasks(night, dispatcher, journal, costs, Deadline(options.stop_at)))
     except KeyboardInterrupt:
         return Worked(interrupted=True)
     finally:
+        dispatcher.stop()
         try:
             night.remember()
         except OSError as error:  # costs time only
             journal.warn(f"what was learnt of captures and functions could not be kept: {error}")
 
 
-class _Hands:
-    """The run's executor, which is only there once there is something to do; none is left at work behind it."""
-
-    def __init__(self, options: Options, cache: Cache, journal: Journal) -> None:
-        self._options = options
-        self._cache = cache
-        self._journal = journal
-        self._executor: Executor | None = None
-
-    def __enter__(self) -> _Hands:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._executor:
-            self._executor.close()
-
-    def submit(self, lanes: list[list[TaskSpec]]) -> None:
-        if self._executor is None:
-            from .executor import executor  # here: a night with nothing to do has no use for it
-
-            journal = self._journal
-            self._executor = executor(self._options, self._cache, lambda what, task: journal.warn(what, task=task), journal.begun)
-        self._executor.submit(lanes)
-
-    def drop(self) -> None:
-        """Leave whatever is at work; what is finished is kept."""
-        if self._executor:
-            self._executor.close()
-        self._executor = None
-
-    def settle(self) -> None:
-        """Whatever was done lasts."""
-        if self._executor:
-            with suppress(OSError):  # it is there all the same, as long as the power does not go
-                self._cache.settle()
-
-    def reports(self) -> Iterator[Report]:
-        return self._executor.reports() if self._executor else iter(())
-
-
-def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, deadline: Deadline) -> dict[Task, Product]:
-    """Do all tasks; returns what is published.
+def _run_tasks(night: Night, dispatcher: Dispatcher, journal: Journal, costs: Costs, deadline: Deadline) -> dict[Task, Product]:
+    """Run all tasks; returns what is published.
 
     Parameters
     ----------
     night : Night
         Its plan.
-    hands : _Hands
-        Who do it.
+    dispatcher : Dispatcher
+        Runs chains of tasks.
     journal, costs : Journal, Costs
         Are told.
     deadline : Deadline
@@ -139,40 +96,43 @@ def _until_settled(night: Night, hands: _Hands, journal: Journal, costs: Costs, 
         if deadline.over:
             if not deadline.struck:
                 deadline.struck = True
-                hands.drop()
+                for done in dispatcher.stop():
+                    _finish(done, plan, repairs, journal, costs)
                 plan.take_back()
             if deadline.settle(plan):
                 continue
         journal.tell(plan)
         journal.planned(plan)
-        mine = map(deadline.shortened, plan.lanes())
-        lanes = [free for lane in mine if (free := list(takewhile(lambda spec: spec.task not in plan.busy, lane)))]
-        if lanes and (lacks := floor.lacks(spec.task for lane in lanes for spec in lane)):
+        chains = [chain for each in plan.lanes() if (chain := _not_begun(deadline.shortened(each), plan))]
+        if chains and (lacks := floor.lacks(spec.task for chain in chains for spec in chain)):
             full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
-            for first, *_ in lanes:
+            for first, *_ in chains:
                 plan.settle(first.task, plan.states[first.task] if first.redraw else full)
-        elif lanes:
-            plan.hand_out(lanes)
-            hands.submit(lanes)
+        elif chains:
+            plan.hand_out(chains)
+            dispatcher.submit(chains)
         elif not plan.busy:
             try:
-                hands.settle()
                 return _products(plan)
             except DamagedArtifact as damage:
                 repairs.make_again(damage.task, damage.what)
                 continue
-        for report in hands.reports():
-            if report.done is None:
-                plan.take_back(report.lane)
-            elif report.done.changed is not None:
-                changes.look_again(report.done)
+        ended, over = dispatcher.wait()
+        for done in ended:
+            if done.changed is not None:
+                changes.look_again(done)
             else:
-                _settle(report.done, plan, repairs, journal, costs)
+                _finish(done, plan, repairs, journal, costs)
+        for chain in over:
+            plan.take_back(chain)
 
 
-def _settle(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: Costs) -> None:
-    for warning in done.warnings:
-        journal.warn(warning, task=done.task)
+def _not_begun(chain: list[TaskSpec], plan: Plan) -> list[TaskSpec]:
+    """The tasks of a chain up to the first that is at work already."""
+    return list(takewhile(lambda spec: spec.task not in plan.busy, chain))
+
+
+def _finish(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: Costs) -> None:
     if done.outcome == "damaged" and done.damaged is not None:
         repairs.make_again(done.damaged, done.reason or "")
         return

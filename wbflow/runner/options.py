@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from ..errors import UsageError
 from ..task import camera_of, component_name
-from .mounts import Mount
 
 if TYPE_CHECKING:
     from ..site.models import Site
@@ -50,6 +49,8 @@ class Options:
         if self.worker_roots and self.backend != "dask":
             raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
         for root in self.worker_roots:
+            from .executors import Mount  # here: few runs need it
+
             Mount.parse(root)
         if self.backend == "dask" and not self.scheduler:
             remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"

@@ -1,19 +1,24 @@
-"""What happens inside a worker process: a lane of tasks is done one after the other, each from its inputs to its receipt."""
+"""What happens in a worker: the tasks of a chain run one after the other, each from its inputs to its receipt."""
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import datetime
+import faulthandler
+import functools
+import os
+import signal
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from ..cache import artifact
-from ..cache.atomic import Prepared
 from ..cache.codec import result_bytes, result_of
 from ..cache.digests import ChangedFile
 from ..cache.pictures import Drawing, write_drawing
@@ -25,7 +30,7 @@ from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable
 from ..pipeline.stages import REJECTED, stage_named
 from ..task import Task
-from . import machine
+from . import limits
 from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause
 
@@ -53,178 +58,175 @@ class Done:
     """What was found damaged on the way."""
 
 
-@dataclass
-class Kept:
-    """What a worker keeps from lane to lane: artifacts of the whole site of which lanes need parts, read and checked once."""
+class Progress:
+    """A small file in which a worker notes what it is at, so that the run knows whatever becomes of the worker.
 
-    opened: dict[str, artifact.Opened] = field(default_factory=dict)
-    """By digest, the one that was asked for last at the end."""
+    One line for each event, `begun NUMBER` or `done NUMBER KEY` (numbers count the tasks of the chain); then whatever
+    `faulthandler` writes there when the process crashes, or takes longer than it may.
+    """
 
-    def of(self, digest: str, read: Callable[[], bytes]) -> artifact.Opened:
-        """An artifact; `read` gives its bytes."""
-        found = self.opened.pop(digest, None) or artifact.Opened(read())
-        self.opened[digest] = found
-        while len(self.opened) > MOST_KEPT:
-            del self.opened[next(iter(self.opened))]
-        return found
-
-
-QUICK_SECONDS = 0.25
-"""By the clock: results of tasks that take no longer are made to last once for the lane, not each."""
-MOST_KEPT = 4
-"""So many artifacts of the whole site are kept from lane to lane."""
-
-
-@dataclass
-class Unsettled:
-    """Results that are written, and whose receipts are not in their places yet: they are made to last all at once."""
-
-    cache: Cache
-    receipts: dict[Task, Prepared] = field(default_factory=dict)
-
-    def settle(self) -> list[Done]:
-        """Put all receipts into their places.  What cannot be kept is not there, and has to be made again."""
-        tasks, receipts = list(self.receipts), list(self.receipts.values())
-        self.receipts = {}
+    def __init__(self, path: Path | None, time_limits: Mapping[str, float] | None) -> None:
+        """time_limits: seconds by stage; None where the process does other work besides and is not to be ended."""
+        nowhere = Path(os.devnull)
+        self._file: TextIO
         try:
-            if receipts:
-                self.cache.settle(receipts)
-        except OSError as error:
-            return [unkept(task, error) for task in tasks]
-        return []
+            self._file = (path or nowhere).open("w")
+        except OSError:  # a full disk; the tasks say so themselves
+            self._file = nowhere.open("w")
+        self._limits = time_limits
 
-    def drop(self) -> None:
-        """They are not wanted any more."""
-        for prepared in self.receipts.values():
-            prepared.drop()
+    def __enter__(self) -> Progress:
+        if self._limits is not None:
+            faulthandler.enable(self._file)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._limits is not None:
+            faulthandler.disable()
+        with suppress(OSError):
+            self._file.close()
+
+    def begun(self, number: int, stage: str) -> None:
+        """Note that a task has begun.  It has so much time from now on: then the process is ended, even where Python hangs."""
+        self._note(f"begun {number}")
+        if self._limits is not None:
+            faulthandler.dump_traceback_later(self._limits[stage], exit=True, file=self._file)
+
+    def done(self, number: int, key: str) -> None:
+        """Note that a task has ended, and under which key its receipt is."""
+        if self._limits is not None:
+            faulthandler.cancel_dump_traceback_later()
+        if key:
+            self._note(f"done {number} {key}")
+
+    def _note(self, line: str) -> None:
+        with suppress(OSError):
+            self._file.write(line + "\n")
+            self._file.flush()
 
 
 @dataclass
-class _Lane:
-    """Results of the lane so far and what its tasks have read: nothing is read, or read back, twice."""
+class _Chain:
+    """Results of a chain so far and what its tasks have read: nothing is read, or read back, twice."""
 
     cache: Cache
-    kept: Kept
-    unsettled: Unsettled
+    clock: Callable[[], float] = time.process_time
+    """CPU seconds: of the process, or of the thread where others work beside it."""
     receipts: dict[Task, Receipt] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)
     """By the digest of the artifact: a task's result of tonight and the reference's may both be needed."""
-    clock: Callable[[], float] = time.process_time
-    """CPU seconds."""
-
-    def keep(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
-        """Keep a result: what took its time at once, what was quick with the rest of what was."""
-        if receipt.wall > QUICK_SECONDS:
-            self.cache.write(receipt, data)
-        else:
-            self.unsettled.receipts[receipt.preimage.task] = self.cache.prepare(receipt, data)
 
 
-def do_lane(
-    specs: list[TaskSpec],
-    cache: Cache,
-    receipts: Mapping[Task, Receipt],
-    kept: Kept,
-    unsettled: Unsettled,
-    clock: Callable[[], float] = time.process_time,
-) -> Iterator[Done]:
-    """Do the tasks of a lane in order, until one leaves nothing that the next could use.  Never raises for a task's sake.
+def start(parent: int) -> None:
+    """Make a new process a worker of the run `parent`: it ends with it, however that ends, and writes nothing to stdout."""
+    from joblib.externals.loky import process_executor
 
-    What was quick is done when the caller has settled it.
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+    os.setpgid(0, 0)  # what a stage starts ends with its worker
+    with suppress(OSError):
+        os.dup2(2, 1)
+    process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize  # loky would renew a worker that has loaded 300 MB of libraries
+    with suppress(OSError):  # where the kernel has to end something, let it be a worker
+        Path("/proc/self/oom_score_adj").write_text("500")
+
+
+_PR_SET_PDEATHSIG = 1  # prctl(2)
+
+
+def run_chain(
+    specs: list[TaskSpec], cache: Cache, progress: Path | None = None, time_limits: Mapping[str, float] | None = None
+) -> list[Done]:
+    """Run tasks one after the other until one leaves nothing that the next could use.  Never raises for a task's sake.
 
     Parameters
     ----------
     specs : list of TaskSpec
-        The lane.
+        The chain.
     cache : Cache
         Where results go.
-    receipts : mapping of Task to Receipt
-        Of earlier tasks of the lane, where it goes on after a worker was lost.
-    kept : Kept
-        What the worker keeps from lane to lane.
-    unsettled : Unsettled
-        Takes the results that were quick.
-    clock : callable
-        CPU seconds: of the process, or of the thread where others work beside it.
+    progress : Path, optional
+        See `Progress`.
+    time_limits : mapping, optional
+        Seconds by stage; None where this process is shared with others.
     """
     offer(specs[0].folder)
-    lane = _Lane(cache, kept, unsettled, dict(receipts), clock=clock)
-    for spec in specs:
-        done = _attempt(spec, lane)
-        if damages := cache.damages():
-            done = dataclasses.replace(done, damages=tuple(damages))
-        yield done
-        if done.receipt is None or done.outcome == "rejected":
-            return
-        lane.receipts[spec.task] = done.receipt
-
-
-def unkept(task: Task, error: OSError) -> Done:
-    """A result whose receipt could not be kept: it is not there."""
-    why = f"the result of '{task}' could not be kept: {error.strerror or error}"
-    return Done(task, "damaged", reason=printable(why), damaged=task)
-
-
-def run_lane(specs: list[TaskSpec], cache: Cache) -> list[Done]:
-    """The same, all at once, in one of several threads."""
-    unsettled = Unsettled(cache)
-    done = list(do_lane(specs, cache, {}, Kept(), unsettled, time.thread_time))
-    return done + unsettled.settle()
+    chain = _Chain(cache, time.process_time if time_limits is not None else time.thread_time)
+    ended: list[Done] = []
+    with Progress(progress, time_limits) as notes:
+        for number, spec in enumerate(specs):
+            notes.begun(number, spec.task.stage)
+            done = _attempt(spec, chain)
+            notes.done(number, done.receipt.key if done.receipt and done.outcome != "cached" else "")
+            ended.append(dataclasses.replace(done, damages=tuple(cache.damages())))
+            if done.receipt is None or done.outcome == "rejected":
+                break
+            chain.receipts[spec.task] = done.receipt
+    return ended
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
     """What a task's function is handed, besides its parameters.  Raises DamagedArtifact, ChangedFile, OSError."""
-    lane = _Lane(cache, Kept(), Unsettled(cache))
-    return {name: _load(value, lane) for name, value in spec.inputs.items()}
+    chain = _Chain(cache)
+    return {name: _load(value, chain) for name, value in spec.inputs.items()}
 
 
-def _attempt(spec: TaskSpec, lane: _Lane) -> Done:
+def _attempt(spec: TaskSpec, chain: _Chain) -> Done:
     """The one broad `except`: whatever a stage does wrong costs that task only."""
     try:
         if spec.redraw:
-            return _redraw(spec, spec.redraw, lane)
-        inputs = {name: _resolve(value, lane) for name, value in spec.inputs.items()}
+            return _redraw(spec, spec.redraw, chain)
+        inputs = {name: _resolve(value, chain) for name, value in spec.inputs.items()}
         resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
         preimage = resolved.preimage()
         key = preimage.key()
-        if not spec.force and (receipt := lane.cache.find(preimage, key)):
+        if not spec.force and (receipt := chain.cache.find(preimage, key)):
             outcome = "rejected" if receipt.outcome == "rejected" else "cached"
             return Done(spec.task, outcome, receipt, receipt.reason, receipt.code)
-        return _do(resolved, preimage, key, lane)
+        return _do(resolved, preimage, key, chain)
     except DamagedArtifact as damage:
         return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
     except ChangedFile as change:
         return Done(spec.task, "changed", reason=change.what, changed=change.path)
-    except MemoryError:
+    except BaseException as error:  # KeyboardInterrupt, too: signals go to the run, so a stage has raised it
+        return _failure(spec, error)
+
+
+def _failure(spec: TaskSpec, error: BaseException) -> Done:
+    """What a task raised, in words: it may be anything, and is not sent to the run itself.
+
+    The input is at fault only where the task reads files from outside and raises what reading raises; else the stage is.
+    """
+    words = printable("".join(traceback.format_exception_only(error)).strip())
+    trace = printable("".join(traceback.format_exception(error)), LONGEST_TRACE)
+    if isinstance(error, MemoryError):
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
         return Done(spec.task, "failed", reason=why, code=Cause.OUT_OF_MEMORY)
-    except SystemExit as error:
-        why = f"its function ended the program (sys.exit({error.code!r}))"
-        return Done(spec.task, "failed", reason=printable(why), code=Cause.FAULT, trace=_trace())
-    except Exception as error:
-        words = printable(error) or type(error).__name__
-        foreseen = isinstance(error, ValueError | OSError)
-        why, code = (words, Cause.BAD_INPUT) if foreseen else (f"{type(error).__name__}: {words}", Cause.FAULT)
-        if isinstance(error, OSError) and error.errno in FULL:
-            return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
-        return Done(spec.task, "failed", reason=why, code=code, trace=_trace())
+    if isinstance(error, OSError) and error.errno in FULL:
+        return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
+    reads = any(isinstance(value, Files) for value in spec.inputs.values())
+    if isinstance(error, OSError) or (reads and isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"):
+        why = words.partition(": ")[2] or words
+        return Done(spec.task, "failed", reason=why, code=Cause.BAD_INPUT, trace=trace)
+    if isinstance(error, SystemExit):
+        words = printable(f"it ended the program (sys.exit({error.code!r}))")
+    why = f"the function of {spec.task.stage} failed: {words}; to run it alone: wbflow debug SITE.yaml '{spec.task}' --out DIR"
+    return Done(spec.task, "failed", reason=why, code=Cause.FAULT, trace=trace)
 
 
-def _trace() -> str:
-    return printable(traceback.format_exc(), LONGEST_TRACE)
-
-
-def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
-    machine.count_from_here()
-    wall, cpu = time.perf_counter(), lane.clock()
-    arguments = {name: _load(value, lane) for name, value in spec.inputs.items()}
+def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
+    limits.reset_peak()
+    wall, cpu = time.perf_counter(), chain.clock()
+    arguments = {name: _load(value, chain) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
     nothing: Any = load(REJECTED)
     rejected = isinstance(result, nothing)
     data = None if rejected else result_bytes(result, spec.table)
-    warnings = () if rejected else _draw(spec, key, result, lane, arguments)
+    warnings = () if rejected else _draw(spec, key, result, chain, arguments)
     if not rejected:
-        _show(spec, key, result, lane)
+        _show(spec, key, result, chain)
     receipt = Receipt(
         task=str(spec.task),
         key=key,
@@ -238,12 +240,12 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, lane: _Lane) -> Done:
         code=_code(result) if rejected else None,
         figures=dict(result.figures) if rejected else _figures(spec, result),
         wall=time.perf_counter() - wall,
-        cpu=lane.clock() - cpu,
-        peak_rss_mb=machine.most_held() / 2**20,
+        cpu=chain.clock() - cpu,
+        peak_rss_mb=limits.peak() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
     )
-    lane.keep(receipt, data)
-    lane.results[receipt.digest] = result
+    chain.cache.write(receipt, data)
+    chain.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
 
@@ -258,15 +260,15 @@ def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
     return found | load(spec.table.figures)(result) if spec.table else found
 
 
-def _redraw(spec: TaskSpec, receipt: Receipt, lane: _Lane) -> Done:
+def _redraw(spec: TaskSpec, receipt: Receipt, chain: _Chain) -> Done:
     """Draw the picture of a result that is in the cache."""
-    data = lane.cache.read(spec.task, lane.cache.path(receipt), receipt.digest)
+    data = chain.cache.read(spec.task, chain.cache.path(receipt), receipt.digest)
     result = result_of(data, spec.table)
-    warnings = _draw(spec, receipt.key, result, lane, {})
+    warnings = _draw(spec, receipt.key, result, chain, {})
     return Done(spec.task, "cached", receipt, receipt.reason, warnings=warnings)
 
 
-def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[str, Any]) -> tuple[str, ...]:
+def _draw(spec: TaskSpec, key: str, result: Any, chain: _Chain, loaded: Mapping[str, Any]) -> tuple[str, ...]:
     """Draw a result and keep the picture; returns what went wrong, in words: without its picture the task has succeeded all the
     same.
 
@@ -274,34 +276,34 @@ def _draw(spec: TaskSpec, key: str, result: Any, lane: _Lane, loaded: Mapping[st
     """
     if spec.picture is None:
         return ()
-    inputs = {name: _resolve(value, lane) for name, value in spec.picture.inputs.items()}
+    inputs = {name: _resolve(value, chain) for name, value in spec.picture.inputs.items()}
     digest = dataclasses.replace(spec.picture, inputs=inputs).digest(key)
     try:
         own = {name for name in loaded if spec.inputs.get(name) == inputs.get(name)}
-        asked = {name: loaded[name] if name in own else _load(value, lane) for name, value in inputs.items()}
+        asked = {name: loaded[name] if name in own else _load(value, chain) for name, value in inputs.items()}
         picture = bytes(load(spec.picture.function)(**{spec.picture.result: result}, **asked))
     except DamagedArtifact as damage:
         return (f"its picture has to wait: {damage.what}",)  # and is drawn by the next run, when that is made again
     except Exception as error:
         failure = printable(f"its picture could not be drawn: {type(error).__name__}: {error}")
-        write_drawing(lane.cache.work, spec.task, key, Drawing(digest, failure), None)
+        write_drawing(chain.cache.work, spec.task, key, Drawing(digest, failure), None)
         return (failure,)
-    write_drawing(lane.cache.work, spec.task, key, Drawing(digest), picture)
+    write_drawing(chain.cache.work, spec.task, key, Drawing(digest), picture)
     return ()
 
 
-def _show(spec: TaskSpec, key: str, result: Any, lane: _Lane) -> None:
+def _show(spec: TaskSpec, key: str, result: Any, chain: _Chain) -> None:
     """Make and keep a result's points for the report, while it is in memory.  What cannot be made is tried again there."""
     if spec.view is None:
         return
     with suppress(Exception):
-        Shown(lane.cache.work, spec.task, key, spec.view.code).keep(bytes(load(spec.view.function)(result)))
+        Shown(chain.cache.work, spec.task, key, spec.view.code).keep(bytes(load(spec.view.function)(result)))
 
 
-def _resolve(value: Input, lane: _Lane) -> Input:
-    """Give inputs made earlier in this lane their place in the cache."""
+def _resolve(value: Input, chain: _Chain) -> Input:
+    """Give inputs made earlier in this chain their place in the cache."""
     if isinstance(value, Stored) and not value.file:
-        return value.resolved(lane.receipts[value.task])
+        return value.resolved(chain.receipts[value.task])
     return value
 
 
@@ -325,31 +327,36 @@ class _OnDemand(Mapping[Any, Any]):
         return len(self._items)
 
 
-def _load(value: Input, lane: _Lane, keep: bool = True) -> Any:
+def _load(value: Input, chain: _Chain, keep: bool = True) -> Any:
     if isinstance(value, Absent):
         return None
     if isinstance(value, Joined):
         items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
-        return _OnDemand(items, lambda item: _load(item, lane, keep=False))
+        return _OnDemand(items, lambda item: _load(item, chain, keep=False))
     if isinstance(value, Value):
         return _from_plain(value)
     if isinstance(value, Files):
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
-    result = lane.results.get(value.file_digest)
+    result = chain.results.get(value.file_digest)
     if result is None and value.part and not value.task.subject:
-        opened = lane.kept.of(value.file_digest, lambda: _bytes_of(value, lane))
+        opened = _opened(chain.cache, value.task, value.file, value.file_digest)
         return opened.part(value.part.field, value.part.entry)
     if result is None:
-        result = result_of(_bytes_of(value, lane), stage_named(value.task.stage).table)
+        result = result_of(_bytes_of(chain.cache, value.task, value.file, value.file_digest), stage_named(value.task.stage).table)
         if keep:
-            lane.results[value.file_digest] = result
+            chain.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 
-def _bytes_of(value: Stored, lane: _Lane) -> bytes:
-    name = lane.cache.work.artifact_name(value.task, value.file)
-    return lane.cache.read(value.task, name, value.file_digest)
+def _bytes_of(cache: Cache, task: Task, file: str, digest: str) -> bytes:
+    return cache.read(task, cache.work.artifact_name(task, file), digest)
+
+
+@functools.lru_cache(4)
+def _opened(cache: Cache, task: Task, file: str, digest: str) -> artifact.Opened:
+    """An artifact of the whole site, of which the tasks of many chains need a part each."""
+    return artifact.Opened(_bytes_of(cache, task, file, digest))
 
 
 def _from_plain(value: Value) -> Any:

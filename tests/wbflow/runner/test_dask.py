@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,10 +12,9 @@ from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
 from wbflow.errors import UsageError, WbflowError
-from wbflow.runner import elsewhere
 from wbflow.runner.captures import CaptureFile
-from wbflow.runner.mounts import Mount, moved
-from wbflow.runner.spec import Files, Joined, Stored, TaskSpec
+from wbflow.runner.executors import Cluster, Mount, OtherCode, moved
+from wbflow.runner.spec import Files, Input, Joined, Stored, TaskSpec
 from wbflow.task import Task
 
 distributed = pytest.importorskip("distributed", reason="the extra wbflow[dask] is not installed")
@@ -41,14 +38,13 @@ def test_three_worker_processes_of_a_cluster_make_the_same_cloud_though_one_is_k
     assert toy.cloud == cloud
 
 
-def test_a_cluster_without_workers_and_one_that_is_not_there_are_told_apart(tmp_path: Path) -> None:
-    cache = Cache(WorkFolder(tmp_path))
+def test_a_cluster_without_workers_and_one_that_is_not_there_are_told_apart() -> None:
     with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as cluster:
         with pytest.raises(WbflowError, match="has no workers"):
-            elsewhere.Cluster(cluster.scheduler_address, cache)
+            Cluster(cluster.scheduler_address)
         address = cluster.scheduler_address
     with pytest.raises(WbflowError, match=f"no Dask scheduler answers at {address}"):
-        elsewhere.Cluster(address, cache)
+        Cluster(address)
 
 
 def test_a_worker_with_other_stage_code_is_refused_and_stores_nothing(
@@ -68,62 +64,48 @@ def test_a_worker_with_other_stage_code_is_refused_and_stores_nothing(
         assert WorkFolder(toy.work).receipts() == []
 
 
-@dataclass(frozen=True)
-class _Future:
-    status: str
-    result: Any
-
-
 class _Client:
-    """Two workers of a cluster, of which the first has other code: what it is given, it does at once."""
+    """Two workers of a cluster; notes which of them each call may go to."""
 
     def __init__(self) -> None:
         self.asked: list[list[str] | None] = []
-        self.given: list[tuple[list[TaskSpec], Cache]] = []
 
     def wait_for_workers(self, count: int, timeout: float) -> None: ...
 
     def nthreads(self) -> dict[str, int]:
         return {"old": 1, "new": 1}
 
-    def submit(self, function: Any, lane: Any, cache: Cache, *rest: Any, pure: bool, workers: list[str] | None) -> Any:
+    def get_executor(self, pure: bool) -> _Client:
+        return self
+
+    def submit(self, function: Any, *args: Any, workers: list[str] | None) -> None:
         self.asked.append(workers)
-        self.given.append((lane, cache))
-        told = elsewhere._Refused("old", "its matcher is not what the run has") if workers is None else ["done"]
-        return _Future("finished", lambda: told)
 
 
-def test_workers_are_told_of_folders_as_they_call_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    client = _Client()
-    monkeypatch.setattr(distributed, "Client", lambda *positional, **named: client)
+def test_paths_are_those_of_the_workers_and_back(tmp_path: Path) -> None:
     captures = (CaptureFile("gate.png", tmp_path / "gate.png", "d1g35t"), CaptureFile("roof.png", Path("/other/roof.png"), ""))
     files = Files("Capture", captures)
     here = Stored(Task("frames", ("gate",)), file="frame.wbf")
-    spec = TaskSpec(
-        Task("poses", ()),
-        "toy_stages:solve",
-        "code",
-        {"folder": "as it is"},
-        {"files": files, "frames": Joined({("gate",): here})},
-    )
-    cluster = elsewhere.Cluster("tcp://somewhere", Cache(WorkFolder(tmp_path / "work")), [Mount.parse(f"{tmp_path}=/mnt/site")])
-    cluster.submit([[spec]])
-    (theirs,), cache = client.given[0]
+    inputs: dict[str, Input] = {"files": files, "frames": Joined({("gate",): here})}
+    spec = TaskSpec(Task("poses", ()), "toy_stages:solve", "code", {"folder": "as it is"}, inputs)
+    mount = Mount.parse(f"{tmp_path}=/mnt/site")
+    theirs, cache = moved((spec, Cache(WorkFolder(tmp_path / "work"))), [mount])
     assert cache.work.root == Path("/mnt/site/work")
     assert str(theirs).replace("/mnt/site", str(tmp_path)) == str(spec) != str(theirs)
-    assert moved(theirs, [Mount.parse(f"{tmp_path}=/mnt/site").back]) == spec
+    assert moved(theirs, [Mount(mount.there, mount.here)]) == spec
     with pytest.raises(UsageError, match="write HERE=THERE"):
         Mount.parse("/srv")
 
 
-def test_what_a_worker_was_refused_for_another_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_was_refused_is_given_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
     client = _Client()
     monkeypatch.setattr(distributed, "Client", lambda *positional, **named: client)
-    monkeypatch.setattr(distributed, "wait", lambda futures, return_when: SimpleNamespace(done=futures))
     spec = TaskSpec(Task("matches", ("a", "b")), "toy_stages:match", "code", {}, {})
-    cluster = elsewhere.Cluster("tcp://somewhere", Cache(WorkFolder(tmp_path)))
-    cluster.submit([[spec]])
-    assert list(cluster.reports()) == []
-    done: list[object] = [report.done for report in cluster.reports()]
-    assert done == ["done", None]
+    cluster = Cluster("tcp://somewhere")
+    cluster.submit(print, [spec])
+    cluster.refuse(OtherCode("old", "matcher"))
+    cluster.submit(print, [spec])
     assert client.asked == [None, ["new"]]
+    cluster.refuse(OtherCode("new", "matcher"))
+    with pytest.raises(WbflowError, match="no worker of the cluster runs the same code"):
+        cluster.submit(print, [spec])

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,9 @@ from tests.helpers.toy_site import ToySite
 from wbflow.cli.main import main
 from wbflow.records.costs import Past
 from wbflow.runner import limits
-from wbflow.runner.holding import Holding
+from wbflow.runner.dispatch import Dispatcher
+from wbflow.runner.executors import Processes
 from wbflow.runner.limits import Limits
-from wbflow.runner.supervisor import Report, Supervisor
 from wbflow.task import Task
 
 WICKED = '''
@@ -132,9 +131,9 @@ def test_what_a_lane_had_finished_before_its_worker_was_lost_is_kept(toy: ToySit
 def test_workers_end_with_the_run_however_it_ends(toy: ToySite) -> None:
     toy.fault("slow", "30")
     process = subprocess.Popen(toy.command("run", str(toy.file), "--jobs", "2"), env=toy.env(), start_new_session=True)
-    until(lambda: len(list((toy.folder / "faults").glob("slow-*"))) == 2)  # both are at work: one that starts finds itself alone
-    workers = workers_of(process.pid)
-    assert len(workers) == 2
+    working = toy.folder / "faults"
+    until(lambda: len(list(working.glob("slow-*"))) == 2)
+    workers = [int(file.name.removeprefix("slow-")) for file in working.glob("slow-*")]
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
@@ -147,25 +146,20 @@ def test_what_nobody_had_read_of_when_a_run_was_interrupted_is_kept_and_nothing_
 ) -> None:
     toy.fault("slow", "0.1")
 
-    def interrupted(supervisor: Supervisor) -> Iterator[Report]:
-        """Ctrl-C, when a worker has told of a task of its lane, and is at the next."""
-        supervisor._assign()
-        until(lambda: any(toy.work.rglob(".*.json.*.tmp")) or any(toy.work.rglob("frames/*/*.json")))  # quick, or not
+    def interrupted(dispatcher: Dispatcher) -> None:
+        """Ctrl-C, when a worker has finished a task of its chain, and is at the next."""
+        dispatcher._begin()
+        until(lambda: any(toy.work.rglob("frames/*/*.json")))
         time.sleep(0.05)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(Supervisor, "reports", interrupted)
+        patched.setattr(Dispatcher, "wait", interrupted)
         assert CliRunner().invoke(main, ["run", str(toy.file), "--jobs", "1", "-q"], env=toy.env()).exit_code == 130
     assert not list(toy.work.rglob("*.tmp"))
     assert list((toy.work / "cache").glob("frames/*/*.json"))
     (toy.folder / "faults" / "slow").unlink()
     assert toy.run()["tasks"]["cached"] >= 1
-
-
-def workers_of(parent: int) -> list[int]:
-    """Processes whose parent is this one."""
-    return [int(child) for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
 
 
 def until(so: Any, seconds: float = 20.0) -> None:
@@ -181,17 +175,17 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
     def refuse(*arguments: object, **more: object) -> None:
         raise AssertionError("a worker was started")
 
-    monkeypatch.setattr(subprocess, "Popen", refuse)
+    monkeypatch.setattr(Processes, "submit", refuse)
     assert toy.run()["tasks"]["ran"] == 0
 
 
 def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
     past = Past({"quick": 0.1, "slow": 300.0, "endless": 1e5})
-    told = Limits(past=past)
-    assert told.seconds_for(Task("quick")) == limits.SHORTEST
-    assert told.seconds_for(Task("slow")) == limits.TIMES * 300
-    assert told.seconds_for(Task("endless")) == told.seconds_for(Task("new")) == limits.LONGEST
-    assert Limits(seconds=5.0, past=past).seconds_for(Task("slow")) == 5
+    known = Limits(past=past)
+    assert known.seconds_for("quick") == limits.SHORTEST
+    assert known.seconds_for("slow") == limits.TIMES * 300
+    assert known.seconds_for("endless") == known.seconds_for("new") == limits.LONGEST
+    assert Limits(seconds=5.0, past=past).seconds_for("slow") == 5
 
 
 def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked: ToySite) -> None:
@@ -208,7 +202,7 @@ def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked:
 def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
     fuse, gate, roof = Task("fuse"), Task("depth", ("gate",)), Task("depth", ("roof",))
     past = Past(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
-    holding = Holding(Limits(memory=1000 * 2**20, past=past))
+    holding = Limits(memory=1000 * 2**20, past=past)
     assert holding.fits([], [fuse]) and holding.fits([[fuse]], [roof])
     assert not holding.fits([[fuse]], [gate]), "it held 300 MB the last time"
     assert holding.fits([[fuse]], [Task("new", ("roof",))]), "nobody knows"
