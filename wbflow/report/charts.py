@@ -1,37 +1,39 @@
-"""Small charts: numbers over nights, as places in a drawing."""
+"""Charts of the report: figures over the last nights, each camera's last nights, and where the time went."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import datetime
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ..outcome.beside import number
+from ..cache.store import Receipt
+from ..outcome.beside import number, titled
+from ..outcome.past import figures_of, looks_of
+from ..pipeline.stages import STAGES
+from ..pipeline.summaries import meaning
+from ..records.record import CameraRecord, RunRecord
+from ..site.models import Measure
+from ..task import Task
+from .data import ReportData, state_of
 
 WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0
-
-
-@dataclass(frozen=True)
-class Value:
-    """What was on one night."""
-
-    night: str
-    value: float | None
-    """None where there is nothing to say."""
-    state: str
-    """good, degraded, failed: the night's verdict."""
-    link: str
-    """The night's report, seen from this one; "" for this night."""
+SPARK_NIGHTS = 14
+TIMETABLE_WIDTH, ROW = 1000.0, 16.0
+_MOST_ROWS = 64
 
 
 @dataclass(frozen=True)
 class Point:
-    """A night in the drawing."""
+    """A night in a chart."""
 
     x: float
     y: float
     state: str
+    """The verdict: good, degraded or failed."""
     title: str
     link: str
+    """The night's report; "" for this night."""
 
 
 @dataclass(frozen=True)
@@ -40,51 +42,190 @@ class Chart:
 
     title: str
     now: str
-    usual: str
+    median: str
+    median_y: float
     points: tuple[Point, ...]
     path: str
-    low: str
-    high: str
-    usual_y: float | None = None
 
 
-def chart(title: str, values: Sequence[Value], unit: str = "") -> Chart | None:
-    """The chart of a figure; None where fewer than two nights have it, or it says nothing.
+def trends(data: ReportData) -> list[Chart]:
+    """Return a chart for each figure of the whole night."""
+    nights, found = data.nights, list[Chart | None]()
+    titles = {str(Measure.POINTS): "points in the cloud", str(Measure.PAIRS): "pairs that were used"}
+    names = dict.fromkeys(name for night in nights for name in figures_of(night))
+    for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # those follow, by their own titles
+        found.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
+    for stage, name in _stage_figures(nights):
+        values = [_number((night.later.get(stage) or {}).get(name)) for night in nights]
+        if meaning(name).share:
+            found.append(_chart(data, titled(name), [None if value is None else 100 * value for value in values], "%"))
+        else:
+            found.append(_chart(data, titled(name), values))
+    found.append(_chart(data, "time", [night.seconds.wall for night in nights], "s"))
+    found.append(_chart(data, "CPU", [night.seconds.cpu for night in nights], "s"))
+    found.append(_chart(data, "size of the night's files", [_megabytes(data, night) for night in nights], "MB"))
+    return [entry for entry in found if entry]
 
-    Parameters
-    ----------
-    title : str
-        What the figure is.
-    values : sequence of Value
-        The oldest night first.
-    unit : str
-        Of the figure.
-    """
-    known = [entry.value for entry in values if entry.value is not None]
+
+def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> Chart | None:
+    """Return the chart of a figure, oldest night first; None where fewer than two nights have it, or all are 0."""
+    known = [value for value in values if value is not None]
     if len(known) < 2 or not any(known):
         return None
     low, high = min(0.0, *known) if min(known) < 0.5 * max(known) else min(known), max(known)
     spread = high - low or abs(high) or 1.0
+    step = (WIDTH - 2 * EDGE) / max(1, len(values) - 1)
 
     def y(value: float) -> float:
         return HEIGHT - EDGE - (value - low) / spread * (HEIGHT - 2 * EDGE)
 
-    step = (WIDTH - 2 * EDGE) / max(1, len(values) - 1)
-    points = tuple(
-        Point(EDGE + k * step, y(e.value), e.state, f"{e.night}: {number(e.value)} {unit}".strip(), e.link)
-        for k, e in enumerate(values)
-        if e.value is not None
-    )
-    middle = sorted(known)[len(known) // 2]
+    def words(value: float) -> str:
+        return f"{number(value)} {unit}".strip()
+
+    points = []
+    for k, (night, value) in enumerate(zip(data.nights, values, strict=True)):
+        if value is not None:
+            link = "" if night.run == data.record.run else data.report_of(night.run)
+            state = night.verdict.level if night.verdict else ""
+            points.append(Point(EDGE + k * step, y(value), state, f"{night.date}: {words(value)}", link))
+    median, last = sorted(known)[len(known) // 2], values[-1]
     path = " ".join(f"{p.x:.1f},{p.y:.1f}" for p in points)
-    last = values[-1].value
-    now = "–" if last is None else f"{number(last)} {unit}".strip()
-    return Chart(title, now, f"{number(middle)} {unit}".strip(), points, path, number(low), number(high), y(middle))
+    return Chart(title, "–" if last is None else words(last), words(median), y(median), tuple(points), path)
 
 
-def size(count: float) -> str:
-    """Bytes in words."""
-    for unit, step in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count >= step:
-            return f"{count / step:.1f} {unit}"
-    return f"{count:.0f} bytes"
+def _stage_figures(nights: list[RunRecord]) -> Iterator[tuple[str, str]]:
+    """Yield stage and name of each number that a site-wide stage reports."""
+    for stage in STAGES:
+        for name in stage.reports.fields if stage.scope == "site" and stage.reports else ():
+            if any(_number((night.later.get(stage.name) or {}).get(name)) is not None for night in nights):
+                yield stage.name, name
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _megabytes(data: ReportData, night: RunRecord) -> float | None:
+    folder = data.files if night.run == data.record.run else data.work.run(night.run).folder
+    try:
+        return sum(path.stat().st_size for path in folder.iterdir()) / 1e6
+    except OSError:
+        return None
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A camera on one night."""
+
+    state: str
+    height: float
+    """0 to 1."""
+    title: str
+
+
+def camera_bars(data: ReportData) -> dict[str, tuple[Bar, ...]]:
+    """Return each camera's last nights: the share of its pairs that found common points, and its state."""
+    bars: dict[str, list[Bar]] = {camera.id: [] for camera in data.record.cameras}
+    for night in data.nights[-SPARK_NIGHTS:]:
+        figures = looks_of(night)
+        for camera in night.cameras:
+            if camera.id in bars:
+                share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
+                title = f"{night.date}: {_camera_words(camera, share)}"
+                bars[camera.id].append(Bar(state_of(camera, night), max(0.12, share), title))
+    return {camera: tuple(found) for camera, found in bars.items()}
+
+
+def _camera_words(camera: CameraRecord, share: float) -> str:
+    if not camera.ok:
+        return camera.reason or camera.outcome
+    health = camera.health.state if camera.health and not camera.health.ok else "as it should be"
+    return f"{health}, {100 * share:.0f} % of its pairs find common points"
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """Tasks and time of a stage."""
+
+    name: str
+    cached: int
+    ran: int
+    other: int
+    """Rejected, failed or skipped."""
+    wall: float
+    cpu: float
+    share: float
+    """Of the CPU time of all stages."""
+
+
+def stage_times(data: ReportData) -> list[StageTime]:
+    """Return tasks and time of each stage of the night."""
+    counts: dict[str, Counter[str]] = {}
+    for task, event in data.tasks.items():
+        kind = "ran" if event.outcome == "ran" and event.fresh else "cached" if event.usable else event.outcome
+        counts.setdefault(task.stage, Counter())[kind] += 1
+    spent = data.record.seconds.stages
+    total = sum(row.cpu for row in spent.values()) or 1.0
+    found = []
+    for name, count in ((stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts):
+        wall, cpu = (spent[name].wall, spent[name].cpu) if name in spent else (0.0, 0.0)
+        other = count.total() - count["ran"] - count["cached"]
+        found.append(StageTime(name, count["cached"], count["ran"], other, wall, cpu, cpu / total))
+    return found
+
+
+@dataclass(frozen=True)
+class TaskBar:
+    """A task in the timetable."""
+
+    stage: int
+    """Number of its stage: its colour."""
+    row: int
+    x: float
+    width: float
+    title: str
+
+
+@dataclass(frozen=True)
+class Timetable:
+    """When tasks ran; tasks that ran at the same time lie in different rows."""
+
+    bars: tuple[TaskBar, ...]
+    seconds: float
+    height: float
+    stages: tuple[tuple[int, str], ...]
+
+
+def timetable(data: ReportData) -> Timetable | None:
+    """Return when tasks ran this night; None where none did."""
+    numbers = {stage.name: k for k, stage in enumerate(STAGES)}
+    ran: list[tuple[float, float, Task]] = []
+    for task, event in data.tasks.items():
+        receipt = data.cache.by_key(task, event.key) if event.fresh and event.key else None
+        if receipt and (end := _finished(receipt)):
+            ran.append((end - receipt.wall, end, task))
+    if not ran:
+        return None
+    ran.sort(key=lambda entry: entry[0])
+    first, last = ran[0][0], max(end for _, end, _ in ran)
+    span = max(last - first, 1e-3)
+    free: list[float] = []
+    bars = []
+    for begin, end, task in ran:
+        row = next((k for k, until in enumerate(free) if until <= begin + 0.02), len(free))
+        if row >= _MOST_ROWS:
+            continue
+        free[row : row + 1] = [end]
+        title = f"{task}: {end - begin:.1f} s, from {begin - first:.1f} s on"
+        width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
+        bars.append(TaskBar(numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
+    shown = {bar.stage for bar in bars}
+    stages = tuple((k, stage.name) for k, stage in enumerate(STAGES) if k in shown)
+    return Timetable(tuple(bars), span, len(free) * ROW, stages)
+
+
+def _finished(receipt: Receipt) -> float | None:
+    try:
+        return datetime.datetime.fromisoformat(receipt.finished).timestamp()
+    except ValueError:
+        return None

@@ -1,4 +1,4 @@
-"""The first words of a report: what the night came to, what to do, and what each finding looks like."""
+"""The first screen of the report: the verdict, what to do first, the main figures, and the findings with their pictures."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from ..records.record import Finding, RunRecord
 from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
-from .album import Album, Shown
-from .since import since_last_good
-from .sources import Sources
+from .data import ReportData, objects_of, since_last_good
+from .pictures import Picture, Pictures
 
-_OF_A_KIND = 4
-"""So many findings of one kind are shown; more are folded."""
+_MOST_OF_A_KIND = 4
+"""Findings of one kind that are shown; more are folded."""
 
 
 @dataclass(frozen=True)
 class Fact:
-    """A figure that tells how much came of the night."""
+    """A main figure of the night."""
 
     value: str
     words: str
     usual: str = ""
     grade: str = ""
-    """fair or bad where it is clearly less than usual."""
+    """fair or bad where it is clearly below usual."""
 
 
 @dataclass(frozen=True)
@@ -47,40 +46,40 @@ class ShownFinding:
 
     subject: str
     camera: bool
-    """It is about one camera."""
+    """Whether it is about one camera."""
     number: int
     """Of the camera in the page, from 1."""
     text: str
     remedy: str
-    pictures: tuple[tuple[Shown | None, str], ...]
-    """With what is said below them; none for one that is not there."""
-    lacking: str = "no picture could be read"
-    """What is said in its place."""
+    pictures: tuple[tuple[Picture | None, str], ...]
+    """With their captions; None for a picture that is missing."""
+    missing: str = "no picture could be read"
+    """Text instead of a missing picture."""
     folded: bool = False
-    """So many of its kind stand before it that it is shown on demand."""
 
 
-def headline(sources: Sources) -> Headline:
-    """The verdict, what to do first, and how much there is."""
-    record, verdict = sources.record, sources.record.verdict
+def headline(data: ReportData) -> Headline:
+    """Return the verdict, what to do first, and the main figures."""
+    record, verdict = data.record, data.record.verdict
     level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
     findings = verdict.findings if verdict else ()
     cameras = [finding for finding in findings if finding.kind.startswith("camera-")]
     if level == "good":
         title = "A good night"
-        words = "There is nothing to do." if not findings else "What is said below may wait."
+        words = "There is nothing to repair." if not findings else "The findings below may wait."
+        words = f"{changes} {words}" if (changes := _changes(data)) else words if findings else "There is nothing to do."
     elif level == "degraded":
         title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
-        words = f"There is a cloud, but it is not all that it should be. {_todo(findings)}"
+        words = f"There is a cloud, but it is not as good as it should be. {_first_remedy(findings)} {_changes(data)}".strip()
     else:
         interrupted = any(finding.kind == "interrupted" for finding in findings)
         title = "Interrupted" if interrupted else "No cloud this night"
-        words = _shared(record, cameras) or _todo(findings) or "The reasons stand below."
-    return Headline(level, title, words, tuple(_facts(sources)))
+        words = _shared(record, cameras) or _first_remedy(findings) or "The reasons are below."
+    return Headline(level, title, words, tuple(_facts(data)))
 
 
 def _shared(record: RunRecord, cameras: list[Finding]) -> str:
-    """What to do where next to all cameras have the same trouble: one of them is not to blame."""
+    """Return what to do where nearly all cameras have the same fault: then none of them is to blame."""
     kinds = {finding.kind for finding in cameras}
     if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
         return ""
@@ -88,8 +87,7 @@ def _shared(record: RunRecord, cameras: list[Finding]) -> str:
     return f"The same is wrong with {whose}. First: look at what they share: power, network, the folder of the captures."
 
 
-def _todo(findings: tuple[Finding, ...]) -> str:
-    """What to do first."""
+def _first_remedy(findings: tuple[Finding, ...]) -> str:
     first = next((finding for finding in findings if finding.remedy and finding.subject), None)
     first = first or next((finding for finding in findings if finding.remedy), None)
     if first is None:
@@ -98,8 +96,8 @@ def _todo(findings: tuple[Finding, ...]) -> str:
     return f"First: {f'{first.about}: ' if first.subject else ''}{first.remedy}{end}"
 
 
-def _facts(sources: Sources) -> list[Fact]:
-    record = sources.record
+def _facts(data: ReportData) -> list[Fact]:
+    record = data.record
     usual = record.usual.figures if record.usual else {}
     now = figures_of(record)
     whose = "reference" if record.usual and record.usual.reference else "usual"
@@ -118,11 +116,9 @@ def _facts(sources: Sources) -> list[Fact]:
             base = usual.get(stage.name)
             words = f"{whose}: {base:,.0f} {expects.unit}" if base else ""
             found.append(Fact(f"{now[stage.name]:,.0f} {expects.unit}", expects.words, words, _grade(now[stage.name], base)))
-        told = record.later.get(stage.name) or {}
-        if isinstance(told, dict) and told.get("compared") and isinstance(told.get("count"), int):
-            since, words = since_last_good(record, sources, stage.name), f"change{'s' * (told['count'] != 1)} since the reference"
-            newer = f"{told['count'] - len(since.then)} since {since.date}" if since and told["count"] else ""
-            found.append(Fact(str(told["count"]), words, newer))
+        if (count := _change_count(record, stage.name)) is not None:
+            since, words = since_last_good(data, stage.name), f"change{'s' * (count != 1)} since the reference"
+            found.append(Fact(str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else ""))
     seconds = record.seconds.wall
     found.append(
         Fact(
@@ -133,27 +129,46 @@ def _facts(sources: Sources) -> list[Fact]:
     return found
 
 
+def _change_count(record: RunRecord, stage: str) -> int | None:
+    """Return how many objects a stage has found to differ from the reference; None where it compared nothing."""
+    figures = record.later.get(stage) or {}
+    count = figures.get("count") if isinstance(figures, dict) and figures.get("compared") else None
+    return count if isinstance(count, int) else None
+
+
+def _changes(data: ReportData) -> str:
+    """Return a sentence with the number and kinds of changes since the reference; "" without any."""
+    for stage in STAGES:
+        if count := _change_count(data.record, stage.name):
+            kinds = Counter(str(thing.get("kind") or "other") for thing in objects_of(data.record.later[stage.name]).values())
+            named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
+            since = since_last_good(data, stage.name)
+            newer = f"; {count - len(since.known)} of them since {since.date}" if since else ""
+            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}."
+    return ""
+
+
 def _grade(value: float, base: float | None) -> str:
-    """Against what is usual: the verdict alone decides whether it is enough."""
+    """Compare a figure with what is usual: for the colour alone, the verdict has its own limits."""
     if not base:
         return ""
     return "" if value >= 0.9 * base else "fair" if value >= 0.7 * base else "bad"
 
 
-def findings(sources: Sources, album: Album) -> list[ShownFinding]:
-    """The findings of a night, the most important first."""
-    record = sources.record
+def findings(data: ReportData, album: Pictures) -> list[ShownFinding]:
+    """Return the findings of a night with their pictures, the most important first."""
+    record = data.record
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     absent = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
     found: list[ShownFinding] = []
-    kinds, all_told = Counter[str](), record.verdict.findings if record.verdict else ()
-    shown = 1 if _shared(record, [finding for finding in all_told if finding.kind.startswith("camera-")]) else _OF_A_KIND
-    for finding in all_told:
+    kinds, stated = Counter[str](), record.verdict.findings if record.verdict else ()
+    shown = 1 if _shared(record, [finding for finding in stated if finding.kind.startswith("camera-")]) else _MOST_OF_A_KIND
+    for finding in stated:
         kinds[finding.kind] += 1
         folded = kinds[finding.kind] > shown
         name = finding.about
         camera = finding.subject[0] if len(finding.subject) == 1 and finding.subject[0] in numbers else None
-        pictures: list[tuple[Shown | None, str]] = []
+        pictures: list[tuple[Picture | None, str]] = []
         if camera and not folded:
             tonight, then = album.of_frame(camera, f"{camera} on {record.date}"), album.of_last_good(camera)
             if tonight or then:
@@ -162,6 +177,6 @@ def findings(sources: Sources, album: Album) -> list[ShownFinding]:
             of_pair = [album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair"]
             pictures.extend([(picture, name) for picture in of_pair if picture][:2])
         number = numbers.get(name, 0)
-        told = ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures), folded=folded)
-        found.append(replace(told, lacking="no picture has come") if camera in absent else told)
+        one = ShownFinding(name, camera is not None, number, finding.text, finding.remedy, tuple(pictures), folded=folded)
+        found.append(replace(one, missing="no picture arrived") if camera in absent else one)
     return found

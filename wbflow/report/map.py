@@ -1,4 +1,4 @@
-"""The map: cameras, what they see, pairs and marks from above, in the frame of the page."""
+"""The map: cameras, their fields of view, pairs and objects from above, in the frame of the page."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ..records.record import PairRecord
-from .place import Layout, Standing
-from .sources import Sources
+from .data import ReportData
+from .scene import Scene, SceneCamera
 
 WIDTH = 1000.0
 _LONGEST = 900.0
-"""Height at most."""
+"""Largest height."""
 _MARGIN = 70.0
 _REACH = 0.16
-"""How far a field of view is drawn, as a share of the map."""
+"""Length of a field of view, as a share of the map."""
 _FEW = 24
-"""Cameras whose names have room above them."""
+"""Names of so many cameras have room above them."""
 _LETTER, _LINE = 6.0, 11.0
-"""Width of a letter, and height of a line, of names where there are many."""
+"""Width of a letter and height of a line, where there are many names."""
 _WIDEST = 5.0
-"""Of the line of a pair."""
+"""Width of a pair's line."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Dot:
     x: float
     y: float
     view: str
-    """Corners of the field of view; "" where it is not known where it looks."""
+    """Corners of the field of view; "" where its direction is not known."""
     title: str
     label: tuple[float, float, str] = (0.0, -14.0, "middle")
-    """Where its name stands beside it, and how it is anchored."""
+    """Offset and anchor of its name."""
     named: bool = True
-    """Is there room for its name?"""
+    """Whether there is room for its name."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Spot:
-    """A mark on the map."""
+    """An object on the map."""
 
     name: str
     kind: str
@@ -68,78 +68,78 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """All that is drawn, in the units of the drawing."""
+class Map:
+    """The drawing, in its own units."""
 
     width: float
     height: float
     left: float
-    """Of the drawing, in the frame of the page."""
+    """Left and top of the drawing in the frame of the page."""
     top: float
     scale: float
-    """Units of the drawing for one unit of the page's frame."""
+    """Units of the drawing for one of the page's frame."""
     dots: tuple[Dot, ...]
     lines: tuple[Line, ...]
     spots: tuple[Spot, ...]
     bar: float
-    """Length of the scale bar in units of the drawing."""
+    """Length of the scale bar."""
     bar_words: str
     north_deg: float
     """Clockwise from the top."""
     north: str
     absent: tuple[str, ...]
-    """Cameras of which nobody knows where they stand."""
+    """Cameras without a known place."""
 
     @property
     def many(self) -> bool:
-        """Are there so many cameras that each is drawn small?"""
+        """Whether cameras are drawn small."""
         return len(self.dots) > _FEW
 
     def spot(self, at: Sequence[float]) -> tuple[float, float]:
-        """Where a place in the frame of the page is in the drawing."""
+        """Return a place of the page's frame in the drawing."""
         return (at[0] - self.left) * self.scale, (self.top - at[1]) * self.scale
 
 
-def plan_of(sources: Sources, layout: Layout) -> Plan:
-    """The map of a run."""
-    spans = [max(layout.high[k] - layout.low[k], 1e-9) for k in (0, 1)]
+def map_of(data: ReportData, scene: Scene) -> Map:
+    """Return the map of a run."""
+    spans = [max(scene.high[k] - scene.low[k], 1e-9) for k in (0, 1)]
     scale = min((WIDTH - 2 * _MARGIN) / spans[0], (_LONGEST - 2 * _MARGIN) / spans[1])
     height = min(_LONGEST, max(360.0, spans[1] * scale + 2 * _MARGIN))
-    left = (layout.low[0] + layout.high[0]) / 2 - WIDTH / 2 / scale
-    top = (layout.low[1] + layout.high[1]) / 2 + height / 2 / scale
+    left = (scene.low[0] + scene.high[0]) / 2 - WIDTH / 2 / scale
+    top = (scene.low[1] + scene.high[1]) / 2 + height / 2 / scale
 
     def spot(at: tuple[float, ...]) -> tuple[float, float]:
         return (at[0] - left) * scale, (top - at[1]) * scale
 
     reach = _REACH * max(WIDTH, height) / scale
-    standing = {camera.id: camera for camera in layout.cameras}
-    words = {camera.id: camera.reason or (camera.health.text if camera.health else "") for camera in sources.record.cameras}
+    standing = {camera.id: camera for camera in scene.cameras}
+    words = {camera.id: camera.reason or (camera.health.text if camera.health else "") for camera in data.record.cameras}
     dots = []
-    for camera in layout.cameras:
+    for camera in scene.cameras:
         x, y = spot(camera.at)
-        view = " ".join(f"{a:.1f},{b:.1f}" for a, b in map(spot, _seen(camera, reach)))
+        view = " ".join(f"{a:.1f},{b:.1f}" for a, b in map(spot, _field_of_view(camera, reach)))
         title = "; ".join(filter(None, (words[camera.id], camera.note)))
         dots.append(Dot(camera.id, camera.state, x, y, view, title))
     if len(dots) > _FEW:
         dots = _outside(dots)
-    most = max((pair.figures.get("inliers") or 0 for pair in sources.record.pairs), default=0) or 1
+    most = max((pair.figures.get("inliers") or 0 for pair in data.record.pairs), default=0) or 1
     lines = [
         _line(pair, spot(standing[pair.cameras[0]].at), spot(standing[pair.cameras[1]].at), most)
-        for pair in sorted(sources.record.pairs, key=lambda pair: pair.ok)
+        for pair in sorted(data.record.pairs, key=lambda pair: pair.ok)
         if standing.keys() >= {*pair.cameras}
     ]
-    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale), m.known) for m in layout.marks]
+    spots = [Spot(m.name, m.kind, *spot(m.at), max(10.0, 0.5 * m.size * scale), m.known) for m in scene.objects]
     bar = _round_length(0.2 * WIDTH / scale)
-    east, north = layout.northward
-    absent = tuple(camera.id for camera in sources.record.cameras if camera.id not in standing)
+    east, north = scene.northward
+    absent = tuple(camera.id for camera in data.record.cameras if camera.id not in standing)
     turned = math.degrees(math.atan2(east, north))
-    words_of_bar = f"{bar:g} {layout.unit or 'units'}"
+    words_of_bar = f"{bar:g} {scene.unit or 'units'}"
     drawn = tuple(dots), tuple(lines), tuple(spots)
-    return Plan(WIDTH, height, left, top, scale, *drawn, bar * scale, words_of_bar, turned, layout.north, absent)
+    return Map(WIDTH, height, left, top, scale, *drawn, bar * scale, words_of_bar, turned, scene.north, absent)
 
 
 def _outside(dots: list[Dot]) -> list[Dot]:
-    """Names away from the middle of all cameras, where many stand in a row around something."""
+    """Place names away from the middle of all cameras, which often stand around something."""
     x, y = (sum(values) / len(dots) for values in ([d.x for d in dots], [d.y for d in dots]))
     found = []
     for dot in dots:
@@ -153,7 +153,7 @@ def _outside(dots: list[Dot]) -> list[Dot]:
 
 
 def _apart(dots: list[Dot]) -> list[Dot]:
-    """Names that lie over others are left out (a pointer on the camera tells them); those of cameras to look at come first."""
+    """Leave out names that lie over others (the pointer shows them); those of cameras to look at come first."""
     taken: list[tuple[float, float, float]] = []
     bare = set()
     for dot in sorted(dots, key=lambda dot: dot.state == "good"):
@@ -168,8 +168,8 @@ def _apart(dots: list[Dot]) -> list[Dot]:
     return [replace(dot, named=dot.id not in bare) for dot in dots]
 
 
-def _seen(camera: Standing, reach: float) -> list[tuple[float, float]]:
-    """Corners of a camera's field of view on the ground; the widest two of its rays bound it."""
+def _field_of_view(camera: SceneCamera, reach: float) -> list[tuple[float, float]]:
+    """Return the corners of a camera's field of view on the ground; the widest two of its rays bound it."""
     level = [(r[0], r[1]) for r in camera.rays if math.hypot(r[0], r[1]) > 1e-9]
     if len(level) < 2 or math.hypot(camera.ahead[0], camera.ahead[1]) < 0.1:
         return []
@@ -188,6 +188,6 @@ def _line(pair: PairRecord, start: tuple[float, float], end: tuple[float, float]
 
 
 def _round_length(length: float) -> float:
-    """1, 2 or 5 times a power of ten that is not longer."""
+    """Return the largest of 1, 2 and 5 times a power of ten that is not longer."""
     power = 10.0 ** math.floor(math.log10(max(length, 1e-12)))
     return max(step * power for step in (1, 2, 5) if step * power <= length * 1.0001)

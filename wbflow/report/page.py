@@ -1,8 +1,7 @@
-"""The run's report: one HTML file with its pictures and points inside, readable anywhere, without a network."""
+"""The report of a run: one HTML file with its pictures and points inside, readable anywhere without a network."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from importlib.resources import files
@@ -12,144 +11,132 @@ from typing import TYPE_CHECKING, Any
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..outcome.beside import spoken
-from ..pipeline.rows import Role
-from ..pipeline.stages import STAGES, stage_with
+from ..pipeline.stages import STAGES
 from ..records.events import Event, WarningEvent
 from ..records.record import RunRecord
 from ..records.run_folder import RunFolder
 from ..site.models import Site
-from .album import Album
+from .charts import stage_times, timetable, trends
+from .data import NIGHTS, ReportData
 from .headline import findings, headline
-from .layers import layers
-from .made import Maker
-from .map import plan_of
-from .nights import trends
-from .place import laid_out
-from .points import Points, points_of
+from .map import map_of
+from .pictures import Extracts, Pictures, Points, large_pictures, layers_of, points_of
+from .scene import scene_of
 from .sections import camera_cards, cell, pair_columns, pair_pictures, pair_rows, parts, settings
-from .seen import seen
-from .sources import NIGHTS, Sources
-from .times import stage_times, timetable
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-_ASSETS = files(__package__) / "assets"
+ASSETS = files(__package__) / "assets"
 _VIEWER = ("points.js", "view.js")
-_SCRIPTS = ("seen.js", "page.js")
-MOST = 14_000_000
-"""Bytes of a page, about: pictures as large as they are have the room that nothing else needs."""
-_A_ROW = 4000
-"""Bytes that the words of a camera or a pair take, about."""
+_SCRIPTS = ("large.js", "page.js")
+MOST_BYTES = 14_000_000
+"""Of a page, about: large pictures get the room that nothing else needs."""
+_ROW_BYTES = 4000
+"""Of the text of a camera or a pair, about."""
 
 
 def rebuild_report(site: Site, work: WorkFolder, folder: RunFolder) -> str:
-    """The report of a finished run.  Raises NoSuchRun for a folder that cannot be read."""
+    """Return the report of a finished run.  Raises NoSuchRun for a folder that cannot be read."""
     return build_report(site, Cache(work), folder.record(), folder.events(), folder.cameras(), folder.paths.folder)
 
 
 def build_report(
     site: Site, cache: Cache, record: RunRecord, events: Iterable[Event], cameras: Mapping[str, Any], products: Path
 ) -> str:
-    """HTML of a run.
+    """Return the HTML of a run.
 
     Parameters
     ----------
     site : Site
         Whose run.
     cache : Cache
-        Holds the pictures.
+        It holds the pictures.
     record : RunRecord
         The run in figures.
     events : iterable of Event
         What happened.
     cameras : mapping
-        The cameras that the cloud rests on by id, in the form of a calibration.
+        The cameras of the cloud by id, as cameras.json has them.
     products : Path
         The folder in which the run's products lie now.
     """
-    return _template().render(**_content(Sources(cache, record, tuple(events), cameras, products, site)))
+    return _template().render(**_content(ReportData(cache, record, tuple(events), cameras, products, site)))
 
 
 def _template() -> Template:
-    """The page without its content; compiled once a machine, not once a night."""
+    """Return the template; it is compiled once a machine, not once a night."""
     from jinja2 import DictLoader, Environment, FileSystemBytecodeCache, StrictUndefined  # here: only pages need it
 
     compiled = None
     with suppress(OSError, RuntimeError):  # no folder for temporary files, or not this user's
         compiled = FileSystemBytecodeCache()
     page = DictLoader({"page": _asset("page.html")})
-    words = Environment(loader=page, autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True)
-    return words.get_template("page")
+    environment = Environment(loader=page, autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True)
+    return environment.get_template("page")
 
 
 def _asset(name: str) -> str:
-    return (_ASSETS / name).read_text(encoding="utf-8")
+    return (ASSETS / name).read_text(encoding="utf-8")
 
 
-def _content(sources: Sources) -> dict[str, Any]:
+def _content(data: ReportData) -> dict[str, Any]:
     from markupsafe import Markup
     from rcssmin import cssmin
     from rjsmin import jsmin
 
-    record, album = sources.record, Album(sources)
-    keys = {task: event.key for task, event in sources.tasks.items() if event.usable and event.key}
-    maker = Maker(sources.cache, sources.site.reader)
-    points = points_of(maker, keys) if record.cloud else []
-    layout = laid_out(sources, points)
-    charts = trends(sources)
-    plan = plan_of(sources, layout) if layout else None
+    record, album, extracts = data.record, Pictures(data), Extracts(data)
+    points = points_of(extracts) if record.cloud else []
+    scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
+    drawn = map_of(data, scene) if scene else None
     content = {
         "record": record,
         "style": Markup(cssmin(_asset("style.css"))),
         "viewer": Markup(jsmin("\n".join(map(_asset, _VIEWER)))),
         "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
-        "headline": headline(sources),
-        "findings": findings(sources, album),
-        "layout": layout,
-        "plan": plan,
-        "on_map": layers(maker, keys, layout, plan) if layout and plan else [],
+        "headline": headline(data),
+        "findings": findings(data, album),
+        "scene": scene,
+        "map": drawn,
+        "layers": layers_of(extracts, scene, drawn) if scene and drawn else [],
         "points": points,
-        "streams": [{"kind": _kind(stream), "base64": base64.b64encode(stream.data).decode()} for stream in points],
         "modes": list(_modes(points)),
-        "told": [(str(e.task or "run"), f"{e.what}{'; ' if e.remedy else ''}{e.remedy}") for e in _warnings(sources)],
-        "cameras": camera_cards(sources, album),
-        "columns": [cell(name, None) for name in pair_columns(sources)],
-        "pair_rows": pair_rows(sources),
+        "warnings": list(_warnings(data)),
+        "cameras": camera_cards(data, album),
+        "columns": [cell(name, None) for name in pair_columns(data)],
+        "pair_rows": pair_rows(data),
         "pairs_words": _pairs_words(record),
-        "parts": parts(sources, album),
-        "pair_pictures": pair_pictures(sources, album),
-        "charts": charts,
-        "charts_nights": min(NIGHTS, len(sources.nights)),
-        "stages": stage_times(sources),
-        "timetable": timetable(sources),
+        "parts": parts(data, album),
+        "pair_pictures": pair_pictures(data, album),
+        "charts": trends(data),
+        "charts_nights": min(NIGHTS, len(data.nights)),
+        "stages": stage_times(data),
+        "timetable": timetable(data),
         "time_words": _time_words(record),
-        "settings": settings(sources),
-        "notes": list(_of_the_world(record)),
-        "links": {"nights": list(_other_nights(sources)), "files": list(_files(sources)), "cloud": _last_cloud(sources)},
+        "settings": settings(data),
+        "notes": list(_pose_notes(record)),
+        "links": {"nights": list(_other_nights(data)), "files": list(_files(data)), "cloud": _last_cloud(data)},
     }
-    taken = (album.held + sum(len(stream.data) for stream in points)) * 4 // 3
-    return {**content, "seen": seen(maker, sources, keys, MOST - taken - _A_ROW * (len(record.cameras) + len(record.pairs)))}
+    rows = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
+    held = (album.held + sum(len(stream.data) for stream in points)) * 4 // 3  # as Base64
+    return {**content, "large_pictures": large_pictures(extracts, data, MOST_BYTES - rows - held)}
 
 
-def _warnings(sources: Sources) -> list[WarningEvent]:
-    """What went wrong and was survived."""
-    return [event for event in sources.events if isinstance(event, WarningEvent)]
-
-
-def _kind(stream: Points) -> str:
-    return "product" if stream.name == stage_with(Role.PRODUCT).name else "change"
+def _warnings(data: ReportData) -> Iterator[tuple[str, str]]:
+    for event in data.events:
+        if isinstance(event, WarningEvent):
+            yield str(event.task or "run"), f"{event.what}; {event.remedy}" if event.remedy else event.what
 
 
 def _modes(points: list[Points]) -> Iterator[tuple[str, str]]:
-    """What the cloud can be coloured by, and how that is called."""
+    """Yield the colourings of the cloud and their labels."""
     if not points:
         return
     yield "photograph", "photograph"
     yield "height", "height"
     for layer in points[0].head["layers"]:
         yield layer["name"], {"views": "number of views", "sigma": "uncertainty"}.get(layer["name"], layer["name"])
-    if any(_kind(stream) == "change" and stream.head["n"] for stream in points):
+    if any(stream.kind == "change" and stream.head["n"] for stream in points):
         yield "change", "change"
 
 
@@ -157,7 +144,7 @@ def _pairs_words(record: RunRecord) -> str:
     if not record.pairs:
         return "No two cameras were matched."
     good = sum(pair.ok for pair in record.pairs)
-    return f"{good} of {len(record.pairs)} could be used. Figures are explained where the pointer rests on them."
+    return f"{good} of {len(record.pairs)} could be used. Rest the pointer on a figure for its meaning."
 
 
 def _time_words(record: RunRecord) -> str:
@@ -167,51 +154,43 @@ def _time_words(record: RunRecord) -> str:
     return f"Wall {seconds.wall:.1f} s, CPU {seconds.cpu:.1f} s{memory}; tasks: {counts or 'none'}."
 
 
-def _other_nights(sources: Sources) -> Iterator[dict[str, str]]:
-    if sources.before:
-        earlier = sources.before[0]
-        yield {"href": _report_of(sources, earlier.run), "text": f"← {earlier.date}"}
-        good = next((night for night in sources.before if night.verdict and night.verdict.good), None)
+def _other_nights(data: ReportData) -> Iterator[dict[str, str]]:
+    if data.earlier:
+        earlier = data.earlier[0]
+        yield {"href": data.report_of(earlier.run), "text": f"← {earlier.date}"}
+        good = next((night for night in data.earlier if night.verdict and night.verdict.good), None)
         if good and good.run != earlier.run:
-            yield {"href": _report_of(sources, good.run), "text": f"last good night, {good.date}"}
-    later = [run for run in sources.work.run_ids() if run > sources.record.run]
+            yield {"href": data.report_of(good.run), "text": f"last good night, {good.date}"}
+    later = [run for run in data.work.run_ids() if run > data.record.run]
     if later:
-        yield {"href": _report_of(sources, later[-1]), "text": "newest run →"}
+        yield {"href": data.report_of(later[-1]), "text": "newest run →"}
 
 
-def _of_the_world(record: RunRecord) -> Iterator[str]:
-    """How the cameras were placed, and what there is to say of it: residuals of distances and control points among others."""
+def _pose_notes(record: RunRecord) -> Iterator[str]:
+    """Yield how the cameras were placed, with residuals of distances and control points."""
     if record.poses is None:
         return
     plain = {name: value for name, value in record.poses.figures.items() if isinstance(value, str | int | float) and value != ""}
-    told = (f"{name.replace('_', ' ')} {spoken(value)}" for name, value in plain.items())
-    yield f"The cameras' places: {', '.join(told)}."
+    words = (f"{name.replace('_', ' ')} {spoken(value)}" for name, value in plain.items())
+    yield f"The cameras' places: {', '.join(words)}."
     yield from record.poses.notes
     yield from record.poses.joins
 
 
-def _last_cloud(sources: Sources) -> dict[str, str] | None:
-    """Where the last cloud before this night is shown."""
-    earlier = next((night for night in sources.before if night.cloud), None)
-    return {"href": _report_of(sources, earlier.run), "text": f"the last one is of {earlier.date}"} if earlier else None
+def _last_cloud(data: ReportData) -> dict[str, str] | None:
+    """Return the link to the last earlier cloud."""
+    earlier = next((night for night in data.earlier if night.cloud), None)
+    return {"href": data.report_of(earlier.run), "text": f"the last one is of {earlier.date}"} if earlier else None
 
 
-def _report_of(sources: Sources, run: str) -> str:
-    return f"../{run}/{sources.work.run(run).report.name}"
-
-
-def _files(sources: Sources) -> Iterator[dict[str, str]]:
-    record, paths = sources.record, sources.work.run(sources.record.run)
+def _files(data: ReportData) -> Iterator[dict[str, str]]:
+    record, paths = data.record, data.work.run(data.record.run)
     clouds = [cloud for cloud in (record.cloud, *record.other_clouds) if cloud]
     for cloud in clouds:
         yield {"href": cloud.path, "text": f"{cloud.path} ({cloud.points:,} points)"}
-    if sources.cameras:
+    if data.cameras:
         yield {"href": paths.cameras.name, "text": paths.cameras.name}
-    told = {name for stage in STAGES for name in (_told_files(record, stage.name))}
-    for name in (*sorted(told), paths.record.name, paths.log.name):
+    results = [record.later.get(stage.name) for stage in STAGES]
+    named = {name for figures in results if isinstance(figures, Mapping) for name in figures.get("files") or ()}
+    for name in (*sorted(named), paths.record.name, paths.log.name):
         yield {"href": name, "text": name}
-
-
-def _told_files(record: RunRecord, stage: str) -> tuple[str, ...]:
-    figures = record.later.get(stage)
-    return tuple(figures.get("files") or ()) if isinstance(figures, Mapping) else ()

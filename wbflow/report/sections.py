@@ -1,4 +1,4 @@
-"""Cameras, pairs and what site-wide stages tell: figures as people read them."""
+"""The sections of the report: cameras, pairs with what was tried, results of site-wide stages, and settings."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..outcome.beside import shown
+from ..cache.store import Receipt
+from ..outcome.beside import number, shown
 from ..outcome.record import reported
+from ..pipeline.rows import Stage
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import meaning
 from ..records.record import CameraRecord, PairRecord
 from ..task import Task
-from .album import Album, Shown
-from .nights import Bar, spark
-from .since import Since, since_last_good
-from .sources import Sources, state_of
-from .tried import Step, tried
+from .charts import Bar, camera_bars
+from .data import Comparison, ReportData, since_last_good, state_of
+from .pictures import Picture, Pictures
 
 _BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
+_MOST_FIGURES = 8
+"""Figures of a step that was tried."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,11 @@ class Cell:
 
     title: str
     words: str
-    """What it means."""
+    """Its meaning."""
     value: str
     grade: str
     raw: str = ""
-    """To sort by."""
+    """Sort key."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +48,21 @@ class CameraCard:
     badge: str
     words: str
     notes: tuple[str, ...]
-    picture: Shown | None
+    picture: Picture | None
     spark: tuple[Bar, ...]
-    seen: str
-    """What was found in its picture."""
+    keypoints: str
+    """How many keypoints and inliers its picture has."""
     main: tuple[Cell, ...]
-    """What it gave."""
     figures: tuple[Cell, ...]
-    """What was measured of it."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stage that was tried with a pair."""
+
+    stage: str
+    outcome: str
+    words: str
 
 
 @dataclass(frozen=True)
@@ -66,39 +75,39 @@ class PairRow:
     reason: str
     cells: tuple[Cell, ...]
     tried: tuple[Step, ...]
-    """Of one that could not be used."""
+    """For a pair that could not be used."""
 
 
 @dataclass(frozen=True)
 class Thing:
-    """One of the things that a stage tells of, each with figures of its own."""
+    """An object that a stage reports, with its own figures."""
 
     title: str
     size: str
     since: str
-    """Was it there on the last good night, or not yet?"""
+    """Whether it was there on the last good night."""
     words: tuple[str, ...]
-    picture: Shown | None
+    picture: Picture | None
     figures: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Part:
-    """What a site-wide stage tells."""
+    """The results of a site-wide stage."""
 
     title: str
     reason: str
-    picture: Shown | None
+    picture: Picture | None
     rows: tuple[tuple[str, str], ...]
     things: tuple[Thing, ...]
     files: tuple[str, ...]
     since: str = ""
-    """What is no more as it was on the last good night."""
+    """Objects of the last good night that are gone."""
 
 
 @dataclass(frozen=True)
 class Used:
-    """How a stage was run."""
+    """Function and parameters of a stage."""
 
     function: str
     code: str
@@ -106,7 +115,7 @@ class Used:
 
 
 def cell(name: str, value: Any) -> Cell:
-    """A figure by its name."""
+    """Return a figure by its name."""
     known = meaning(name)
     raw = "" if value is None else str(value)
     return Cell(known.title, known.words, _shown(value), known.grade(value), raw)
@@ -122,57 +131,55 @@ def _shown(value: Any) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def camera_cards(sources: Sources, album: Album) -> list[CameraCard]:
-    """Each camera: those that have given nothing first, then those to look at; else in the order of the site file."""
-    found = []
-    for number, camera in enumerate(sources.record.cameras, 1):
-        state = state_of(camera, sources.record)
+def camera_cards(data: ReportData, album: Pictures) -> list[CameraCard]:
+    """Return the cameras: those that gave nothing first, then those to look at; else in the order of the site file."""
+    found, bars = [], camera_bars(data)
+    for k, camera in enumerate(data.record.cameras, 1):
+        state = state_of(camera, data.record)
         numbers = {name: value for name, value in camera.figures.items() if isinstance(value, int | float)}
         figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool) and name != "points")
-        pairs = sources.record.pairs_of(camera.id)
+        pairs = data.record.pairs_of(camera.id)
         used = Cell("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
         picture = album.of_frame(camera.id, camera.id)
-        bars = tuple(spark(sources, camera.id))
-        main = (used, *(c for c in (cell("points", camera.figures.get("points")),) if c.value), *_given(sources, camera.id))
-        counted = _seen(camera, pairs)
-        told, notes = _words(camera, sources.record.reference is None), camera.notes
-        found.append(CameraCard(camera.id, number, state, badge, told, notes, picture, bars, counted, main, figures))
+        main = (used, *(c for c in (cell("points", camera.figures.get("points")),) if c.value), *_shares(data, camera.id))
+        words = _words(camera, data.record.reference is None), camera.notes
+        counts = _keypoint_counts(camera, pairs)
+        found.append(CameraCard(camera.id, k, state, badge, *words, picture, bars[camera.id], counts, main, figures))
     return sorted(found, key=lambda card: ("bad", "warn", "good").index(card.state))
 
 
-def _seen(camera: CameraRecord, pairs: list[PairRecord]) -> str:
-    """What was found in its picture, in words."""
+def _keypoint_counts(camera: CameraRecord, pairs: list[PairRecord]) -> str:
     points, agreed = camera.figures.get("keypoints"), [p.figures.get("inliers") for p in pairs if p.figures.get("matched")]
     known = [count for count in agreed if count]
-    said = [f"{points:,} keypoints"] if points else []
-    return ", ".join([*said, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
+    words = [f"{points:,} keypoints"] if points else []
+    return ", ".join([*words, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
 
 
 def _words(camera: CameraRecord, alone: bool) -> str:
-    """How it was; nothing of one that is well on a night that is compared with none."""
+    """Return how it was; "" for one that is well on a night without a reference."""
     health = camera.health.text if camera.health and not (alone and camera.health.ok) else ""
-    said = health if camera.ok else camera.reason or camera.outcome
-    return "; ".join(filter(None, (said, camera.down.told(left_out=not camera.ok) if camera.down else "")))
+    words = health if camera.ok else camera.reason or camera.outcome
+    return "; ".join(filter(None, (words, camera.down.told(left_out=not camera.ok) if camera.down else "")))
 
 
-def _given(sources: Sources, camera: str) -> Iterator[Cell]:
-    """What each camera adds to site-wide results."""
+def _shares(data: ReportData, camera: str) -> Iterator[Cell]:
+    """Yield a camera's shares in site-wide results."""
     for stage in STAGES:
-        told = sources.record.later.get(stage.name)
-        for name, value in told.items() if isinstance(told, Mapping) else ():
+        results = data.record.later.get(stage.name)
+        for name, value in results.items() if isinstance(results, Mapping) else ():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera), float):
                 yield Cell(meaning(name).title, meaning(name).words or f"{stage.title}: {name}", f"{100 * share:.1f} %", "")
 
 
-def pair_columns(sources: Sources) -> list[str]:
-    """The figures that any pair has."""
-    return [n for n in reported("pair") if any(pair.figures.get(n) not in {None, ""} for pair in sources.record.pairs)]
+def pair_columns(data: ReportData) -> list[str]:
+    """Return the names of the figures that any pair has."""
+    return [n for n in reported("pair") if any(pair.figures.get(n) not in {None, ""} for pair in data.record.pairs)]
 
 
-def pair_rows(sources: Sources) -> list[PairRow]:
-    """Each pair, in the order of the pair graph."""
-    names = pair_columns(sources)
+def pair_rows(data: ReportData) -> list[PairRow]:
+    """Return the pairs in the order of the pair graph."""
+    names = pair_columns(data)
     return [
         PairRow(
             pair.name,
@@ -180,16 +187,42 @@ def pair_rows(sources: Sources) -> list[PairRow]:
             pair.outcome,
             pair.reason or "",
             tuple(cell(n, pair.figures.get(n)) for n in names),
-            tried(sources, pair),
+            () if pair.ok else tuple(_tried(data, (pair.left, pair.right))),
         )
-        for pair in sources.record.pairs
+        for pair in data.record.pairs
     ]
 
 
-def pair_pictures(sources: Sources, album: Album) -> list[tuple[str, list[Shown]]]:
-    """Pictures of each pair that has any."""
+def _tried(data: ReportData, subject: tuple[str, str]) -> Iterator[Step]:
+    """Yield the stages of a pair as far as it came, with their figures."""
+    for stage in (stage for stage in STAGES if stage.scope == "pair"):
+        event = data.tasks.get(Task(stage.name, subject))
+        if event is None or event.outcome == "skipped":
+            continue
+        receipt = data.cache.by_key(event.task, event.key) if event.key else None
+        method = receipt.preimage.parameters.get(stage.method.parameter) if stage.method and receipt else None
+        figures = ", ".join(_step_figures(stage, receipt)) if receipt else ""
+        words = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, figures)))
+        yield Step(stage.name, "done" if event.usable else event.outcome, words)
+
+
+def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
+    """Yield the numbers of a receipt by the names of run.json, those that run.json has first."""
+    names = {theirs: ours for ours, theirs in stage.reports.fields.items()} if stage.reports else {}
+    figures: Mapping[str, Any] = receipt.figures
+    numbers = {name: value for name, value in figures.items() if isinstance(value, int | float) and not isinstance(value, bool)}
+    known = [name for name in names if name in numbers]
+    others = [name for name in numbers if name not in names and not name.endswith("_count")]
+    for name in [*known, *others][:_MOST_FIGURES]:
+        value = numbers[name]
+        if value == value:  # not nan
+            yield f"{meaning(names.get(name, name)).title} {number(value) if isinstance(value, float) else f'{value:,}'}"
+
+
+def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
+    """Return the pictures of each pair that has any."""
     found = []
-    for pair in sources.record.pairs:
+    for pair in data.record.pairs:
         tasks = (Task(stage.name, (pair.left, pair.right)) for stage in STAGES if stage.scope == "pair" and stage.picture)
         pictures = [picture for task in tasks if (picture := album.of_task(task, str(task)))]
         if pictures:
@@ -197,47 +230,47 @@ def pair_pictures(sources: Sources, album: Album) -> list[tuple[str, list[Shown]
     return found
 
 
-def parts(sources: Sources, album: Album) -> list[Part]:
-    """What each site-wide stage that run.json tells of has found."""
+def parts(data: ReportData, album: Pictures) -> list[Part]:
+    """Return the results of each site-wide stage in run.json."""
     found = []
     for stage in STAGES:
-        told = sources.record.later.get(stage.name)
-        if stage.scope == "site" and stage.reports and isinstance(told, Mapping) and told:
-            files = tuple(told.get("files") or ())
-            since = since_last_good(sources.record, sources, stage.name)
-            unit = "m" if sources.record.poses is None or sources.record.poses.metric else ""
-            things = tuple(thing for value in told.values() for thing in _things(value, files, album, since, unit))
-            reason, over = str(told.get("reason") or ""), _over(since, unit) if since else ""
-            if told.get("compared") is False:
+        results = data.record.later.get(stage.name)
+        if stage.scope == "site" and stage.reports and isinstance(results, Mapping) and results:
+            files = tuple(results.get("files") or ())
+            since = since_last_good(data, stage.name)
+            unit = "m" if data.record.poses is None or data.record.poses.metric else ""
+            things = tuple(thing for value in results.values() for thing in _things(value, files, album, since, unit))
+            reason, gone = str(results.get("reason") or ""), _gone(since, unit) if since else ""
+            if results.get("compared") is False:
                 found.append(Part(stage.title, reason, None, (), (), files, "There was nothing to compare this night with."))
                 continue
             picture = album.of_task(Task(stage.name), stage.title)
-            found.append(Part(stage.title, reason, picture, tuple(shown(told)), things, files, over))
+            found.append(Part(stage.title, reason, picture, tuple(shown(results)), things, files, gone))
     return found
 
 
-def _over(since: Since, unit: str) -> str:
-    gone = [f"{thing.get('kind') or 'something'} ({_dimensions(thing, unit)})" for thing in since.over.values()]
-    return f"No more as on {since.date}, the last good night, but as in the reference again: {', '.join(gone)}." if gone else ""
+def _gone(since: Comparison, unit: str) -> str:
+    gone = [f"{thing.get('kind') or 'something'} ({_dimensions(thing, unit)})" for thing in since.gone.values()]
+    return f"Differed on {since.date}, the last good night, and are as in the reference again: {', '.join(gone)}." if gone else ""
 
 
-def _things(entries: Any, files: tuple[str, ...], album: Album, since: Since | None, unit: str) -> Iterator[Thing]:
+def _things(entries: Any, files: tuple[str, ...], album: Pictures, since: Comparison | None, unit: str) -> Iterator[Thing]:
     for name, entry in entries.items() if isinstance(entries, Mapping) else ():
         if not isinstance(entry, Mapping):
             continue
         file = next((f for f in files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
         title = f"{name}: {entry.get('kind') or ''}".rstrip(": ")
-        said = [f"{key}: {value.replace(',', ', ')}" for key, value in entry.items() if isinstance(value, str) and value]
-        words = tuple(line for line in said if not line.startswith("kind: "))
+        texts = [f"{key}: {value.replace(',', ', ')}" for key, value in entry.items() if isinstance(value, str) and value]
+        words = tuple(line for line in texts if not line.startswith("kind: "))
         numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in entry.items() if isinstance(value, int | float))
         picture = album.of_product(file, f"{title}: then and this night") if file else None
-        then = since.then.get(name) if since else None
-        told = "" if since is None else f"so already on {since.date}" if then else f"since {since.date}, the last good night"
-        yield Thing(title, _dimensions(entry, unit), told, words, picture, numbers)
+        known = since.known.get(name) if since else None
+        when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
+        yield Thing(title, _dimensions(entry, unit), when, words, picture, numbers)
 
 
 def _dimensions(entry: Mapping[str, Any], unit: str) -> str:
-    """How large a thing is, and where, as far as it says so."""
+    """Return the size and place of an object, as far as it has them."""
     sides = [entry.get(name) for name in ("length", "width", "height")]
     size = " × ".join(f"{side:.1f}" for side in sides if isinstance(side, int | float))
     volume, sigma = entry.get("volume"), entry.get("volume_sigma")
@@ -251,10 +284,10 @@ def _is_picture(file: str) -> bool:
     return (mimetypes.guess_type(file)[0] or "").startswith("image/")
 
 
-def settings(sources: Sources) -> list[tuple[str, Used]]:
-    """With which function and parameters each stage was run."""
-    cache, found = sources.cache, dict[str, Used]()
-    for task, event in sources.tasks.items():
+def settings(data: ReportData) -> list[tuple[str, Used]]:
+    """Return the function and parameters of each stage."""
+    cache, found = data.cache, dict[str, Used]()
+    for task, event in data.tasks.items():
         if task.stage in found or not event.key or not (receipt := cache.by_key(task, event.key)):
             continue
         made = receipt.preimage

@@ -1,4 +1,4 @@
-"""One page over all sites and their nights: how each is, what is to be looked at, and where the reports are."""
+"""One page over several sites: the verdict, findings and reports of their last nights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 from ..cache.layout import WorkFolder
@@ -21,9 +20,9 @@ from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
 from ..site.models import Site
 from ..task import Task
-from .sources import NIGHTS
+from .data import NIGHTS
+from .page import ASSETS
 
-_ASSETS = files(__package__) / "assets"
 _NO_LEVEL = ""
 MOST_FINDINGS = 5
 
@@ -37,7 +36,7 @@ class Night:
     points: str
     words: str
     href: str
-    """Its report; "" where there is none any more."""
+    """Its report; "" where it was removed."""
 
 
 @dataclass(frozen=True)
@@ -47,30 +46,29 @@ class Row:
     name: str
     file: str
     fault: str = ""
-    """Why nothing else is known of it."""
+    """Why the site cannot be shown."""
     nights: tuple[Night, ...] = ()
     """Oldest first."""
     findings: tuple[Finding, ...] = ()
     """Of the last one."""
     left_out: int = 0
-    """Findings that are not listed here."""
+    """Findings that the page leaves out."""
     picture: str = ""
-    """The last cloud, as a data address."""
+    """The last cloud, as a data URL."""
 
     @property
     def last(self) -> Night | None:
-        """The newest night."""
         return self.nights[-1] if self.nights else None
 
     @property
     def order(self) -> tuple[int, str]:
-        """What needs somebody stands first."""
+        """Sites that need attention come first."""
         level = "failed" if self.fault else self.last.level if self.last else _NO_LEVEL
         return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
 
 
 def site_files(places: Sequence[Path]) -> list[Path]:
-    """The site files that are meant: files as they are; of a folder its site.yaml, else all site files in it and one below."""
+    """Return the named site files; of a folder its site.yaml, else all site files in it and one level below."""
     found: list[Path] = []
     for place in places:
         own = place / "site.yaml"
@@ -83,18 +81,18 @@ def site_files(places: Sequence[Path]) -> list[Path]:
 
 
 def page(places: Sequence[Path], out: Path) -> str:
-    """HTML of all sites.  out: the file that it will be, for links from there."""
+    """Return the HTML of all sites.  out: its file, for the links in it."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
     rows = sorted((_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
-    words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    style = Markup((_ASSETS / "style.css").read_text(encoding="utf-8"))
-    return words.from_string((_ASSETS / "sites.html").read_text(encoding="utf-8")).render(rows=rows, style=style)
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    style = Markup((ASSETS / "style.css").read_text(encoding="utf-8"))
+    return environment.from_string((ASSETS / "sites.html").read_text(encoding="utf-8")).render(rows=rows, style=style)
 
 
 def _is_one(file: Path) -> bool:
-    """Does a YAML file describe a site?  (Others may lie beside it; one that is meant to, and is wrong, is told of.)"""
+    """Return whether a YAML file describes a site, valid or not."""
     try:
         text = read_outside(file, MOST_TEXT_BYTES).decode(errors="replace")
     except OSError:
@@ -117,8 +115,8 @@ def _of_site(site: Site, folder: Path) -> Row:
     nights = [by_night[date] for date in sorted(by_night)][-NIGHTS:]
     found = nights[-1].verdict.findings if nights and nights[-1].verdict else ()
     shown, left = tuple(found[:MOST_FINDINGS]), max(0, len(found) - MOST_FINDINGS)
-    told = tuple(_night(work, entry, folder) for entry in nights)
-    return Row(site.name, str(site.file), "", told, shown, left, _picture(work))
+    rows = tuple(_night(work, entry, folder) for entry in nights)
+    return Row(site.name, str(site.file), "", rows, shown, left, _picture(work))
 
 
 def _night(work: WorkFolder, entry: Entry, folder: Path) -> Night:
@@ -129,7 +127,7 @@ def _night(work: WorkFolder, entry: Entry, folder: Path) -> Night:
 
 
 def _picture(work: WorkFolder) -> str:
-    """The cloud of the last run that made one."""
+    """Return the picture of the last cloud."""
     try:
         run = RunFolder.of(work, work.latest_good.name)
         event = run.tasks().get(task := Task(stage_with(Role.PRODUCT).name))

@@ -1,14 +1,14 @@
-"""What has changed since the last good night, where only differences from the reference are known."""
+"""What has changed since the last good night, from differences to the reference alone."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 from tests.wbflow.outcome.test_verdict import night
 from wbflow.records.record import RunRecord, Verdict
-from wbflow.report.since import since_last_good
+from wbflow.report.data import Comparison, ReportData, since_last_good
 
 CONTAINER = {"kind": "new", "x": 9.2, "y": 15.3, "z": 1.3, "length": 6.3, "width": 2.7, "volume": 39.2}
 VAN = {"kind": "new", "x": 28.3, "y": 16.3, "z": 1.2, "length": 4.7, "width": 2.3, "volume": 17.4}
@@ -19,9 +19,11 @@ def told(record: RunRecord, things: dict[str, Any], reference: str = "20261101T0
     return replace(record, reference=reference, later={"changes": {"compared": True, "changes": things}})
 
 
-def sources(*before: RunRecord) -> Any:
-    """Nights before, newest first."""
-    return SimpleNamespace(before=list(before))
+def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
+    """Tonight's changes against those of earlier nights, newest first."""
+    data = ReportData(cast(Any, None), tonight, (), {}, Path(), cast(Any, None))
+    vars(data)["earlier"] = list(earlier)
+    return since_last_good(data, "changes")
 
 
 def test_what_was_there_on_the_last_good_night_is_told_from_what_is_new_and_what_is_over() -> None:
@@ -29,23 +31,23 @@ def test_what_was_there_on_the_last_good_night_is_told_from_what_is_new_and_what
     good = told(night("2026-11-18"), {"1": nudged, "2": STACK})
     bad = replace(told(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
     tonight = told(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
-    since = since_last_good(tonight, sources(bad, good), "changes")
+    since = compared(tonight, bad, good)
     assert since is not None
     assert since.date == "2026-11-18", "the night before was not good"
-    assert since.then == {"1": "1"}
-    assert since.over == {"2": STACK}
+    assert since.known == {"1": "1"}
+    assert since.gone == {"2": STACK}
 
 
 def test_since_the_reference_s_own_night_everything_is_new() -> None:
     first = replace(night("2026-11-01"), reference=None)
     tonight = told(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
-    since = since_last_good(tonight, sources(first), "changes")
+    since = compared(tonight, first)
     assert since is not None
-    assert (since.then, since.over) == ({}, {})
+    assert (since.known, since.gone) == ({}, {})
 
 
 def test_nothing_is_said_where_another_reference_was_compared_with_or_there_was_no_good_night() -> None:
     other = told(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
     tonight = told(night("2026-11-20"), {"1": CONTAINER})
-    assert since_last_good(tonight, sources(other), "changes") is None
-    assert since_last_good(tonight, sources(), "changes") is None
+    assert compared(tonight, other) is None
+    assert compared(tonight) is None

@@ -110,7 +110,7 @@ def test_a_damaged_picture_is_drawn_again_in_the_same_night_and_named(toy: ToySi
 
 def test_the_points_of_the_page_are_packed_while_the_cloud_is_in_memory(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
-    monkeypatch.setattr("wbflow.report.made.function", asked.append)  # of what is read back from the cache
+    monkeypatch.setattr("wbflow.report.pictures.function", asked.append)  # of what is read back from the cache
     toy.run()
     assert "wbflow_stages.exports.view:cloud_view" not in asked
     (kept,) = (toy.work / "cache" / "fuse").rglob("*.view")
@@ -124,5 +124,5 @@ def test_points_that_cannot_be_packed_cost_only_themselves(toy: ToySite, monkeyp
 
     monkeypatch.setattr("wbflow_stages.exports.view.cloud_view", fail)
     assert toy.run()["cloud"]
-    assert not list((toy.work / "cache").rglob("*.view"))
+    assert not list((toy.work / "cache" / "fuse").rglob("*.view"))
     assert "No report" not in (toy.work / "runs" / "latest" / "report.html").read_text()

@@ -35,16 +35,10 @@
   const words = $("#first .words"), more = () => words.classList.toggle("more", words.scrollHeight - words.clientHeight - words.scrollTop > 8);
   words.addEventListener("scroll", more); addEventListener("resize", more); more();
 
-  const told = $("#scene"), root = $("#view");
-  if (!told || !root) return;
-  const message = $(".message", root), elsewhere = $("script.points-elsewhere");
-  if (elsewhere) { // the next page has the same points, and what shows them
-    const link = document.createElement("a");
-    link.href = JSON.parse(elsewhere.textContent); link.textContent = "the same points as in the report of the next run";
-    message.replaceChildren(link); root.dataset.state = "empty";
-    return;
-  }
-  const scene = JSON.parse(told.textContent), view = window.view = new CloudView(root, scene);
+  const stored = $("#scene"), root = $("#view");
+  if (!stored || !root) return;
+  const message = $(".message", root);
+  const scene = JSON.parse(stored.textContent), view = window.view = new CloudView(root, scene);
 
   const legend = $(".legend"), number = v => Math.abs(v) >= 100 ? v.toFixed(0) : +v.toPrecision(3);
   function colour(mode) {

@@ -32,11 +32,11 @@
   function open(button) {
     const small = button.querySelector("img"), card = button.closest(".card"), number = card?.id.replace("camera-", "");
     if (!small) return;
-    const stored = document.querySelector(`script.seen[data-of="${number}"]`), words = stored?.textContent.trim().split(" ");
+    const stored = document.querySelector(`script.large[data-of="${number}"]`), words = stored?.textContent.trim().split(" ");
     places = words ? {points: unpacked(words[1]), inliers: unpacked(words[2])} : {};
     bar.hidden = !(places.points?.length || places.inliers?.length);
     image.src = words ? `data:image/jpeg;base64,${words[0]}` : small.src; image.alt = small.alt;
-    caption.textContent = [small.alt, [card?.dataset.seen, stored?.dataset.note].filter(Boolean).join("; "), words || !card?.id ? "" : "no room for it as large as it is"].filter(Boolean).join(": ");
+    caption.textContent = [small.alt, [card?.dataset.keypoints, stored?.dataset.note].filter(Boolean).join("; "), words || !card?.id ? "" : "no room for it as large as it is"].filter(Boolean).join(": ");
     large.showModal();
   }
   for (const button of document.querySelectorAll("[data-large]")) button.addEventListener("click", () => open(button));

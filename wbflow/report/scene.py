@@ -1,4 +1,4 @@
-"""Where everything stands, in one frame for the 3-D view and the map: to the right, away from the first look, and up."""
+"""Cameras, objects and points in one frame for the 3-D view and the map: right, away from the first view, and up."""
 
 from __future__ import annotations
 
@@ -8,57 +8,54 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .points import Points
-from .since import since_last_good, things_of
-from .sources import Sources, state_of
+from .data import ReportData, objects_of, since_last_good, state_of
 
 Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
 
 _UPRIGHT = 0.5
-"""The world's z is up where it is so for every camera, by so much."""
+"""The world's z is up where it agrees so well with every camera's."""
 _TRIMMED, _GROWN = 0.1, 0.13
-"""Share of the points at each end that the extent leaves out, and how much it is widened again, as if all points lay evenly: what
-stands far behind the site does not make it small."""
+"""Share of the points that the extent leaves out at each end, and by which it grows again: far points don't shrink the site."""
 
 
 @dataclass(frozen=True)
-class Standing:
+class SceneCamera:
     """A camera in the frame of the page."""
 
     id: str
     at: Vector
     rays: tuple[Vector, ...]
-    """Through the four corners of its picture, of depth 1; () where it is not known where it looks."""
+    """Through the four corners of its picture, of depth 1; () where its direction is not known."""
     ahead: Vector
     fov: float
     """Vertical, radians."""
     state: str
     note: str
-    """How it is known where it stands, where that is not from tonight."""
+    """Where its place is from, if not from tonight."""
 
 
 @dataclass(frozen=True)
-class Mark:
-    """Something that a stage tells of, and where it is."""
+class SceneObject:
+    """An object that a stage reports, such as a change."""
 
     name: str
     kind: str
     at: Vector
     size: float
     known: bool
-    """It was there on the last good night already."""
+    """Whether it was there on the last good night."""
 
 
 @dataclass(frozen=True)
-class Layout:
+class Scene:
     """The frame of the page, and what stands in it."""
 
     rows: Rows
     """Right, away and up, in the world."""
     origin: Vector
-    cameras: tuple[Standing, ...]
-    marks: tuple[Mark, ...]
+    cameras: tuple[SceneCamera, ...]
+    objects: tuple[SceneObject, ...]
     low: Vector
     """Corners of the box around most points and all cameras, in the frame of the page."""
     high: Vector
@@ -66,12 +63,12 @@ class Layout:
     """Of the points."""
     radius: float
     unit: str
-    """m, or "" where nothing says how long a metre is."""
+    """m, or "" where the scale is not known."""
     north: str
-    """What the direction of the world's y is called."""
+    """Name of the direction of the world's y."""
 
     def to(self, point: Sequence[float]) -> Vector:
-        """A point of the world in the frame of the page."""
+        """Return a point of the world in the frame of the page."""
         return _turned(self.rows, tuple(p - o for p, o in zip(point, self.origin, strict=True)))
 
     @property
@@ -79,51 +76,50 @@ class Layout:
         """The world's y (or what comes nearest to it) on the map."""
         return self.rows[0][1], self.rows[1][1]
 
-    def scene(self) -> dict[str, Any]:
-        """What the 3-D view is told."""
+    def to_json(self) -> dict[str, Any]:
+        """Return the input of the 3-D view."""
         cameras = [
             {"id": c.id, "C": c.at, "rays": c.rays, "ahead": c.ahead, "fov": c.fov, "state": c.state, "note": c.note}
             for c in self.cameras
         ]
-        marks = [{"name": m.name, "kind": m.kind, "at": m.at, "size": m.size} for m in self.marks]
+        marks = [{"name": m.name, "kind": m.kind, "at": m.at, "size": m.size} for m in self.objects]
         axes = {"rows": self.rows, "origin": self.origin, "unit": self.unit}
         box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
         return {"axes": axes, **box, "north": self.north, "northward": self.northward, "cameras": cameras, "marks": marks}
 
 
-def laid_out(sources: Sources, points: Sequence[Points]) -> Layout | None:
-    """The frame of a run's page; None where nothing is known of any place.
+def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
+    """Return the frame of a run's page; None where no place is known.  sample: some points of the cloud.
 
-    Up is the world's z where it is so for every camera, else against the mean of the cameras' y axes; the first look goes from
-    the cameras to the points, along an axis of the map where the site is on one.
+    Up is the world's z where every camera agrees, else against the mean of the cameras' y axes; the first view goes from the
+    cameras to the points, along an axis of the map where the site is on one.
     """
-    record = sources.record
-    stood = {camera.id: place for camera in record.cameras if (place := sources.stood(camera.id))}
-    sample: list[Vector] = [tuple(p) for p in points[0].head["sample"]] if points else []
+    record = data.record
+    stood = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
     centres: list[Vector] = [tuple(entry["C"]) for entry, _ in stood.values()]
     if not (sample or centres):
         return None
     up = _up([entry["R"] for entry, _ in stood.values() if entry.get("R")])
-    before = [] if sample else _before(sources)
+    before = [] if sample else _last_cloud(data)
     origin = _between(before[0], before[-1]) if before else _median(sample or centres)
     crs = record.poses.crs if record.poses else ""
     looks = [tuple(entry["R"][2]) for entry, _ in stood.values() if entry.get("R")]
     rows = _rows(up, centres, origin, looks, on_map=bool(crs))
-    cameras = tuple(_standing(sources, camera, stood[camera.id], rows, origin) for camera in record.cameras if camera.id in stood)
-    marks = tuple(_marks(sources, rows, origin))
+    cameras = tuple(_camera(data, camera, stood[camera.id], rows, origin) for camera in record.cameras if camera.id in stood)
+    objects = tuple(_objects(data, rows, origin))
     near = [_turned(rows, _less(p, origin)) for p in sample or before]
     box = _grown(_box(near, _TRIMMED)) if sample else _box(near or [c.at for c in cameras], 0.0)
     middle = _between(*box)
     radius = max(math.dist(*box) / 2, 1e-6)
-    low, high = _box([*box, *(c.at for c in cameras), *(m.at for m in marks)], 0.0)
+    low, high = _box([*box, *(c.at for c in cameras), *(m.at for m in objects)], 0.0)
     unit = "m" if not record.poses or record.poses.metric else ""
     north = "N" if crs else "y"
-    return Layout(rows, origin, cameras, marks, low, high, middle, radius, unit, north)
+    return Scene(rows, origin, cameras, objects, low, high, middle, radius, unit, north)
 
 
-def _before(sources: Sources) -> list[Vector]:
-    """The corners of the last cloud, for a night without one: its page is to show the same place from the same side."""
-    for record in sources.before:
+def _last_cloud(data: ReportData) -> list[Vector]:
+    """Return the corners of the last cloud: a night without one shows the same place from the same side."""
+    for record in data.earlier:
         if record.cloud and record.poses and record.poses.metric:
             return [(x, y, z) for x, y, z in itertools.product(*zip(*record.cloud.bounds, strict=True))]
     return []
@@ -137,7 +133,7 @@ def _up(rotations: list[Any]) -> Vector:
 
 
 def _rows(up: Vector, centres: list[Vector], middle: Vector, looks: list[Vector], on_map: bool) -> Rows:
-    """Right, away and up: away from where most cameras stand, else along where they look."""
+    """Return right, away and up: away from where most cameras stand, else where they look."""
     towards = tuple(sum(middle[k] - c[k] for c in centres) for k in range(3))
     along = tuple(sum(look[k] for look in looks) for k in range(3))
     away = (0.0, 0.0, 0.0)
@@ -153,7 +149,7 @@ def _rows(up: Vector, centres: list[Vector], middle: Vector, looks: list[Vector]
     return right, away, up
 
 
-def _standing(sources: Sources, camera: Any, place: tuple[Mapping[str, Any], str], rows: Rows, origin: Vector) -> Standing:
+def _camera(data: ReportData, camera: Any, place: tuple[Mapping[str, Any], str], rows: Rows, origin: Vector) -> SceneCamera:
     entry, note = place
     R, K, at = entry.get("R"), entry.get("K"), _turned(rows, _less(entry["C"], origin))
     rays: tuple[Vector, ...] = ()
@@ -163,20 +159,19 @@ def _standing(sources: Sources, camera: Any, place: tuple[Mapping[str, Any], str
         width, height = entry.get("width") or 4, entry.get("height") or 3
         fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
         corners = ((0, 0), (width, 0), (width, height), (0, height))
-        seen = (((x - cx) / fx, (y - cy) / fy, 1.0) for x, y in corners)
-        rays = tuple(_turned(rows, tuple(sum(R[i][k] * d[i] for i in range(3)) for k in range(3))) for d in seen)
+        through = (((x - cx) / fx, (y - cy) / fy, 1.0) for x, y in corners)
+        rays = tuple(_turned(rows, tuple(sum(R[i][k] * d[i] for i in range(3)) for k in range(3))) for d in through)
         fov = 2 * math.atan(height / 2 / fy)
-    return Standing(camera.id, at, rays, ahead, fov, state_of(camera, sources.record), note)
+    return SceneCamera(camera.id, at, rays, ahead, fov, state_of(camera, data.record), note)
 
 
-def _marks(sources: Sources, rows: Rows, origin: Vector) -> Iterable[Mark]:
-    """Whatever site-wide stages tell of that has a place."""
-    for stage, told in sources.record.later.items():
-        since = since_last_good(sources.record, sources, stage)
-        for name, thing in things_of(told).items():
+def _objects(data: ReportData, rows: Rows, origin: Vector) -> Iterable[SceneObject]:
+    for stage, figures in data.record.later.items():
+        since = since_last_good(data, stage)
+        for name, thing in objects_of(figures).items():
             at = _turned(rows, _less((thing["x"], thing["y"], thing["z"]), origin))
             size = math.hypot(thing.get("length") or 0, thing.get("width") or 0)
-            yield Mark(name, str(thing.get("kind") or ""), at, size, since is not None and name in since.then)
+            yield SceneObject(name, str(thing.get("kind") or ""), at, size, since is not None and name in since.known)
 
 
 def _turned(rows: Rows, v: Sequence[float]) -> Vector:

@@ -1,0 +1,179 @@
+"""The data of a report: the run, its events, the nights before it, and what differs from the last good one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..cache.layout import WorkFolder
+from ..cache.store import Cache
+from ..records.events import Event, TaskEvent
+from ..records.record import CameraRecord, RunRecord
+from ..records.reference_folder import BadReference, Reference, read_reference
+from ..records.run_folder import NoSuchRun, RunFolder
+from ..site.models import Site
+from ..task import Task
+
+NIGHTS = 30
+"""Nights in the report's charts."""
+_SAME_PLACE = 0.5
+"""Two objects of one kind are the same where their middles are nearer than this share of the larger one's length."""
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """A run, and what surrounds it."""
+
+    cache: Cache
+    record: RunRecord
+    events: tuple[Event, ...]
+    cameras: Mapping[str, Any] = field(repr=False)
+    """The cameras of the cloud by id, as cameras.json has them."""
+    files: Path
+    """The folder in which the run's files lie now."""
+    site: Site
+
+    @property
+    def work(self) -> WorkFolder:
+        return self.cache.work
+
+    @cached_property
+    def tasks(self) -> dict[Task, TaskEvent]:
+        """How each task ended."""
+        return {event.task: event for event in self.events if isinstance(event, TaskEvent)}
+
+    @cached_property
+    def keys(self) -> dict[Task, str]:
+        """The cache key of each result."""
+        return {task: event.key for task, event in self.tasks.items() if event.usable and event.key}
+
+    @cached_property
+    def earlier(self) -> list[RunRecord]:
+        """The last run of each earlier night, newest first."""
+        found: dict[str, RunRecord] = {}
+        for name in reversed([name for name in self.work.run_ids() if name < self.record.run]):
+            try:
+                record = RunFolder.of(self.work, name).record()
+            except NoSuchRun:
+                continue
+            if record.date != self.record.date:
+                found.setdefault(record.date, record)
+            if len(found) >= NIGHTS - 1:
+                break
+        return list(found.values())
+
+    @property
+    def nights(self) -> list[RunRecord]:
+        """Those and this one, oldest first."""
+        return [*reversed(self.earlier), self.record]
+
+    @cached_property
+    def last_good(self) -> RunRecord | None:
+        """The last earlier night with a good verdict."""
+        return next((night for night in self.earlier if night.verdict and night.verdict.good), None)
+
+    def last_good_of(self, camera: str) -> RunRecord | None:
+        """Return the last earlier night on which a camera was as it should be."""
+        for record in self.earlier:
+            if any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras):
+                return record
+        return None
+
+    @cached_property
+    def _reference(self) -> Reference | None:
+        try:
+            return read_reference(self.work)
+        except BadReference:
+            return None
+
+    @property
+    def reference_date(self) -> str:
+        """The night of the reference; "" without one."""
+        return self._reference.date if self._reference else ""
+
+    @cached_property
+    def _earlier_cameras(self) -> tuple[str, Mapping[str, Any]]:
+        """The last earlier night whose cameras were placed, and these."""
+        for record in self.earlier:
+            try:
+                if cameras := RunFolder.of(self.work, record.run).cameras():
+                    return record.date, cameras
+            except NoSuchRun:
+                continue
+        return "", {}
+
+    def placement(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
+        """Return a camera as cameras.json has it, and where that is from if not from tonight."""
+        sources = [(self.cameras, "")]
+        if self._reference:
+            sources.append((self._reference.cameras, f"stood here on {self._reference.date}"))
+        sources.append((self._earlier_cameras[1], f"stood here on {self._earlier_cameras[0]}"))
+        for cameras, note in sources:
+            if (entry := cameras.get(camera)) and entry.get("C"):
+                return entry, note
+        stated = next((c for c in self.site.cameras if c.id == camera), None)
+        if stated and stated.placement.C is not None:
+            lens = {"K": stated.lens.K, "width": stated.lens.width, "height": stated.lens.height}
+            return {"C": stated.placement.C, "R": stated.placement.R, **lens}, "stands here by the site file"
+        return None
+
+    def report_of(self, run: str) -> str:
+        """Return the link to another run's report."""
+        return f"../{run}/{self.work.run(run).report.name}"
+
+
+def state_of(camera: CameraRecord, record: RunRecord) -> str:
+    """Return how a camera was: good, warn (of use, but not as it should be) or bad (gave nothing)."""
+    if not camera.ok:
+        return "bad"
+    health = camera.health is None or camera.health.ok
+    poses = record.poses
+    doubts = (poses.suspects, poses.doubtful, poses.uncertain, poses.unsure_lenses, poses.strained) if poses else ()
+    suspect = any(camera.id in named for named in doubts)
+    return "good" if health and not suspect and camera.down is None else "warn"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Objects that differ from the reference: tonight's against those of the last good night."""
+
+    date: str
+    """The last good night."""
+    known: Mapping[str, str]
+    """Tonight's objects that were there then, and their names of then."""
+    gone: Mapping[str, Mapping[str, Any]]
+    """Objects of then that are as in the reference again."""
+
+
+def since_last_good(data: ReportData, stage: str) -> Comparison | None:
+    """Compare a stage's objects with those of the last good night; None where no good night has the same reference."""
+    record, good = data.record, data.last_good
+    if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
+        return None
+    then = objects_of(good.later.get(stage)) if good.run != record.reference else {}
+    known: dict[str, str] = {}
+    for name, thing in objects_of(record.later.get(stage)).items():
+        same = next((n for n, other in then.items() if n not in known.values() and _same(thing, other)), None)
+        if same is not None:
+            known[name] = same
+    return Comparison(good.date, known, {name: thing for name, thing in then.items() if name not in known.values()})
+
+
+def objects_of(figures: Any) -> dict[str, Mapping[str, Any]]:
+    """Return all objects with a place in a stage's figures, by name."""
+    found = {}
+    for value in figures.values() if isinstance(figures, Mapping) else ():
+        for name, thing in value.items() if isinstance(value, Mapping) else ():
+            if isinstance(thing, Mapping) and {"x", "y", "z"} <= set(thing):
+                found[str(name)] = thing
+    return found
+
+
+def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    size = max(float(thing.get("length") or 0) for thing in (a, b))
+    apart = math.dist(*((thing["x"], thing["y"], thing["z"]) for thing in (a, b)))
+    return a.get("kind") == b.get("kind") and apart <= _SAME_PLACE * size
