@@ -1,0 +1,16 @@
+"""What benches measured: the page is what the kept tables say."""
+
+from __future__ import annotations
+
+import results
+
+
+def test_the_page_is_written_from_the_tables() -> None:
+    assert results.PAGE.read_text() == results.markdown(results.read_tables())
+
+
+def test_every_row_has_a_cell_for_each_column() -> None:
+    tables = results.read_tables()
+    assert tables
+    for table in tables.values():
+        assert all(len(row) == len(table.columns) for row in table.rows)
