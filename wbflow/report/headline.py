@@ -143,7 +143,7 @@ def _changes(data: ReportData) -> str:
             kinds = Counter(str(thing.get("kind") or "other") for thing in objects_of(data.record.later[stage.name]).values())
             named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
             since = since_last_good(data, stage.name)
-            newer = f"; {count - len(since.known)} of them since {since.date}" if since else ""
+            newer = f"; {count - len(since.known) or 'none'} of them since {since.date}" if since else ""
             return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}."
     return ""
 

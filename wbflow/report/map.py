@@ -116,7 +116,7 @@ def map_of(data: ReportData, scene: Scene) -> Map:
     words = {camera.id: camera.reason or (camera.health.text if camera.health else "") for camera in data.record.cameras}
     dots = []
     for camera in scene.cameras:
-        x, y = spot(camera.at)
+        x, y = spot(camera.C)
         view = " ".join(f"{a:.1f},{b:.1f}" for a, b in map(spot, _field_of_view(camera, reach)))
         title = "; ".join(filter(None, (words[camera.id], camera.note)))
         dots.append(Dot(camera.id, camera.state, x, y, view, title))
@@ -124,7 +124,7 @@ def map_of(data: ReportData, scene: Scene) -> Map:
         dots = _outside(dots)
     most = max((pair.figures.get("inliers") or 0 for pair in data.record.pairs), default=0) or 1
     lines = [
-        _line(pair, spot(standing[pair.cameras[0]].at), spot(standing[pair.cameras[1]].at), most)
+        _line(pair, spot(standing[pair.cameras[0]].C), spot(standing[pair.cameras[1]].C), most)
         for pair in sorted(data.record.pairs, key=lambda pair: pair.ok)
         if standing.keys() >= {*pair.cameras}
     ]
@@ -177,7 +177,7 @@ def _field_of_view(camera: SceneCamera, reach: float) -> list[tuple[float, float
     turns = [(math.atan2(y, x) - middle + math.pi) % (2 * math.pi) - math.pi for x, y in level]
     first, last = min(turns), max(turns)
     angles = [middle + first + (last - first) * k / 8 for k in range(9)]
-    at = camera.at
+    at = camera.C
     return [(at[0], at[1]), *((at[0] + reach * math.cos(a), at[1] + reach * math.sin(a)) for a in angles)]
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .data import ReportData, objects_of, since_last_good, state_of
 
 Vector = tuple[float, float, float]
-Rows = tuple[Vector, Vector, Vector]
+Array = NDArray[np.float64]
 
 _UPRIGHT = 0.5
 """The world's z is up where it agrees so well with every camera's."""
@@ -24,7 +27,7 @@ class SceneCamera:
     """A camera in the frame of the page."""
 
     id: str
-    at: Vector
+    C: Vector
     rays: tuple[Vector, ...]
     """Through the four corners of its picture, of depth 1; () where its direction is not known."""
     ahead: Vector
@@ -51,9 +54,9 @@ class SceneObject:
 class Scene:
     """The frame of the page, and what stands in it."""
 
-    rows: Rows
+    rows: Array
     """Right, away and up, in the world."""
-    origin: Vector
+    origin: Array
     cameras: tuple[SceneCamera, ...]
     objects: tuple[SceneObject, ...]
     low: Vector
@@ -69,21 +72,17 @@ class Scene:
 
     def to(self, point: Sequence[float]) -> Vector:
         """Return a point of the world in the frame of the page."""
-        return _turned(self.rows, tuple(p - o for p, o in zip(point, self.origin, strict=True)))
+        return _vector(self.rows @ (np.array(point) - self.origin))
 
     @property
     def northward(self) -> tuple[float, float]:
         """The world's y (or what comes nearest to it) on the map."""
-        return self.rows[0][1], self.rows[1][1]
+        return float(self.rows[0, 1]), float(self.rows[1, 1])
 
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
-        cameras = [
-            {"id": c.id, "C": c.at, "rays": c.rays, "ahead": c.ahead, "fov": c.fov, "state": c.state, "note": c.note}
-            for c in self.cameras
-        ]
-        marks = [{"name": m.name, "kind": m.kind, "at": m.at, "size": m.size} for m in self.objects]
-        axes = {"rows": self.rows, "origin": self.origin, "unit": self.unit}
+        cameras, marks = [vars(camera) for camera in self.cameras], [vars(thing) for thing in self.objects]
+        axes = {"rows": self.rows.tolist(), "origin": self.origin.tolist(), "unit": self.unit}
         box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
         return {"axes": axes, **box, "north": self.north, "northward": self.northward, "cameras": cameras, "marks": marks}
 
@@ -95,26 +94,24 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     cameras to the points, along an axis of the map where the site is on one.
     """
     record = data.record
-    stood = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
-    centres: list[Vector] = [tuple(entry["C"]) for entry, _ in stood.values()]
-    if not (sample or centres):
+    placed = {camera.id: place for camera in record.cameras if (place := data.placement(camera.id))}
+    if not (sample or placed):
         return None
-    up = _up([entry["R"] for entry, _ in stood.values() if entry.get("R")])
-    before = [] if sample else _last_cloud(data)
-    origin = _between(before[0], before[-1]) if before else _median(sample or centres)
+    centres = np.array([entry["C"] for entry, _ in placed.values()]).reshape(-1, 3)
+    rotations = np.array([entry["R"] for entry, _ in placed.values() if entry.get("R")]).reshape(-1, 3, 3)
+    points = np.array(sample or _last_cloud(data)).reshape(-1, 3)
+    around = points if sample else centres
+    origin = points.mean(axis=0) if len(points) and not sample else np.sort(around, axis=0)[len(around) // 2]
     crs = record.poses.crs if record.poses else ""
-    looks = [tuple(entry["R"][2]) for entry, _ in stood.values() if entry.get("R")]
-    rows = _rows(up, centres, origin, looks, on_map=bool(crs))
-    cameras = tuple(_camera(data, camera, stood[camera.id], rows, origin) for camera in record.cameras if camera.id in stood)
+    rows = _axes(_up(rotations), centres, origin, rotations[:, 2], on_map=bool(crs))
+    cameras = tuple(_camera(data, camera, placed[camera.id], rows, origin) for camera in record.cameras if camera.id in placed)
     objects = tuple(_objects(data, rows, origin))
-    near = [_turned(rows, _less(p, origin)) for p in sample or before]
-    box = _grown(_box(near, _TRIMMED)) if sample else _box(near or [c.at for c in cameras], 0.0)
-    middle = _between(*box)
-    radius = max(math.dist(*box) / 2, 1e-6)
-    low, high = _box([*box, *(c.at for c in cameras), *(m.at for m in objects)], 0.0)
+    low, high = _box(((points if len(points) else centres) - origin) @ rows.T, _TRIMMED if sample else 0.0)
+    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+    everything = np.array([low, high, *(c.C for c in cameras), *(o.at for o in objects)])
     unit = "m" if not record.poses or record.poses.metric else ""
-    north = "N" if crs else "y"
-    return Scene(rows, origin, cameras, objects, low, high, middle, radius, unit, north)
+    extent = _vector(everything.min(axis=0)), _vector(everything.max(axis=0))
+    return Scene(rows, origin, cameras, objects, *extent, _vector(middle), radius, unit, "N" if crs else "y")
 
 
 def _last_cloud(data: ReportData) -> list[Vector]:
@@ -125,88 +122,63 @@ def _last_cloud(data: ReportData) -> list[Vector]:
     return []
 
 
-def _up(rotations: list[Any]) -> Vector:
-    if not rotations or all(-R[1][2] > _UPRIGHT for R in rotations):
-        return 0.0, 0.0, 1.0
-    total = tuple(-sum(R[1][k] for R in rotations) for k in range(3))
-    return _unit(total) if math.hypot(*total) > 1e-6 else _unit(tuple(-v for v in rotations[0][1]))
+def _up(rotations: Array) -> Array:
+    if np.all(-rotations[:, 1, 2] > _UPRIGHT):
+        return np.array([0.0, 0.0, 1.0])
+    total = -rotations[:, 1].sum(axis=0)
+    return _unit(total if np.linalg.norm(total) > 1e-6 else -rotations[0, 1])
 
 
-def _rows(up: Vector, centres: list[Vector], middle: Vector, looks: list[Vector], on_map: bool) -> Rows:
+def _axes(up: Array, centres: Array, middle: Array, looks: Array, on_map: bool) -> Array:
     """Return right, away and up: away from where most cameras stand, else where they look."""
-    towards = tuple(sum(middle[k] - c[k] for c in centres) for k in range(3))
-    along = tuple(sum(look[k] for look in looks) for k in range(3))
-    away = (0.0, 0.0, 0.0)
-    spread = sum(math.dist(middle, c) for c in centres)
-    for way, enough in ((towards, 0.25 * spread), (along, 0.1 * len(looks)), ((0.0, 1.0, 0.0), 0.0), ((1.0, 0.0, 0.0), 0.0)):
-        level = _less(way, tuple(_dot(way, up) * u for u in up))
-        if math.hypot(*level) > max(enough, 1e-6):
+    spread = np.linalg.norm(middle - centres, axis=1).sum()
+    ways = ((middle - centres).sum(axis=0), 0.25 * spread), (looks.sum(axis=0), 0.1 * len(looks)), (np.eye(3)[1], 0.0)
+    away = np.eye(3)[0]
+    for way, enough in ways:
+        level = way - (way @ up) * up
+        if np.linalg.norm(level) > max(enough, 1e-6):
             away = _unit(level)
             break
     if on_map:
-        away = (math.copysign(1, away[0]), 0.0, 0.0) if abs(away[0]) > abs(away[1]) else (0.0, math.copysign(1, away[1]), 0.0)
-    right = (away[1] * up[2] - away[2] * up[1], away[2] * up[0] - away[0] * up[2], away[0] * up[1] - away[1] * up[0])
-    return right, away, up
+        k = 0 if abs(away[0]) > abs(away[1]) else 1
+        away = math.copysign(1, away[k]) * np.eye(3)[k]
+    return np.array([np.cross(away, up), away, up])
 
 
-def _camera(data: ReportData, camera: Any, place: tuple[Mapping[str, Any], str], rows: Rows, origin: Vector) -> SceneCamera:
+def _camera(data: ReportData, camera: Any, place: tuple[Mapping[str, Any], str], rows: Array, origin: Array) -> SceneCamera:
     entry, note = place
-    R, K, at = entry.get("R"), entry.get("K"), _turned(rows, _less(entry["C"], origin))
-    rays: tuple[Vector, ...] = ()
-    ahead, fov = (0.0, 1.0, 0.0), 0.0
-    if R:
-        ahead = _turned(rows, R[2])
-        width, height = entry.get("width") or 4, entry.get("height") or 3
-        fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
-        corners = ((0, 0), (width, 0), (width, height), (0, height))
-        through = (((x - cx) / fx, (y - cy) / fy, 1.0) for x, y in corners)
-        rays = tuple(_turned(rows, tuple(sum(R[i][k] * d[i] for i in range(3)) for k in range(3))) for d in through)
-        fov = 2 * math.atan(height / 2 / fy)
-    return SceneCamera(camera.id, at, rays, ahead, fov, state_of(camera, data.record), note)
+    C, state = _vector(rows @ (np.array(entry["C"]) - origin)), state_of(camera, data.record)
+    if not entry.get("R"):
+        return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note)
+    R, K = np.array(entry["R"]), entry.get("K")
+    width, height = entry.get("width") or 4, entry.get("height") or 3
+    fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
+    corners = ((0, 0), (width, 0), (width, height), (0, height))
+    rays = tuple(_vector(rows @ R.T @ ((x - cx) / fx, (y - cy) / fy, 1.0)) for x, y in corners)
+    return SceneCamera(camera.id, C, rays, _vector(rows @ R[2]), 2 * math.atan(height / 2 / fy), state, note)
 
 
-def _objects(data: ReportData, rows: Rows, origin: Vector) -> Iterable[SceneObject]:
+def _objects(data: ReportData, rows: Array, origin: Array) -> Iterator[SceneObject]:
     for stage, figures in data.record.later.items():
         since = since_last_good(data, stage)
         for name, thing in objects_of(figures).items():
-            at = _turned(rows, _less((thing["x"], thing["y"], thing["z"]), origin))
+            at = _vector(rows @ (np.array([thing["x"], thing["y"], thing["z"]]) - origin))
             size = math.hypot(thing.get("length") or 0, thing.get("width") or 0)
             yield SceneObject(name, str(thing.get("kind") or ""), at, size, since is not None and name in since.known)
 
 
-def _turned(rows: Rows, v: Sequence[float]) -> Vector:
-    return _dot(rows[0], v), _dot(rows[1], v), _dot(rows[2], v)
+def _box(points: Array, trimmed: float) -> tuple[Array, Array]:
+    """Return the corners of the box around points, without a share of them at each end, but grown again."""
+    ordered, skipped = np.sort(points, axis=0), int(trimmed * (len(points) - 1))
+    low, high = ordered[skipped], ordered[len(points) - 1 - skipped]
+    margin = (_GROWN if trimmed else 0.0) * (high - low)
+    return low - margin, high + margin
 
 
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _unit(a: Array) -> Array:
+    return a / (np.linalg.norm(a) or 1.0)
 
 
-def _less(a: Sequence[float], b: Sequence[float]) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _between(a: Vector, b: Vector) -> Vector:
-    return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2
-
-
-def _unit(a: Sequence[float]) -> Vector:
-    length = math.hypot(*a) or 1.0
-    return a[0] / length, a[1] / length, a[2] / length
-
-
-def _median(points: Sequence[Vector]) -> Vector:
-    x, y, z = (sorted(p[k] for p in points)[len(points) // 2] for k in range(3))
+def _vector(a: Array) -> Vector:
+    x, y, z = a.tolist()
     return x, y, z
-
-
-def _grown(box: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
-    low, high = box
-    margin = tuple(_GROWN * (b - a) for a, b in zip(low, high, strict=True))
-    return _less(low, margin), _less(high, tuple(-m for m in margin))
-
-
-def _box(points: Sequence[Vector], trimmed: float) -> tuple[Vector, Vector]:
-    ordered = [sorted(p[k] for p in points) for k in range(3)]
-    least, most = int(trimmed * (len(points) - 1)), len(points) - 1 - int(trimmed * (len(points) - 1))
-    return tuple(v[least] for v in ordered), tuple(v[most] for v in ordered)  # type: ignore[return-value]

@@ -247,3 +247,13 @@ def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_s
     assert "The same is wrong with every camera." in told
     assert f"4 more like these: {', '.join(ids[1:])}" in told
     assert "There was nothing to compare this night with." in told and "<dt>noise</dt>" not in told
+
+
+def test_a_good_night_with_changes_names_their_number_and_kinds_first(tmp_path: Path) -> None:
+    night = made_up_run.record(made_up_run.names(3), verdict=Verdict("good"), exit_code=0)
+    places = ({"x": 1.0, "y": 2.0, "z": 0.0, "length": 2.0, "kind": kind} for kind in ("new", "new", "vanished"))
+    things = {str(k): thing for k, thing in enumerate(places, 1)}
+    night = replace(night, later={"changes": {"compared": True, "count": 3, "files": [], "reason": None, "changes": things}})
+    page = made_up_run.page(tmp_path, night, nights=0).read_text()
+    assert "3 changes since the reference (2 new, 1 vanished)." in page
+    assert "There is nothing to do." not in page
