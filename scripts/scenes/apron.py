@@ -6,7 +6,7 @@ import numpy as np
 
 from wbflow_demo import ground
 from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.cameras import Viewpoint, viewpoint_on_post
 from wbflow_demo.ground import lawn, with_lines
 from wbflow_demo.light import light_of
 from wbflow_demo.movers import traffic
@@ -49,13 +49,10 @@ def apron(shots: Shots) -> DemoSite:
 
 def viewpoints() -> list[Viewpoint]:
     """Cameras on the terminal's roof and on light masts, looking over the stands."""
-    found = []
-    for k, centre in enumerate(MASTS):
-        shift = off_middle(k)
-        bend = (-0.15 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
-        target = (0.2 * centre[0], -2.0 + 0.05 * centre[1], 1.0)
-        found.append(Viewpoint(f"apron-{k + 1}", centre, target, 72.0, bend, 0.8 * shift[0], shift))
-    return found
+    return [
+        viewpoint_on_post(k, "apron", (x, y, z), (0.2 * x, -2.0 + 0.05 * y, 1.0), 72.0, -0.15)
+        for k, (x, y, z) in enumerate(MASTS)
+    ]
 
 
 def static_apron(rng: Rng, texel_m: float) -> Scene:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.cameras import Viewpoint, principal_shift
 from wbflow_demo.ground import asphalt, lawn, repeating_tiles, with_lines
 from wbflow_demo.light import light_of
 from wbflow_demo.movers import traffic
@@ -47,7 +47,7 @@ def viewpoints() -> list[Viewpoint]:
     """Cameras across the street, 3.4 m up."""
     found = []
     for k, (x, target) in enumerate(LOOKS):
-        shift = off_middle(k)
+        shift = principal_shift(k)
         bend = (-0.13 - 0.01 * (k % 3), 0.025, 0.0002, 0.0003, 0.0)
         centre = (x, -8.6 - 0.5 * float(np.sin(1.3 * k)), 3.4 + 0.3 * float(np.cos(2.1 * k)))
         found.append(Viewpoint(f"street-{k + 1}", centre, (target, 7.5, 2.6), 64.0, bend, 0.8 * shift[0], shift))

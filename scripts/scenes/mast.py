@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.cameras import Viewpoint, principal_shift
 from wbflow_demo.light import light_of
 from wbflow_demo.movers import traffic
 from wbflow_demo.paint import Rng, Texture, encode, fractal_noise, mix, shape_of, smoothstep, weather
@@ -48,7 +48,7 @@ def viewpoints() -> list[Viewpoint]:
     """All on one mast, heading a few degrees apart."""
     found = []
     for k, centre in enumerate(CENTRES):
-        shift = off_middle(k)
+        shift = principal_shift(k)
         heading, bend = np.deg2rad(4.0 * float(np.sin(2.1 * k))), (-0.10 - 0.01 * (k % 3), 0.02, 0.0002, 0.0003, 0.0)
         target = (500.0 * float(np.sin(heading)), 500.0 * float(np.cos(heading)), 8.0)
         found.append(Viewpoint(f"arm-{k + 1}", centre, target, 42.0 + 2.0 * (k % 2), bend, 0.6 * shift[0], shift))

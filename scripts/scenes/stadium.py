@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from wbflow_demo import textures as paint
-from wbflow_demo.cameras import Viewpoint, off_middle
+from wbflow_demo.cameras import Viewpoint, principal_shift
 from wbflow_demo.ground import lawn, with_lines
 from wbflow_demo.light import light_of
 from wbflow_demo.movers import traffic
@@ -44,7 +44,7 @@ def viewpoints() -> list[Viewpoint]:
     for k in range(CAMERAS):
         turn = 2 * np.pi * (k + 0.3 * np.sin(2.1 * k)) / CAMERAS
         centre = (36.0 * float(np.cos(turn)), 27.0 * float(np.sin(turn)), 10.5 + 0.8 * float(np.sin(3 * k)))
-        shift = off_middle(k)
+        shift = principal_shift(k)
         bend = (-0.15 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
         target = (-0.1 * centre[0], -0.1 * centre[1], 0.5)
         found.append(Viewpoint(f"stand-{k + 1}", centre, target, 70.0, bend, 0.8 * shift[0], shift))

@@ -1,0 +1,17 @@
+"""The demo scenes: rendered captures of fixed cameras, with the exact truth beside them.
+
+`files.demo_files` and `files.demo_nights` are what `wbflow demo` calls; `scenes.render` gives the same in memory.
+
+| file | holds |
+| --- | --- |
+| `yard` `square` `carpark` `depot` | one scene each: what stands where, its cameras, lamps and traffic |
+| `structures` `street` `movers` | parts of scenes: façades, containers, cranes; cars, trees, lamps; people and vehicles |
+| `textures` `ground` `weak` `paint` | what surfaces look like, and what they are painted with |
+| `scene` | triangles with textures, and the builder that collects them |
+| `cameras` `light` `sensor` | lenses and places; sun, sky and lamps; exposure, noise, clock, rain |
+| `renderer` `photograph` `reference` | rays, texture filter and light; captures and true depth of a scene; its true cloud |
+| `script` `nights` | what happens night after night, and the yard rendered with it |
+| `scenes` `files` | the table of scenes; the files of a demo |
+
+All is in metres, z up; whatever is random comes from seeded generators, so that the same arguments give the same bytes.
+"""

@@ -12,6 +12,8 @@ from wbflow_stages.core.jit import kernel
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.types import Camera, Float32s, Float64s, Lens
 
+from .scene import Place
+
 CENTRE = (20.0, 18.0)
 """What the half ring of cameras surrounds, metres east and north."""
 
@@ -44,9 +46,16 @@ class Viewpoint:
         return round(self.scale * size[0]), round(self.scale * size[1])
 
 
-def off_middle(k: int) -> tuple[float, float]:
+def principal_shift(k: int) -> tuple[float, float]:
     """The `shift` of a scene's k-th camera: principal points lie a little off the middle, as in real cameras."""
     return float(np.sin(k + 0.5)), float(np.cos(1.7 * k))
+
+
+def viewpoint_on_post(k: int, name: str, centre: Place, target: Place, hfov_deg: float, barrel: float) -> Viewpoint:
+    """Return a scene's k-th camera, `name`-k+1: its lens is a little unlike its neighbours', and it does not hang quite level."""
+    shift = principal_shift(k)
+    distortion = (barrel - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
+    return Viewpoint(f"{name}-{k + 1}", centre, target, hfov_deg, distortion, 0.8 * shift[0], shift)
 
 
 @dataclass(frozen=True)
@@ -130,7 +139,7 @@ def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens
     Of a fisheye the first has its pose, size and K, but is no pinhole.
     """
     width, height = size
-    focal = 0.5 * width / _half_width(viewpoint)
+    focal = 0.5 * width / _relative_half_width(viewpoint)
     shift = 0.006 * width * np.array(viewpoint.shift)
     K = np.array([[focal, 0, (width - 1) / 2 + shift[0]], [0, focal, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
     centre = np.array(viewpoint.centre)
@@ -139,7 +148,7 @@ def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens
     return Camera(K, R, centre, width, height), lens
 
 
-def _half_width(viewpoint: Viewpoint) -> float:
+def _relative_half_width(viewpoint: Viewpoint) -> float:
     """Of the picture, over the focal length."""
     angle = np.deg2rad(viewpoint.hfov_deg) / 2
     if viewpoint.model == "fisheye" or viewpoint.whole_picture:
@@ -149,7 +158,7 @@ def _half_width(viewpoint: Viewpoint) -> float:
 
 
 @kernel
-def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
+def _brown_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
     """Ray directions (x, y, 1) in camera axes of distorted pixels, by fixed-point steps on Brown's model to 1e-12."""
     k1, k2, p1, p2, k3 = distortion
     for k in range(x.shape[0]):
@@ -168,7 +177,7 @@ def _undistort(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion
 
 
 @kernel
-def _unbend(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
+def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
     """Unit ray directions in camera axes of the pixels of a fisheye, by Newton's steps on Kannala and Brandt's polynomial."""
     k1, k2, k3, k4 = distortion
     for k in range(x.shape[0]):
@@ -190,9 +199,9 @@ def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> F
     """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion)."""
     rays = np.empty((len(x), 3))
     if lens is not None and lens.model == "fisheye":
-        _unbend(rays, x, y, camera.K, lens.distortion)
+        _fisheye_rays(rays, x, y, camera.K, lens.distortion)
     else:
-        _undistort(rays, x, y, camera.K, np.zeros(5) if lens is None else lens.distortion)
+        _brown_rays(rays, x, y, camera.K, np.zeros(5) if lens is None else lens.distortion)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return np.asarray(rays @ camera.R, dtype=np.float32)
 
@@ -230,12 +239,12 @@ def check_lenses(lenses: str) -> None:
         raise ValueError(f"lenses are {', '.join(VARIANTS)}, not {lenses!r}")
 
 
-def fitted(viewpoints: Sequence[Viewpoint], lenses: str) -> tuple[Viewpoint, ...]:
+def with_lenses(viewpoints: Sequence[Viewpoint], lenses: str) -> tuple[Viewpoint, ...]:
     """The viewpoints with the lenses of a row of `VARIANTS`."""
-    return tuple(_fitted(viewpoint, k, lenses) for k, viewpoint in enumerate(viewpoints))
+    return tuple(_with_lens(viewpoint, k, lenses) for k, viewpoint in enumerate(viewpoints))
 
 
-def _fitted(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
+def _with_lens(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
     every_second = k % 2 == 1
     if lenses == "fisheye" and every_second:
         return replace(viewpoint, model="fisheye", distortion=_FISHEYE, hfov_deg=180.0, scale=2.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import textures as paint
-from .cameras import Viewpoint, off_middle
+from .cameras import Viewpoint, viewpoint_on_post
 from .ground import asphalt, lawn, with_lines
 from .light import light_of
 from .movers import traffic
@@ -50,13 +50,9 @@ def carpark(shots: Shots) -> DemoSite:
 
 def viewpoints() -> list[Viewpoint]:
     """Cameras on posts at the edge, looking over the bays."""
-    found = []
-    for k, centre in enumerate(MASTS):
-        shift = off_middle(k)
-        bend = (-0.15 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
-        target = (0.25 * centre[0], 0.5 + 0.1 * centre[1], 0.8)
-        found.append(Viewpoint(f"post-{k + 1}", centre, target, 68.0, bend, 0.8 * shift[0], shift))
-    return found
+    return [
+        viewpoint_on_post(k, "post", (x, y, z), (0.25 * x, 0.5 + 0.1 * y, 0.8), 68.0, -0.15) for k, (x, y, z) in enumerate(MASTS)
+    ]
 
 
 def static_carpark(rng: Rng, texel_m: float) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from . import ground
 from . import textures as paint
-from .cameras import Viewpoint, off_middle
+from .cameras import Viewpoint, viewpoint_on_post
 from .light import light_of
 from .movers import traffic
 from .paint import Rng
@@ -47,13 +47,10 @@ def containers(shots: Shots) -> DemoSite:
 
 def viewpoints() -> list[Viewpoint]:
     """Cameras on masts in the south and at the corners, looking over the stacks."""
-    found = []
-    for k, centre in enumerate(MASTS):
-        shift = off_middle(k)
-        bend = (-0.14 - 0.01 * (k % 3), 0.03, 0.0002, 0.0003, 0.0)
-        target = (0.22 * centre[0], -4.0 + 0.05 * centre[1], 2.5)
-        found.append(Viewpoint(f"mast-{k + 1}", centre, target, 64.0, bend, 0.8 * shift[0], shift))
-    return found
+    return [
+        viewpoint_on_post(k, "mast", (x, y, z), (0.22 * x, -4.0 + 0.05 * y, 2.5), 64.0, -0.14)
+        for k, (x, y, z) in enumerate(MASTS)
+    ]
 
 
 def static_depot(rng: Rng, texel_m: float) -> Scene:

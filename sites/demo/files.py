@@ -35,8 +35,8 @@ class Points:
 class DemoFiles:
     """A demo, before it is written."""
 
-    told: Mapping[str, Any]
-    """What was rendered (JSON data)."""
+    manifest: Mapping[str, Any]
+    """What was rendered (JSON data): demo.json holds it."""
     files: Iterator[tuple[str, bytes | Points]]
     """Name and content of every file."""
 
@@ -67,7 +67,7 @@ def demo_files(
     seed : int
         Of everything that is drawn at random.
     lenses : str
-        A name of `variants.VARIANTS`.
+        A name of `cameras.VARIANTS`.
     surfaces : str
         A name of `weak.SURFACES`.
 
@@ -81,8 +81,8 @@ def demo_files(
         scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, lenses=lenses, surfaces=surfaces
     )
     which = ({} if scene == "yard" else {"scene": scene}) | {key: kind for key, kind in kinds.items() if kind != "standard"}
-    told = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
-    return DemoFiles(told, _files(site, scene, light, lenses))
+    manifest = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
+    return DemoFiles(manifest, _files(site, scene, light, lenses))
 
 
 def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes | Points]]:
@@ -93,20 +93,27 @@ def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tupl
         yield f"masks/{camera.name}.png", png(camera.mask)
         truth = {"range" if camera.lens.model == "fisheye" else "depth": camera.depth}
         yield f"truth/depth/{camera.name}.npz", npz_bytes(**truth)
-    calibration = json_bytes({camera.name: calibration_of(camera) for camera in site.cameras})
-    yield "cameras.json", calibration
-    yield "truth/cameras.json", calibration
-    yield "truth/reference.ply", reference_points(site.reference, site.voxel_m)
-    summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "light": light}
-    yield "truth/reference.json", json_bytes(summary)
+    yield from _cameras_and_reference(site.cameras, site.reference, site.voxel_m, {"light": light})
     row = SCENES[scene]
-    told = {"about": row.about, "scene": "yard" if scene == "yard" else "scene", "lenses": VARIANTS[lenses]}
-    readme = _README.format(**told, also=_LENSES.format(**told) if lenses != "standard" else "")
+    words = {"about": row.about, "scene": "yard" if scene == "yard" else "scene", "lenses": VARIANTS[lenses]}
+    readme = _README.format(**words, also=_LENSES.format(**words) if lenses != "standard" else "")
     yield "README.txt", readme.encode()
     about = _CAPTURES.format(night=f"{site.cameras[0].times[0]:%Y-%m-%d}")
     cameras = [camera.name for camera in site.cameras]
     file = site_file(scene, cameras, "{camera}/{date:%Y-%m-%d}_*.jpg", about, row.angles_deg)
     yield "site.yaml", (file + (_WHOLE_FIELD if lenses == "brown" else "")).encode()
+
+
+def _cameras_and_reference(
+    cameras: Sequence[DemoCamera], reference: Cloud, voxel_m: float, taken: dict[str, Any]
+) -> Iterator[tuple[str, bytes | Points]]:
+    """Yield the calibration, twice, and the reference cloud with its summary."""
+    calibration = json_bytes({camera.name: calibration_of(camera) for camera in cameras})
+    yield "cameras.json", calibration
+    yield "truth/cameras.json", calibration
+    yield "truth/reference.ply", reference_points(reference, voxel_m)
+    summary = {"points": len(reference.points), "voxel_m": voxel_m, "seen_by_at_least": 2, "unit": "m"}
+    yield "truth/reference.json", json_bytes(summary | taken)
 
 
 def calibration_of(camera: DemoCamera) -> dict[str, Any]:
@@ -234,8 +241,8 @@ def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: i
     count = cameras or (SCENES["yard"].small_cameras if small else None) or 8
     size = NIGHT_SMALL if small else NIGHT_LARGE
     site = yard_nights(nights, Shots(count, frames, size, seed))
-    told = {"nights": nights, "frames": frames, "small": small, "cameras": count, "seed": seed}
-    return DemoFiles(told, _night_files(site, nights))
+    manifest = {"nights": nights, "frames": frames, "small": small, "cameras": count, "seed": seed}
+    return DemoFiles(manifest, _night_files(site, nights))
 
 
 def _night_files(site: NightsSite, nights: int) -> Iterator[tuple[str, bytes | Points]]:
@@ -247,15 +254,10 @@ def _night_files(site: NightsSite, nights: int) -> Iterator[tuple[str, bytes | P
         yield f"masks/{name}.png", png(each.camera.mask)
         for epoch, depth in each.depths.items():
             yield f"{_depth_folder(epoch)}/{name}.npz", npz_bytes(depth=depth)
-    calibration = json_bytes({each.camera.name: calibration_of(each.camera) for each in site.cameras})
-    yield "cameras.json", calibration
-    yield "truth/cameras.json", calibration
-    yield "truth/reference.ply", reference_points(site.reference, site.voxel_m)
-    summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m", "night": 1}
-    yield "truth/reference.json", json_bytes(summary)
+    yield from _cameras_and_reference([each.camera for each in site.cameras], site.reference, site.voxel_m, {"night": 1})
     width, height = site.cameras[0].camera.lens.width, site.cameras[0].camera.lens.height
-    told = [_night(site, number) for number in range(1, nights + 1)]
-    yield "truth/nights.json", json_bytes({"unit": "m", "width": width, "height": height, "nights": told})
+    truth = [_night(site, number) for number in range(1, nights + 1)]
+    yield "truth/nights.json", json_bytes({"unit": "m", "width": width, "height": height, "nights": truth})
     yield "README.txt", _NIGHTS_README.encode()
     cameras = [each.camera.name for each in site.cameras]
     pattern = "{camera}/{date:%Y-%m-%d}_*.jpg"
@@ -267,7 +269,7 @@ def _depth_folder(epoch: int) -> str:
 
 
 def _night(site: NightsSite, number: int) -> dict[str, Any]:
-    """What is true of a night."""
+    """Return the truth of a night, for truth/nights.json."""
     epoch = max(first for first in site.cameras[0].depths if first <= number)
     return {
         "night": number,
@@ -281,7 +283,7 @@ def _night(site: NightsSite, number: int) -> dict[str, Any]:
 
 
 STATES = {"none": "ok", "turned": "moved", "nudged": "nudged", "covered": "blind", "frozen": "stale", "foreign": "foreign"}
-"""What a watched camera ought to be called."""
+"""The state that a camera should be found in, by what happened to it."""
 
 
 def _camera(each: CameraNights, number: int) -> dict[str, Any]:
@@ -303,7 +305,7 @@ def _camera(each: CameraNights, number: int) -> dict[str, Any]:
 
 
 def _changes(number: int, extents: dict[str, Extent]) -> Iterator[dict[str, Any]]:
-    """In what the yard of a night differs from that of the first, besides what moves from frame to frame."""
+    """Yield the differences of a night's yard to that of the first, besides what moves from frame to frame."""
     before, now = stays(1), stays(number)
     for name, extent in extents.items():
         old, new = before.get(name), now.get(name)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from .scene import Place
+
 
 @dataclass(frozen=True)
 class Lamp:
@@ -35,8 +37,6 @@ class Light:
 
 SUN = (-0.547, -0.526, 0.652)
 """Towards the afternoon's sun: in the south-west, 40 degrees up."""
-
-Place = tuple[float, float, float]
 
 
 def light_of(light: str, lamps: Sequence[Place]) -> Light:

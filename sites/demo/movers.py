@@ -9,11 +9,10 @@ import numpy as np
 from wbflow_stages.types import Float64s
 
 from .paint import Colour, Rng
-from .scene import MOVING, Scene, SceneBuilder
+from .scene import MOVING, Place, Scene, SceneBuilder
 from .street import car, car_textures
 from .textures import cloth, painted_steel, sign_board
 
-Place = tuple[float, float, float]
 Way = tuple[tuple[float, float], tuple[float, float]]
 """From and to, metres east and north."""
 

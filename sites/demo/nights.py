@@ -20,12 +20,21 @@ from .cameras import MOUNTS, Viewpoint, camera_at, choose_mounts, viewpoint_of
 from .depot import containers
 from .movers import PAINTS, movers, van
 from .paint import Rng
-from .photograph import DemoCamera, Shots, light_up, look_at_pixels, render_pixels, touched, true_depth, upright
+from .photograph import (
+    DemoCamera,
+    Shots,
+    changed_pixels,
+    render_pixels,
+    shade_pixels,
+    trace_pixels,
+    true_depth,
+    undistorted_colours,
+)
 from .reference import reference_cloud
-from .renderer import PreparedScene, Seen, build_atlas
+from .renderer import Hits, PreparedScene, build_atlas
 from .scene import STATIC, Scene, SceneBuilder, joined
-from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turn_of, weather_of
-from .sensor import burn_clock, clock_mask, develop, jpeg, rain_over, sensor_of
+from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turned_axes, weather_of
+from .sensor import add_rain, burn_clock, clock_mask, develop, jpeg, sensor_of
 from .structures import Box, container
 from .textures import cloth, painted_steel, planks, sign_board
 from .yard import static_yard
@@ -179,7 +188,7 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     with ThreadPoolExecutor(shots.threads) as pool:
         done = list(pool.map(lambda mount: _camera_nights(shoot, viewpoint_of(mount)), mounts))
     rows = [each.camera for each in done]
-    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [upright(c) for c in rows]
+    pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [undistorted_colours(c) for c in rows]
     voxel_m = shots.voxel_m(51.2)
     reference = reference_cloud(pinholes, depths, [each.normals for each in done], colors, voxel_m)
     names = dict.fromkeys(name for night in range(1, nights + 1) for name in stays(night))
@@ -222,14 +231,14 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
     depths: dict[int, Float32s] = {}
     first: tuple[Uint8s, ...] = ()
     normals = np.zeros(0, np.float32)
-    seen: Seen | None = None
+    seen: Hits | None = None
     for night in shoot.nights:
         if night.epoch not in depths:
             depths[night.epoch], its_normals = true_depth(night.still, camera)
             normals = its_normals if night.number == 1 else normals
             seen = None
         event = event_of(night.number, viewpoint.name)
-        turn = turn_of(event, float(camera.K[0, 0])) if event.what in ("turned", "nudged") else np.eye(3)
+        turn = turned_axes(event, float(camera.K[0, 0])) if event.what in ("turned", "nudged") else np.eye(3)
         times = [frame_time(night.number, k, sum(viewpoint.name.encode()) % 11) for k in range(len(night.busy))]
         if event.what == "frozen" and done:
             stuck = done[-1].frames[-1][1]
@@ -242,7 +251,7 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
         elif event.what == "covered":
             images = [_covered(shoot, night, viewpoint.name, k) for k in range(len(times))]
         else:
-            seen = seen or look_at_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
+            seen = seen or trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
             images = list(_photographed(shoot, night, camera, lens, viewpoint.name, seen))
         clocks = [f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}" for time in times]
         pictures = [burn_clock(image, clock) for image, clock in zip(images, clocks, strict=True)]
@@ -255,22 +264,22 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
 
 
 def _photographed(
-    shoot: _Shoot, night: _NightScene, camera: Camera, lens: Lens, name: str, seen: Seen | None
+    shoot: _Shoot, night: _NightScene, camera: Camera, lens: Lens, name: str, seen: Hits | None
 ) -> Iterator[Uint8s]:
     """The frames of a camera that sees the yard."""
     if seen is None:
-        seen = look_at_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
+        seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
     sensor = sensor_of(np.random.default_rng([shoot.shots.seed, 3, sum(name.encode())]), night.hour.sensor)
     if night.hour.rain:
         sensor = replace(sensor, gain=1.4 * sensor.gain, full_well=sensor.full_well / 4)
-    still = light_up(night.still, seen).reshape(camera.height, camera.width, 3)
+    still = shade_pixels(night.still, seen).reshape(camera.height, camera.width, 3)
     for k, (prepared, moving) in enumerate(zip(night.busy, night.moving, strict=True)):
         rng = _rng(shoot, night, name, k)
         radiance = still.copy()
-        pixels = np.flatnonzero(touched(moving, night.hour.light, camera, lens))
+        pixels = np.flatnonzero(changed_pixels(moving, night.hour.light, camera, lens))
         radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
         if night.hour.rain:
-            radiance = rain_over(radiance, night.hour.light, rng)
+            radiance = add_rain(radiance, night.hour.light, rng)
         yield develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
 
 

@@ -121,6 +121,11 @@ def shape_of(width_m: float, height_m: float, texel_m: float) -> tuple[int, int]
     return max(round(height_m / texel_m), 2), max(round(width_m / texel_m), 2)
 
 
+def one_colour(shape: tuple[int, int], colour: Colour) -> Float32s:
+    """Return (h, w, 3) float32 of one linear colour."""
+    return np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
+
+
 def mix(image: Float32s, colour: Colour | Float32s, cover: Float32s) -> None:
     """Paint `colour` over `image` in place where `cover` (h, w) says so."""
     image += (np.asarray(colour, np.float32) - image) * np.clip(cover, 0, 1)[..., None]

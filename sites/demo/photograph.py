@@ -20,12 +20,12 @@ from wbflow_stages.core.cameras import project
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 
-from .cameras import Viewpoint, camera_at, distort, fitted, pixel_rays
+from .cameras import Viewpoint, camera_at, distort, pixel_rays, with_lenses
 from .light import Lamp, Light
 from .reference import reference_cloud
-from .renderer import PreparedScene, Seen, SkyGrid, build_atlas, look, shade
+from .renderer import Hits, PreparedScene, SkyGrid, build_atlas, shade, trace
 from .scene import WATER, Scene, joined
-from .sensor import burn_clock, clock_mask, colourless, develop, seen_as, sensor_of
+from .sensor import as_seen_by, burn_clock, clock_mask, develop, grey, sensor_of
 
 Daytime = Literal["day", "dusk", "night", "dark"]
 
@@ -150,7 +150,7 @@ def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
     busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
     shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
     with ThreadPoolExecutor(shots.threads) as pool:
-        viewpoints = fitted(night.viewpoints, shots.lenses)
+        viewpoints = with_lenses(night.viewpoints, shots.lenses)
         done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, viewpoint.size(shots.size)), viewpoints))
     views = [view for _, seen in done for view in seen]
     pinholes, depths, normals, colors = zip(*views, strict=True)
@@ -167,25 +167,25 @@ def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> t
     depth, normals = true_range(shoot.empty, camera, lens) if lens.model == "fisheye" else true_depth(shoot.empty, camera)
     seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
     sensor = sensor_of(np.random.default_rng(seed), shoot.light)
-    own_light = own_lamp(shoot.empty.light, viewpoint, shoot.light)
-    still = render_view(lit(shoot.empty, own_light), camera, lens)
+    own_light = with_own_lamp(shoot.empty.light, viewpoint, shoot.light)
+    still = render_view(in_light(shoot.empty, own_light), camera, lens)
     images, times = [], []
     for k, (prepared, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
         rng = np.random.default_rng([*seed, k])
         time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
         radiance = still.copy()
-        pixels = np.flatnonzero(touched(scene, shoot.empty.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(lit(prepared, own_light), camera, lens, pixels)
-        image = develop(seen_as(radiance, viewpoint.sight), sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
-        image = image if viewpoint.sight == "colour" else colourless(image)
+        pixels = np.flatnonzero(changed_pixels(scene, shoot.empty.light, camera, lens))
+        radiance.reshape(-1, 3)[pixels] = render_pixels(in_light(prepared, own_light), camera, lens, pixels)
+        image = develop(as_seen_by(radiance, viewpoint.sight), sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+        image = image if viewpoint.sight == "colour" else grey(image)
         images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
         times.append(time)
     placement = Placement(R=camera.R, C=camera.C)
     demo = DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement)
     if lens.model != "fisheye":
-        return demo, [(camera, depth, normals, upright(demo))]
+        return demo, [(camera, depth, normals, undistorted_colours(demo))]
     pinholes = pinholes_of(camera, lens, viewpoint.name)
-    return demo, [(pinhole, *true_depth(shoot.empty, pinhole), upright(demo, pinhole)) for pinhole in pinholes]
+    return demo, [(pinhole, *true_depth(shoot.empty, pinhole), undistorted_colours(demo, pinhole)) for pinhole in pinholes]
 
 
 def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
@@ -200,21 +200,21 @@ def render_pixels(
     """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     for start in range(0, len(pixels), batch):
-        out[start : start + batch] = light_up(prepared, look_at_pixels(prepared, camera, lens, pixels[start : start + batch]))
+        out[start : start + batch] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[start : start + batch]))
     return out
 
 
-def look_at_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Seen:
+def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Hits:
     """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet."""
     y, x = np.divmod(pixels[:, None], camera.width)
     sub_y, sub_x = _in_pixel()
     column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
     rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
-    return look(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
+    return trace(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
 
 
-def light_up(prepared: PreparedScene, seen: Seen) -> Float32s:
-    """Linear radiance (n, 3) float32 of n pixels that `look_at_pixels` has looked at, in the light of `prepared`."""
+def shade_pixels(prepared: PreparedScene, seen: Hits) -> Float32s:
+    """Linear radiance (n, 3) float32 of n pixels that `trace_pixels` has looked at, in the light of `prepared`."""
     sub_y, sub_x = _in_pixel()
     pixels = len(seen.directions) // (SAMPLES * SAMPLES)
     # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
@@ -270,7 +270,7 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
     return found
 
 
-def touched(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
+def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
     """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
@@ -313,7 +313,7 @@ def _on_ground(start: Float64s, end: Float64s) -> Float64s:
     return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
-def upright(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
+def undistorted_colours(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
     """Colours (h, w, 3) of the undistorted view, or of another pinhole of it: the median of the captures at the nearest pixel."""
     view = pinhole or camera.camera
     y, x = np.divmod(np.arange(view.width * view.height), view.width)
@@ -334,14 +334,14 @@ _LAMP = 120.0
 """Power of an infrared camera's own lamp: it lights a yard as well as the lamps on its walls do."""
 
 
-def own_lamp(light: Light, viewpoint: Viewpoint, hour: str) -> Light:
+def with_own_lamp(light: Light, viewpoint: Viewpoint, hour: str) -> Light:
     """The light that a camera sees by: an infrared one lights what it sees itself where it is night."""
     if viewpoint.sight != "infrared" or hour not in {"night", "dark"}:
         return light
     return replace(light, lamps=(*light.lamps, Lamp(viewpoint.centre, (_LAMP, _LAMP, _LAMP))))
 
 
-def lit(prepared: PreparedScene, light: Light) -> PreparedScene:
+def in_light(prepared: PreparedScene, light: Light) -> PreparedScene:
     """The same scene in another light."""
     other = copy(prepared)
     other.light = light

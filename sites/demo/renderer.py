@@ -145,7 +145,7 @@ def spiral(n: int) -> Float32s:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Hits:
     """What rays from one point meet, before light falls on it: the same under any light."""
 
     directions: Float32s
@@ -177,7 +177,7 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
     return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
 
 
-def add_sheen(prepared: PreparedScene, seen: Seen, lifted: Float32s, radiance: Float32s) -> Float32s:
+def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: Float32s) -> Float32s:
     """Radiance (n, 3) of surfaces that are hit, with the sky mirrored in those that have a gloss.
 
     What stands before the sky is mirrored as one dark tone, in its right outline: that it moves over the ground with who looks
@@ -198,7 +198,7 @@ def add_sheen(prepared: PreparedScene, seen: Seen, lifted: Float32s, radiance: F
     return radiance
 
 
-def look(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Seen:
+def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Hits:
     """What n rays from one point meet."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
@@ -213,10 +213,10 @@ def look(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread
         scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of,
         atlas.texels, atlas.starts, atlas.heights, atlas.widths, atlas.texel_m,
     )  # fmt: skip
-    return Seen(directions, distance, facet, points, facing, albedo)
+    return Hits(directions, distance, facet, points, facing, albedo)
 
 
-def shade(prepared: PreparedScene, seen: Seen, jitter: Float32s) -> Float32s:
+def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
     """Radiance (n, 3) float32 of what n rays meet, in the light of a scene.
 
     jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample asks.

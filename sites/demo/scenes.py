@@ -54,27 +54,8 @@ def render(
 ) -> DemoSite:
     """Render a scene in memory; the same arguments give the same bytes.
 
-    Parameters
-    ----------
-    name : str
-        A name of `SCENES`.
-    small : bool
-        320 x 180 pixels and 3 captures, where not said otherwise: in seconds.
-    cameras, size, captures : optional
-        How many cameras, width and height in pixels, and captures of each camera; the scene's own where not given.
-    seed : int
-        Of textures, movers, exposures and noise.
-    light : str
-        "day", "dusk", "night", or "dark": night without lamps.
-    lenses : str
-        A name of `variants.VARIANTS`.
-    surfaces : str
-        A name of `weak.SURFACES`.
-
-    Raises
-    ------
-    ValueError
-        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
+    Parameters are those of `files.demo_files`; `size` is width and height in pixels.  Raises ValueError for an unknown scene,
+    light, kind of lenses or surfaces, and for impossible numbers.
     """
     if name not in SCENES:
         raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")

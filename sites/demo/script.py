@@ -125,7 +125,7 @@ def stays(night: int) -> dict[str, Stay]:
     return {name: stay for name, places in THINGS.items() for stay in places if stay.first <= night <= stay.last}
 
 
-def turn_of(event: CameraEvent, focal_px: float) -> Float64s:
+def turned_axes(event: CameraEvent, focal_px: float) -> Float64s:
     """(3, 3) the turn of a camera's axes: camera axes as they should be to camera axes as they are."""
     pan, tilt = event.turn if event.what == "turned" else np.degrees(np.arctan(np.array(event.turn) / focal_px))
     # x right, y down, z ahead: a pan to the right turns z towards x, a tilt upward turns it towards -y

@@ -41,14 +41,14 @@ _SENSITIVE = {"grey": (0.30, 0.59, 0.11), "infrared": (0.85, 0.10, 0.05)}
 """To red, green and blue, of sensors that see one kind of light: near infrared is much like red."""
 
 
-def seen_as(radiance: Float32s, sight: str) -> Float32s:
+def as_seen_by(radiance: Float32s, sight: str) -> Float32s:
     """Radiance (h, w, 3) as a sensor sees it that sees "colour", "grey" or "infrared"."""
     if sight == "colour":
         return radiance
     return np.repeat((radiance @ np.array(_SENSITIVE[sight], np.float32))[..., None], 3, axis=2)
 
 
-def colourless(image: Uint8s) -> Uint8s:
+def grey(image: Uint8s) -> Uint8s:
     """A picture (h, w, 3) without the colours that a sensor's balance and noise give it."""
     return np.repeat(image[..., 1:2], 3, axis=2)
 
@@ -107,7 +107,7 @@ STREAKS = 0.0016
 """For each pixel."""
 
 
-def rain_over(radiance: Float32s, light: Light, rng: np.random.Generator) -> Float32s:
+def add_rain(radiance: Float32s, light: Light, rng: np.random.Generator) -> Float32s:
     """A picture (h, w, 3) of linear radiance through rain: a veil, and streaks that are elsewhere in every frame."""
     height, width = radiance.shape[:2]
     scale = width / 640

@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 
 from . import textures as paint
-from .cameras import Viewpoint, off_middle
+from .cameras import Viewpoint, principal_shift
 from .ground import asphalt, repeating_tiles
 from .light import light_of
 from .movers import traffic
@@ -76,7 +76,7 @@ def viewpoints() -> list[Viewpoint]:
         centre = (distance * float(np.sin(bearing)), -distance * float(np.cos(bearing)), 2.5)
         target = (0.6 * float(np.sin(5.1 * k)), 0.6 * float(np.cos(4.3 * k)), -1.6)
         bend = -0.14 - 0.02 * (k % 3)
-        shift = off_middle(k)
+        shift = principal_shift(k)
         found.append(
             Viewpoint(
                 f"pole-{k + 1}", centre, target, 74.0 + 2.0 * (k % 2), (bend, 0.03, 0.0003, -0.0002, 0.0), 0.8 * shift[1], shift
@@ -182,14 +182,7 @@ def _standing(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
     for x, y, z in LAMPS:
         build.stamp(street_lamp(build, look, height=z), (x, y, 0.0))
     seat = bench(build, look)
-    for x, y, yaw in (
-        (-5.5, 1.0, 1.7),
-        (5.4, -1.8, -1.4),
-        (1.5, 6.1, 0.2),
-        (-12.5, -3.5, 1.5),
-        (12.8, 2.2, -1.6),
-        (-2.2, -6.3, 3.0),
-    ):
+    for x, y, yaw in BENCHES:
         build.stamp(seat, (x, y, 0.0), yaw=yaw)
     for x, y in ((-14.2, 8.6), (-9.4, 14.6), (13.8, -7.2), (9.0, 14.2), (-14.6, -13.2)):
         build.tube((x, y, 0.0), 0.7, 0.55, look.stone, sides=12)

@@ -10,8 +10,6 @@ from . import textures as paint
 from .paint import Colour, Rng, Texture, encode, fractal_noise, shape_of
 from .scene import GLOWING, SceneBuilder
 
-Place = tuple[float, float, float]
-
 CAR_PAINTS: tuple[Colour, ...] = (
     (0.42, 0.43, 0.44),
     (0.045, 0.047, 0.052),

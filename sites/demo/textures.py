@@ -21,6 +21,7 @@ from .paint import (
     fractal_noise,
     lettering,
     mix,
+    one_colour,
     palette,
     shape_of,
     smoothstep,
@@ -81,7 +82,7 @@ def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Tex
 def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.62, 0.58, 0.48)) -> Texture:
     """Nearly even render: a hard surface for matching on purpose; a few cracks, faint stains, flakes at the foot."""
     shape = shape_of(width_m, height_m, texel_m)
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
+    image = one_colour(shape, colour)
     image *= (1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2))[
         ..., None
     ]
@@ -95,7 +96,7 @@ def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
 def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, name: str, serial: str) -> Texture:
     """Painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams."""
     shape = shape_of(width_m, height_m, texel_m)
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
+    image = one_colour(shape, colour)
     pale: Colour = (0.72, 0.70, 0.66) if sum(colour) < 1.2 else (0.10, 0.16, 0.32)
     if name:
         size = min(0.33 * height_m, 0.95 * width_m / len(name))
@@ -116,7 +117,7 @@ def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, co
     """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
     shape = shape_of(width_m, height_m, texel_m)
     rib = np.asarray(np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28)), dtype=np.float32)
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * (1 + 0.10 * rib)[None, :, None]
+    image = one_colour(shape, colour) * (1 + 0.10 * rib)[None, :, None]
     number = lettering(shape, texel_m, str(rng.integers(1000, 9999)), 0.2 * width_m, 0.25 * height_m, 0.5 * height_m, bold=0.18)
     mix(image, (0.70, 0.68, 0.62), 0.75 * number * smoothstep(-0.6, 0.4, fractal_noise(rng, shape, texel_m, 0.4)))
     dirt = smoothstep(-0.2, 1.6, fractal_noise(rng, shape, texel_m, 1.1, octaves=7, gain=0.75))
@@ -143,7 +144,7 @@ def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
 def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, *, stripes: bool = False) -> Texture:
     """Painted steel of cranes, posts and vehicles, with or without warning stripes."""
     shape = shape_of(width_m, height_m, texel_m)
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
+    image = one_colour(shape, colour)
     if stripes:
         diagonal = np.indices(shape, dtype=np.float32).sum(axis=0) * texel_m
         mix(image, (0.03, 0.03, 0.03), (diagonal % 0.5 < 0.25).astype(np.float32))
@@ -168,7 +169,7 @@ def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colou
     shape = shape_of(width_m, height_m, texel_m)
     y = (np.arange(shape[0], dtype=np.float32) * texel_m % 0.12) / 0.12
     light = np.asarray(0.75 + 0.4 * np.sin(np.pi * y), dtype=np.float32)
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32) * light[:, None, None]
+    image = one_colour(shape, colour) * light[:, None, None]
     mix(
         image,
         (0.75, 0.73, 0.66),
@@ -201,7 +202,7 @@ def sign_board(
 ) -> Texture:
     """A painted board with a frame and lines of text."""
     shape = shape_of(width_m, height_m, texel_m)
-    image = np.ones((*shape, 3), np.float32) * np.asarray(colour, np.float32)
+    image = one_colour(shape, colour)
     pitch = height_m / len(lines)
     for k, line in enumerate(lines):
         size = min(0.55 * pitch, 1.25 * width_m / max(len(line), 1) * 0.8)

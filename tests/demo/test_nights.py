@@ -14,7 +14,7 @@ import pytest
 from tests.helpers.images import decoded
 from wbflow_demo import files
 from wbflow_demo.files import Points
-from wbflow_demo.script import date_of, event_of, turn_of
+from wbflow_demo.script import date_of, event_of, turned_axes
 from wbflow_stages.core.cameras import project
 from wbflow_stages.types import Camera
 
@@ -77,7 +77,7 @@ def test_each_night_has_its_own_light() -> None:
 def test_a_turned_camera_sees_the_yard_where_its_true_pose_says(night: int, camera: str) -> None:
     told, stated = nights()[night - 1]["cameras"][camera], json.loads(file("cameras.json"))[camera]
     R, K = np.array(told["R"]), np.array(stated["K"])
-    assert np.allclose(R @ np.array(stated["R"]).T, turn_of(event_of(night, camera), K[0, 0]))
+    assert np.allclose(R @ np.array(stated["R"]).T, turned_axes(event_of(night, camera), K[0, 0]))
     angle = np.degrees(np.linalg.norm(cv2.Rodrigues(R @ np.array(stated["R"]).T)[0]))
     assert angle == pytest.approx(told["angle_deg"], abs=1e-5)
     before, now = (Camera(K, r, np.array(stated["C"]), 96, 54) for r in (np.array(stated["R"]), R))

@@ -9,7 +9,7 @@ from wbflow_demo.cameras import MOUNTS, camera_of, look_at
 from wbflow_demo.light import Light
 from wbflow_demo.movers import movers
 from wbflow_demo.paint import Texture, encode
-from wbflow_demo.photograph import Daytime, render_pixels, render_view, touched, true_depth
+from wbflow_demo.photograph import Daytime, changed_pixels, render_pixels, render_view, true_depth
 from wbflow_demo.renderer import PreparedScene, build_atlas
 from wbflow_demo.scene import SceneBuilder, joined
 from wbflow_demo.yard import static_yard, yard_light
@@ -92,7 +92,7 @@ def test_only_pixels_that_movers_touch_need_to_be_rendered_again(light: Daytime)
     camera, lens = camera_of(MOUNTS[3], (160, 90))
     whole = render_view(busy, camera, lens)
     patched = render_view(empty, camera, lens)
-    changed = touched(mover, empty.light, camera, lens)
+    changed = changed_pixels(mover, empty.light, camera, lens)
     pixels = np.flatnonzero(changed)
     patched.reshape(-1, 3)[pixels] = render_pixels(busy, camera, lens, pixels)
     assert 0.02 < changed.mean() < 0.6

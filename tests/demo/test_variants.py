@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.cameras import MOUNTS, camera_at, fitted, viewpoint_of
+from wbflow_demo.cameras import MOUNTS, camera_at, viewpoint_of, with_lenses
 from wbflow_demo.files import demo_files
 from wbflow_demo.photograph import DemoSite
 from wbflow_demo.scenes import render
@@ -41,14 +41,14 @@ def test_a_fisheye_sees_180_degrees_and_its_truth_is_that_of_its_neighbour() -> 
 
 
 def test_a_strongly_bent_lens_sees_100_degrees() -> None:
-    _, lens = camera_at(fitted([viewpoint_of(MOUNTS[0])], "brown")[0], SIZE)
+    _, lens = camera_at(with_lenses([viewpoint_of(MOUNTS[0])], "brown")[0], SIZE)
     assert lens.K is not None
     edges = np.array([[-0.5, lens.K[1, 2]], [SIZE[0] - 0.5, lens.K[1, 2]]])
     assert np.degrees(off_axis(lens_rays(lens, edges))).sum() == pytest.approx(100, abs=1.0)
 
 
 def test_neighbours_of_mixed_cameras_differ_fourfold() -> None:
-    small, large = (viewpoint.size(SIZE)[0] for viewpoint in fitted([viewpoint_of(mount) for mount in MOUNTS[:2]], "mixed"))
+    small, large = (viewpoint.size(SIZE)[0] for viewpoint in with_lenses([viewpoint_of(mount) for mount in MOUNTS[:2]], "mixed"))
     assert large == 4 * small
 
 

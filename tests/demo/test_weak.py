@@ -7,7 +7,7 @@ import pytest
 
 from wbflow_demo.ground import cobbles
 from wbflow_demo.light import light_of
-from wbflow_demo.renderer import PreparedScene, build_atlas, look, shade
+from wbflow_demo.renderer import PreparedScene, build_atlas, shade, trace
 from wbflow_demo.scene import SceneBuilder
 from wbflow_demo.scenes import render
 from wbflow_demo.weak import snow, wet_asphalt, white_plaster
@@ -43,6 +43,6 @@ def test_wet_ground_is_bright_where_it_is_seen_low_and_dark_from_above() -> None
     seen = []
     for forward in (0.3, 12.0):
         ray = np.array([[0.0, forward, -1.0]], np.float32)
-        at = look(prepared, np.array([0.0, 0.0, 2.0]), ray / np.linalg.norm(ray), 0.001)
+        at = trace(prepared, np.array([0.0, 0.0, 2.0]), ray / np.linalg.norm(ray), 0.001)
         seen.append(float(shade(prepared, at, np.zeros((1, 2), np.float32)).mean()))
     assert seen[1] > 3 * seen[0]

@@ -113,7 +113,7 @@ def _write(folder: Path, render: Callable[[], Any]) -> None:
         digests[name] = hashlib.sha256(data).hexdigest()
     for name in known.keys() - digests.keys():
         (folder / name).unlink(missing_ok=True)
-    write_atomic(folder / MANIFEST, _json({**demo.told, "files": digests}))
+    write_atomic(folder / MANIFEST, _json({**demo.manifest, "files": digests}))
 
 
 def _claim(folder: Path) -> dict[str, str]:
