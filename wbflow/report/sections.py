@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..cache.store import Receipt
+from ..cache.store import Preimage, Receipt
 from ..outcome.beside import number, shown
 from ..outcome.record import reported
 from ..pipeline.rows import Stage
@@ -57,25 +57,13 @@ class CameraCard:
 
 
 @dataclass(frozen=True)
-class Step:
-    """A stage that was tried with a pair."""
-
-    stage: str
-    outcome: str
-    words: str
-
-
-@dataclass(frozen=True)
 class PairRow:
     """A pair."""
 
-    name: str
-    ok: bool
-    outcome: str
-    reason: str
+    pair: PairRecord
     cells: tuple[Cell, ...]
-    tried: tuple[Step, ...]
-    """For a pair that could not be used."""
+    tried: tuple[tuple[str, str, str], ...]
+    """Stage, outcome and figures of each step, for a pair that could not be used."""
 
 
 @dataclass(frozen=True)
@@ -103,15 +91,6 @@ class Part:
     files: tuple[str, ...]
     since: str = ""
     """Objects of the last good night that are gone."""
-
-
-@dataclass(frozen=True)
-class Used:
-    """Function and parameters of a stage."""
-
-    function: str
-    code: str
-    parameters: tuple[tuple[str, str], ...]
 
 
 def cell(name: str, value: Any) -> Cell:
@@ -181,29 +160,22 @@ def pair_rows(data: ReportData) -> list[PairRow]:
     """Return the pairs in the order of the pair graph."""
     names = pair_columns(data)
     return [
-        PairRow(
-            pair.name,
-            pair.ok,
-            pair.outcome,
-            pair.reason or "",
-            tuple(cell(n, pair.figures.get(n)) for n in names),
-            () if pair.ok else tuple(_tried(data, (pair.left, pair.right))),
-        )
+        PairRow(pair, tuple(cell(n, pair.figures.get(n)) for n in names), () if pair.ok else tuple(_tried(data, pair)))
         for pair in data.record.pairs
     ]
 
 
-def _tried(data: ReportData, subject: tuple[str, str]) -> Iterator[Step]:
+def _tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
     """Yield the stages of a pair as far as it came, with their figures."""
     for stage in (stage for stage in STAGES if stage.scope == "pair"):
-        event = data.tasks.get(Task(stage.name, subject))
+        event = data.tasks.get(Task(stage.name, (pair.left, pair.right)))
         if event is None or event.outcome == "skipped":
             continue
         receipt = data.cache.by_key(event.task, event.key) if event.key else None
         method = receipt.preimage.parameters.get(stage.method.parameter) if stage.method and receipt else None
         figures = ", ".join(_step_figures(stage, receipt)) if receipt else ""
         words = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, figures)))
-        yield Step(stage.name, "done" if event.usable else event.outcome, words)
+        yield stage.name, "done" if event.usable else event.outcome, words
 
 
 def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
@@ -284,17 +256,10 @@ def _is_picture(file: str) -> bool:
     return (mimetypes.guess_type(file)[0] or "").startswith("image/")
 
 
-def settings(data: ReportData) -> list[tuple[str, Used]]:
-    """Return the function and parameters of each stage."""
-    cache, found = data.cache, dict[str, Used]()
+def settings(data: ReportData) -> list[tuple[str, Preimage]]:
+    """Return the function, code and parameters of each stage."""
+    found: dict[str, Preimage] = {}
     for task, event in data.tasks.items():
-        if task.stage in found or not event.key or not (receipt := cache.by_key(task, event.key)):
-            continue
-        made = receipt.preimage
-        parameters = tuple((name, _plain(value)) for name, value in made.parameters.items())
-        found[task.stage] = Used(made.function, made.code[:12], parameters)
+        if task.stage not in found and event.key and (receipt := data.cache.by_key(task, event.key)):
+            found[task.stage] = receipt.preimage
     return [(stage.name, found[stage.name]) for stage in STAGES if stage.name in found]
-
-
-def _plain(value: Any) -> str:
-    return "none" if value is None else str(value)
