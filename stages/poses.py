@@ -20,6 +20,7 @@ from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
 from .sfm.baseline import without_baseline
+from .sfm.calibration_check import check_calibration
 from .sfm.moved_cameras import NewPose, overruled
 from .sfm.pose_check import (
     PAIR_PX,
@@ -34,7 +35,7 @@ from .sfm.pose_check import (
 )
 from .sfm.pose_prior_adjustment import Adjusted, adjust_within
 from .sfm.rigs import beside
-from .types import Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
+from .types import CalibrationCheck, Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
 """A sentence lists so many cameras at most."""
@@ -100,8 +101,22 @@ def solve_poses(
     found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected):
         return found
-    found = replace(found, uncertain=_uncertain(adjusted, geometries))
+    calibration = _calibration(known, cameras, set(moved), seen)
+    found = replace(found, uncertain=_uncertain(adjusted, geometries), calibration=calibration)
     return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
+
+
+def _calibration(
+    known: Mapping[str, Camera], cameras: Mapping[str, Camera], moved: set[str], geometries: Mapping[Pair, Geometry]
+) -> CalibrationCheck | None:
+    """The stated calibration as a whole; what single cameras that were moved explain is no fault of the others.
+
+    known, cameras: as stated, and as they are within their standard deviations, without those that were moved.
+    """
+    found = check_calibration({**known, **cameras}, geometries)
+    if moved and found is not None and found.contradicted and (not found.cause or moved & {*found.cameras}):
+        return check_calibration(cameras, geometries)
+    return found
 
 
 def _checked(

@@ -34,6 +34,33 @@ class PoseCheck:
 
 @short_repr
 @dataclass(frozen=True)
+class CalibrationCheck:
+    """How the stated calibration as a whole agrees with the matches (`sfm.calibration_check`)."""
+
+    matches: int
+    """How many were compared, sampled evenly from the pairs."""
+    pairs: int
+    confirmed: bool
+    """Third cameras confirm these matches; otherwise they are those of pairs alone, which may show look-alikes."""
+    misfit: float
+    """Mean robust squared distance to the epipolar lines of the stated cameras over that to the lines of the pairs' own
+    fundamental matrices: about one where the calibration is right."""
+    contradicted: bool = False
+    cause: str = ""
+    """What would explain it: "focal-lengths", "distortion", "focal-lengths-and-distortion", "principal-points" of all cameras;
+    "focal-length", "turned", "moved" of one; "mirrored-x", "-y", "-z" positions; "exchanged" poses of two; "" for none."""
+    cameras: tuple[str, ...] = ()
+    """Those that it is about; () for all."""
+    amount: tuple[float, ...] = ()
+    """By how much: logarithm of the focal lengths' factor, k1, shares of the focal length, radians, shares of the baseline."""
+    better: float = 1.0
+    """So many times smaller the misfit would be."""
+    off_px: float = 0.0
+    """How far points move along the epipolar line then (median, pixels)."""
+
+
+@short_repr
+@dataclass(frozen=True)
 class LensSigma:
     """Standard deviations of what was solved of a lens."""
 
@@ -102,5 +129,7 @@ class Poses:
     """Their median error."""
     pose_checks: Mapping[str, PoseCheck] = field(default_factory=dict)
     """By id, of the cameras with known poses."""
+    calibration: CalibrationCheck | None = None
+    """The stated cameras as a whole, held against the matches; None where nothing is stated, or too little is matched."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """By id, how the pose in use is known: "stated", "refined" (within what is stated of it) or "solved"."""

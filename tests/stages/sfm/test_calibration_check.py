@@ -1,0 +1,121 @@
+"""A stated calibration that is wrong as a whole is found out, with its cause; a right one is left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.exact_pairs import PairSite, make_pair_site
+from wbflow_stages.core.rotations import rotation_matrix
+from wbflow_stages.poses import solve_poses
+from wbflow_stages.sfm.calibration_check import check_calibration
+from wbflow_stages.types import Camera, Geometry, Placement, Poses
+
+Change = Callable[[str, Camera], Camera]
+
+
+def zoomed(factor: float) -> Change:
+    def change(name: str, camera: Camera) -> Camera:
+        K = camera.K.copy()
+        K[:2, :2] *= factor
+        return replace(camera, K=K)
+
+    return change
+
+
+def shifted(pixels: float) -> Change:
+    def change(name: str, camera: Camera) -> Camera:
+        K = camera.K.copy()
+        K[0, 2] += pixels
+        return replace(camera, K=K)
+
+    return change
+
+
+def only(one: str, change: Change) -> Change:
+    return lambda name, camera: change(name, camera) if name == one else camera
+
+
+def turned(name: str, camera: Camera) -> Camera:
+    return replace(camera, R=rotation_matrix(np.radians([0.0, 0.5, 0.0])) @ camera.R)
+
+
+def mirrored(name: str, camera: Camera) -> Camera:
+    return replace(camera, C=camera.C * [-1, 1, 1])
+
+
+@pytest.fixture(scope="module")
+def site() -> PairSite:
+    return make_pair_site(6, noise_px=0.3)
+
+
+def stated(site: PairSite, change: Change) -> dict[str, Camera]:
+    return {name: change(name, camera) for name, camera in site.cameras.items()}
+
+
+@pytest.mark.parametrize("cameras", [3, 4, 8])
+@pytest.mark.parametrize("noise_px", [0.0, 0.3, 0.8])
+def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) -> None:
+    site = make_pair_site(cameras, noise_px=noise_px)
+    check = check_calibration(site.cameras, site.geometries)
+    assert check is not None and check.confirmed
+    assert not check.contradicted
+    assert check.misfit < 1.3
+
+
+@pytest.mark.parametrize(
+    ("change", "cause", "amount"),
+    [
+        (zoomed(1.10), "focal-lengths", -np.log(1.10)),
+        (zoomed(0.97), "focal-lengths", -np.log(0.97)),
+        (shifted(8.0), "principal-points", None),
+        (only("c2", turned), "turned", None),
+        (mirrored, "mirrored-x", None),
+    ],
+)
+def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, cause: str, amount: float | None) -> None:
+    check = check_calibration(stated(site, change), site.geometries)
+    assert check is not None and check.contradicted
+    assert check.cause == cause
+    if amount is not None:
+        assert check.amount[0] == pytest.approx(amount, abs=0.005)
+
+
+def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
+    cameras = dict(site.cameras)
+    one, other = list(cameras)[1], list(cameras)[4]
+    a, b = cameras[one], cameras[other]
+    cameras |= {one: replace(a, R=b.R, C=b.C), other: replace(b, R=a.R, C=a.C)}
+    check = check_calibration(cameras, site.geometries)
+    assert check is not None and (check.cause, set(check.cameras)) == ("exchanged", {one, other})
+
+
+def test_look_alikes_of_one_pair_contradict_nothing(site: PairSite) -> None:
+    """Matches of two cameras that have lines of their own, elsewhere."""
+    pair, geometry = next(iter(site.geometries.items()))
+    wrong = replace(geometry, x2=geometry.x2 + np.array([40.0, 15.0]), F=_moved(geometry, [40.0, 15.0]))
+    check = check_calibration({name: site.cameras[name] for name in pair}, {pair: wrong})
+    assert check is not None and not check.confirmed
+    assert not check.contradicted
+
+
+def test_without_matches_nothing_is_said(site: PairSite) -> None:
+    assert check_calibration(site.cameras, {}) is None
+
+
+def test_poses_carry_what_was_found(site: PairSite) -> None:
+    views = {name: replace(view, K=zoomed(1.1)(name, site.cameras[name]).K) for name, view in site.views.items()}
+    placements = {name: Placement(camera.R, camera.C) for name, camera in site.cameras.items()}
+    poses = solve_poses(views, placements, site.geometries)
+    assert isinstance(poses, Poses) and poses.calibration is not None
+    assert poses.calibration.cause == "focal-lengths"
+
+
+def _moved(geometry: Geometry, by: list[float]) -> np.ndarray:
+    """F where all pixels of image 2 lie elsewhere."""
+    T = np.eye(3)
+    T[:2, 2] = -np.array(by)
+    return np.asarray(T.T @ geometry.F)
