@@ -42,12 +42,12 @@ class Viewpoint:
     """What its sensor sees; infrared light is its own lamp's at night."""
 
     def size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) of its pictures where those of others have `size`."""
+        """Return (width, height) of its pictures where those of others have `size`."""
         return round(self.scale * size[0]), round(self.scale * size[1])
 
 
 def principal_shift(k: int) -> tuple[float, float]:
-    """The `shift` of a scene's k-th camera: principal points lie a little off the middle, as in real cameras."""
+    """Return the `shift` of a scene's k-th camera: principal points lie a little off the middle, as in real cameras."""
     return float(np.sin(k + 0.5)), float(np.cos(1.7 * k))
 
 
@@ -60,7 +60,7 @@ def viewpoint_on_post(k: int, name: str, centre: Place, target: Place, hfov_deg:
 
 @dataclass(frozen=True)
 class Mount:
-    """A camera's place."""
+    """A camera of the yard and its place."""
 
     name: str
     bearing_deg: float
@@ -89,7 +89,7 @@ MOUNTS = (
 
 
 def choose_mounts(cameras: int) -> tuple[Mount, ...]:
-    """The `cameras` neighbours in the middle of the half ring."""
+    """Return the `cameras` neighbours in the middle of the half ring."""
     if not 1 <= cameras <= len(MOUNTS):
         raise ValueError(f"the yard has 1 to {len(MOUNTS)} cameras, not {cameras}")
     first = (len(MOUNTS) - cameras) // 2
@@ -97,13 +97,13 @@ def choose_mounts(cameras: int) -> tuple[Mount, ...]:
 
 
 def position(mount: Mount) -> Float64s:
-    """Camera centre (3,) float64, metres."""
+    """Return camera centre (3,) float64, metres."""
     bearing = np.deg2rad(mount.bearing_deg)
     return np.array([CENTRE[0] + mount.distance * np.sin(bearing), CENTRE[1] - mount.distance * np.cos(bearing), mount.height])
 
 
 def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float64s:
-    """R (3, 3), world to camera axes, of a camera at `centre` that looks at `target` with z up."""
+    """Return R (3, 3), world to camera axes, of a camera at `centre` that looks at `target` with z up."""
     forward = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
@@ -113,7 +113,7 @@ def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float6
 
 
 def viewpoint_of(mount: Mount) -> Viewpoint:
-    """Where a mount's camera is, and what it looks at."""
+    """Return the viewpoint of a mount of the yard."""
     x, y, z = position(mount)
     # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
     shift = np.sin(np.array([1.0, 2.0]) * (mount.bearing_deg + 7.0))
@@ -129,12 +129,12 @@ def viewpoint_of(mount: Mount) -> Viewpoint:
 
 
 def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
-    """As `camera_at`, of a mount of the yard."""
+    """Return what `camera_at` does, of a mount of the yard."""
     return camera_at(viewpoint_of(mount), size)
 
 
 def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens]:
-    """The pinhole without distortion, and the lens with it, of `size` = (width, height) pixels.
+    """Return the pinhole without distortion, and the lens with it, of `size` = (width, height) pixels.
 
     Of a fisheye the first has its pose, size and K, but is no pinhole.
     """
@@ -149,7 +149,7 @@ def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens
 
 
 def _relative_half_width(viewpoint: Viewpoint) -> float:
-    """Of the picture, over the focal length."""
+    """Return half the width of the picture over the focal length."""
     angle = np.deg2rad(viewpoint.hfov_deg) / 2
     if viewpoint.model == "fisheye" or viewpoint.whole_picture:
         lens = Lens(K=np.eye(3), distortion=np.array(viewpoint.distortion), model=viewpoint.model)
@@ -159,7 +159,7 @@ def _relative_half_width(viewpoint: Viewpoint) -> float:
 
 @kernel
 def _brown_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
-    """Ray directions (x, y, 1) in camera axes of distorted pixels, by fixed-point steps on Brown's model to 1e-12."""
+    """Fill in ray directions (x, y, 1) of distorted pixels, by fixed-point steps on Brown's model to 1e-12."""
     k1, k2, p1, p2, k3 = distortion
     for k in range(x.shape[0]):
         u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
@@ -178,7 +178,7 @@ def _brown_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortio
 
 @kernel
 def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortion: Float64s) -> None:
-    """Unit ray directions in camera axes of the pixels of a fisheye, by Newton's steps on Kannala and Brandt's polynomial."""
+    """Fill in unit ray directions of a fisheye's pixels, by Newton steps on Kannala and Brandt's polynomial."""
     k1, k2, k3, k4 = distortion
     for k in range(x.shape[0]):
         u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
@@ -196,7 +196,7 @@ def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distort
 
 
 def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
-    """World directions (n, 3) float32, unit length, of pixels x, y (n,) as the lens sees them (None: without distortion)."""
+    """Return unit world directions (n, 3) float32 of pixels x, y (n,) as the lens sees them (None: without distortion)."""
     rays = np.empty((len(x), 3))
     if lens is not None and lens.model == "fisheye":
         _fisheye_rays(rays, x, y, camera.K, lens.distortion)
@@ -207,7 +207,7 @@ def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> F
 
 
 def distort(lens: Lens, x: Float64s) -> Float64s:
-    """Pixels (n, 2) of the undistorted view with the same K, as the lens images them (Brown's model, OpenCV's order)."""
+    """Return pixels (n, 2) of the undistorted view with the same K, as the lens images them (Brown's model, OpenCV's order)."""
     assert lens.K is not None
     K, (k1, k2, p1, p2, k3) = lens.K, lens.distortion
     a, b = (x[:, 0] - K[0, 2]) / K[0, 0], (x[:, 1] - K[1, 2]) / K[1, 1]
@@ -234,13 +234,13 @@ _SIGHTS: tuple[Literal["colour", "grey", "infrared"], ...] = ("colour", "infrare
 
 
 def check_lenses(lenses: str) -> None:
-    """Raises ValueError for what is no row of `VARIANTS`."""
+    """Raise ValueError for lenses that are not in `VARIANTS`."""
     if lenses not in VARIANTS:
         raise ValueError(f"lenses are {', '.join(VARIANTS)}, not {lenses!r}")
 
 
 def with_lenses(viewpoints: Sequence[Viewpoint], lenses: str) -> tuple[Viewpoint, ...]:
-    """The viewpoints with the lenses of a row of `VARIANTS`."""
+    """Return the viewpoints with the lenses of a row of `VARIANTS`."""
     return tuple(_with_lens(viewpoint, k, lenses) for k, viewpoint in enumerate(viewpoints))
 
 

@@ -49,14 +49,14 @@ def carpark(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """Cameras on posts at the edge, looking over the bays."""
+    """Return cameras on posts at the edge, looking over the bays."""
     return [
         viewpoint_on_post(k, "post", (x, y, z), (0.25 * x, 0.5 + 0.1 * y, 0.8), 68.0, -0.15) for k, (x, y, z) in enumerate(MASTS)
     ]
 
 
 def static_carpark(rng: Rng, texel_m: float) -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel."""
+    """Return everything that stands still; textures at `texel_m` metres per texel."""
     build = SceneBuilder()
     build.kind = STATIC
     look = furniture_textures(build, rng, texel_m)
@@ -77,7 +77,7 @@ def static_carpark(rng: Rng, texel_m: float) -> Scene:
 
 
 def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> None:
-    """Asphalt with painted bays and arrows, kerbed islands, and grass around."""
+    """Add asphalt with painted bays and arrows, kerbed islands, and grass around."""
     lines: list[tuple[tuple[float, float], tuple[float, float]]] = []
     for y, _ in ROWS:
         top = DEEP / 2 - y
@@ -102,7 +102,7 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> N
 
 
 def _shop(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """A long low supermarket behind the northern row."""
+    """Add a long low supermarket behind the northern row."""
     top, width = 5.4, 42.0
     wall = build.add_texture(paint.painted_steel(rng, width, top, texel_m, (0.52, 0.52, 0.50)))
     sill = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.30, 0.30, 0.31)))
@@ -118,7 +118,7 @@ def _shop(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _edge(build: SceneBuilder, rng: Rng, look: Furniture) -> None:
-    """Lamps in the lanes' middle, trolley shelters, trees, and the cameras' posts."""
+    """Add lamps in the lanes' middle, trolley shelters, trees, and the cameras' posts."""
     for x, y, z in LAMPS:
         build.stamp(street_lamp(build, look, height=z), (x, y - 2.6 if y < 0 else y + 2.6, 0.0))
     for x in (-3.75, 11.25):

@@ -46,7 +46,7 @@ def containers(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """Cameras on masts in the south and at the corners, looking over the stacks."""
+    """Return cameras on masts in the south and at the corners, looking over the stacks."""
     return [
         viewpoint_on_post(k, "mast", (x, y, z), (0.22 * x, -4.0 + 0.05 * y, 2.5), 64.0, -0.14)
         for k, (x, y, z) in enumerate(MASTS)
@@ -54,7 +54,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def static_depot(rng: Rng, texel_m: float) -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel."""
+    """Return everything that stands still; textures at `texel_m` metres per texel."""
     build = SceneBuilder()
     build.kind = STATIC
     slabs = build.add_texture(ground.concrete(rng, 40.0, 30.0, texel_m))

@@ -86,7 +86,7 @@ def demo_files(
 
 
 def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes | Points]]:
-    """Name and content of every file of the demo."""
+    """Yield name and content of every file of the demo."""
     for camera in site.cameras:
         for k, image in enumerate(camera.captures):
             yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
@@ -117,7 +117,7 @@ def _cameras_and_reference(
 
 
 def calibration_of(camera: DemoCamera) -> dict[str, Any]:
-    """A camera's entry in cameras.json."""
+    """Return a camera's entry in cameras.json."""
     assert camera.lens.K is not None
     return {
         "width": camera.lens.width,
@@ -131,7 +131,7 @@ def calibration_of(camera: DemoCamera) -> dict[str, Any]:
 
 
 def reference_points(cloud: Cloud, voxel_m: float) -> Points:
-    """The content of truth/reference.ply."""
+    """Return the content of truth/reference.ply."""
     columns = {
         **dict(zip(("x", "y", "z"), cloud.points.T, strict=True)),
         **dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True)),
@@ -142,19 +142,19 @@ def reference_points(cloud: Cloud, voxel_m: float) -> Points:
 
 
 def npz_bytes(**arrays: Any) -> bytes:
-    """An npz file of arrays."""
+    """Return an npz file of arrays."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
 def json_bytes(data: dict[str, Any]) -> bytes:
-    """A JSON file."""
+    """Return a JSON file."""
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
 def site_file(scene: str, cameras: Sequence[str], pattern: str, about: str, angles_deg: tuple[float, float]) -> str:
-    """The site file of a demo."""
+    """Return the site file of a demo."""
     rows = "\n".join(f"  - {{id: {camera}, mask: masks/{camera}.png}}" for camera in cameras)
     low, high = angles_deg
     return _SITE.format(scene=scene, cameras=rows, about=about, pattern=pattern, low=low, high=high)
@@ -246,6 +246,7 @@ def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: i
 
 
 def _night_files(site: NightsSite, nights: int) -> Iterator[tuple[str, bytes | Points]]:
+    """Yield name and content of every file of demo nights."""
     for each in site.cameras:
         name = each.camera.name
         for night in each.nights:
@@ -287,6 +288,7 @@ STATES = {"none": "ok", "turned": "moved", "nudged": "nudged", "covered": "blind
 
 
 def _camera(each: CameraNights, number: int) -> dict[str, Any]:
+    """Return the truth of a camera's night."""
     event, turn = event_of(number, each.camera.name), each.nights[number - 1].turn
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))) if event.what in ("turned", "nudged") else 0.0
     # where the point that the axis met is seen now

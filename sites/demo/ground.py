@@ -37,7 +37,7 @@ COBBLE_TONES: tuple[Colour, ...] = (
 
 
 def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Setts with worn tracks, moss and sand in the joints, oil, relaid patches, covers, painted lines and litter."""
+    """Paint setts with worn tracks, moss and sand in the joints, oil, relaid patches, covers, painted lines and litter."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.17, 0.125), 0.018, bond=0.5, jitter=0.16, warp=0.02)
     image = palette(COBBLE_TONES, tone)
@@ -58,7 +58,7 @@ def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Textur
 
 
 def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_m: float = 5.0, text: str = "") -> Texture:
-    """Cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint."""
+    """Paint cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (slab_m, slab_m * 0.8), 0.03, bond=0.0, jitter=0.0, warp=0.003)
     base = np.float32(0.27) * (1 + 0.1 * tone + 0.07 * fractal_noise(rng, shape, texel_m, 0.06, octaves=3))
@@ -83,7 +83,7 @@ def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_
 
 
 def gravel(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Crushed stone."""
+    """Paint crushed stone."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.085, 0.07), 0.012, bond=0.5, jitter=0.3, warp=0.03)
     image = palette(COBBLE_TONES, tone) * (1.15 + 0.4 * relief)[..., None]
@@ -93,14 +93,14 @@ def gravel(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture
 
 
 def water(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Rippled harbour water."""
+    """Paint rippled harbour water."""
     shape = shape_of(width_m, height_m, texel_m)
     ripples = fractal_noise(rng, shape, texel_m, 3.0, octaves=5, stretch=0.4)
     return encode((1 + 0.35 * ripples)[..., None] * np.asarray((0.055, 0.075, 0.075), np.float32), texel_m)
 
 
 def _tracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int) -> Float32s:
-    """Coverage of pairs of curved wheel tracks across the surface."""
+    """Return coverage of pairs of curved wheel tracks across the surface."""
     cover = np.zeros(shape, np.uint8)
     h, w = shape
     t = np.linspace(0, 1, 40)[:, None]
@@ -124,7 +124,7 @@ def _tracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int) -> 
 
 
 def _markings(rng: Rng, image: Float32s, texel_m: float) -> None:
-    """Worn paint: bays with numbers, a driveway's broken line, arrows."""
+    """Add worn paint: bays with numbers, a driveway's broken line, arrows."""
     shape = (image.shape[0], image.shape[1])
     paint = np.zeros(shape, np.uint8)
     wide = max(round(0.12 / texel_m), 1)
@@ -149,7 +149,7 @@ def _markings(rng: Rng, image: Float32s, texel_m: float) -> None:
 
 
 def _covers(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
-    """Round iron covers with a raised pattern."""
+    """Add round iron covers with a raised pattern."""
     h, w = image.shape[:2]
     radius = int(0.36 / texel_m)
     if radius < 3:
@@ -165,7 +165,7 @@ def _covers(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
 
 
 def _litter(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
-    """Leaves, scraps and pebbles of 3 to 10 cm in random tones."""
+    """Add leaves, scraps and pebbles of 3 to 10 cm in random tones."""
     h, w = image.shape[:2]
     for _ in range(count):
         centre = rng.uniform((0, 0), (w, h))
@@ -188,7 +188,7 @@ SLAB_TONES: tuple[Colour, ...] = (
 
 
 def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Texture:
-    """`tiles` x `tiles` copies of one tile, equal to the bit: a patterned slab of `tile_m` metres with a joint around it.
+    """Paint `tiles` x `tiles` copies of one tile, equal to the bit: a patterned slab of `tile_m` metres with a joint around it.
 
     `tile_m` is rounded to whole texels; lay the texture edge to edge and the ground repeats everywhere."""
     n = max(round(tile_m / texel_m), 4)
@@ -214,7 +214,7 @@ def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Text
 
 
 def asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tone: float = 0.085) -> Texture:
-    """Rolled asphalt: grain, patches, sealed cracks, oil."""
+    """Paint rolled asphalt: grain, patches, sealed cracks, oil."""
     shape = shape_of(width_m, height_m, texel_m)
     grain = 1 + 0.22 * fractal_noise(rng, shape, texel_m, 0.05, octaves=3) + 0.10 * fractal_noise(rng, shape, texel_m, 2.5)
     image = grain[..., None] * np.asarray((tone, tone * 0.98, tone * 0.95), np.float32)
@@ -228,7 +228,7 @@ def asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tone: 
 
 
 def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, colour: Colour = (0.62, 0.60, 0.55)) -> Texture:
-    """A copy with worn lines painted on it; lines_m: (n, 2, 2), from and to, metres from the top left corner."""
+    """Return a copy with worn lines painted on it; lines_m: (n, 2, 2), from and to, metres from the top left corner."""
     shape = (texture.pixels.shape[0], texture.pixels.shape[1])
     paint = np.zeros(shape, np.uint8)
     wide = max(round(width_m / texture.texel_m), 1)
@@ -241,7 +241,7 @@ def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, co
 
 
 def lawn(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Grass with bare and yellow spots."""
+    """Paint grass with bare and yellow spots."""
     shape = shape_of(width_m, height_m, texel_m)
     blades = 1 + 0.35 * fractal_noise(rng, shape, texel_m, 0.12, octaves=3, gain=0.9)
     image = blades[..., None] * np.asarray((0.075, 0.115, 0.035), np.float32)

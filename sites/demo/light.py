@@ -40,7 +40,7 @@ SUN = (-0.547, -0.526, 0.652)
 
 
 def light_of(light: str, lamps: Sequence[Place]) -> Light:
-    """The light at an hour.
+    """Return the light at an hour.
 
     day: afternoon sun; dusk: the last of it, with the lamps on; night: lamps; dark: night without lamps, where a camera still
     sees something by the sky's glow.  lamps: where they hang, metres.
@@ -57,7 +57,7 @@ def light_of(light: str, lamps: Sequence[Place]) -> Light:
 
 
 def overcast_of(light: str, lamps: Sequence[Place]) -> Light:
-    """As `light_of`, under an even sky without sun: the same from all sides."""
+    """Return the light of an hour under an even sky without sun: the same from all sides."""
     lit = light_of(light, lamps)
     if light == "day":
         lit = replace(lit, sky=(1.25, 1.27, 1.32), ground=(0.55, 0.54, 0.52), haze=(0.9, 0.92, 0.95))
@@ -66,6 +66,6 @@ def overcast_of(light: str, lamps: Sequence[Place]) -> Light:
 
 
 def _lit(places: Sequence[Place], strength: float) -> tuple[Lamp, ...]:
-    """Lamps, two kinds of them."""
+    """Return burning lamps of two kinds."""
     warm, white = (34.0 * strength, 27.0 * strength, 17.0 * strength), (30.0 * strength, 29.0 * strength, 26.0 * strength)
     return tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(places))

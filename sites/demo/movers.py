@@ -31,7 +31,7 @@ ROUTES: tuple[Way, ...] = (
 
 
 def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles: int = 2) -> list[Scene]:
-    """The same people and vehicles at other places of the routes for each capture; all scenes have the same textures."""
+    """Return the same people and vehicles at other places of the routes for each capture; all scenes share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
     skin, dark, glass = (
@@ -59,7 +59,7 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
 
 
 def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """A walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
+    """Add a walker of about 1.75 m, one leg forward; `look`: textures of jacket, trousers, skin, helmet."""
     jacket, trousers, skin, helmet = look
     x, y, _ = place
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
@@ -77,7 +77,7 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
 
 
 def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int, int]) -> None:
-    """A delivery van of 4.8 m."""
+    """Add a delivery van of 4.8 m."""
     paint, board, dark, glass = look
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0])
     p = np.array(place)
@@ -88,7 +88,7 @@ def van(build: SceneBuilder, place: Place, yaw: float, look: tuple[int, int, int
 
 
 def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: int) -> None:
-    """A forklift of 2.4 m with its mast."""
+    """Add a forklift of 2.4 m with its mast."""
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
     p = np.array(place)
     build.box(p - 0.2 * ahead + (0, 0, 0.3), (1.9, 1.15, 0.9), paint, yaw=yaw)
@@ -103,7 +103,7 @@ def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: i
 
 
 def _wheels(build: SceneBuilder, p: Float64s, yaw: float, a: float, s: float, radius: float, dark: int) -> None:
-    """Four wheels."""
+    """Add four wheels."""
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
     for i in (-a, a):
         for j in (-s, s):
@@ -120,7 +120,7 @@ HAIR: tuple[Colour, ...] = ((0.05, 0.035, 0.025), (0.16, 0.10, 0.05), (0.30, 0.2
 def traffic(
     rng: Rng, texel_m: float, captures: int, *, people: int, walks: Sequence[Way], cars: int = 0, roads: Sequence[Way] = ()
 ) -> tuple[Scene, ...]:
-    """The same people and cars at other places of their ways for each capture; all scenes have the same textures."""
+    """Return the same people and cars at other places of their ways for each capture; all scenes share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
     skin = build.add_texture(cloth(rng, texel_m, (0.45, 0.27, 0.19)))
@@ -142,7 +142,7 @@ def traffic(
 
 
 def _on_way(rng: Rng, way: Way, stray_m: float, veer: float) -> tuple[Place, float]:
-    """A random place on a way, and a heading along it, to or fro: up to about `stray_m` metres and `veer` radians off."""
+    """Return a random place on a way, and a heading along it, to or fro: up to about `stray_m` metres and `veer` radians off."""
     start, end = (np.array(p) for p in way)
     x, y = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, stray_m, 2)
     yaw = float(np.arctan2(*(end - start)[::-1])) + float(rng.normal(0, veer)) + np.pi * float(rng.integers(2))

@@ -66,14 +66,14 @@ class Things:
         }
 
     def scene(self, there: Mapping[str, Stay]) -> Scene:
-        """What stands where; there: at least one thing."""
+        """Return the things of a night as a scene; `there`: at least one."""
         build = self._all.with_same_textures()
         for name, stay in there.items():
             build.stamp(self._parts[name], (*stay.at, 0.0), yaw=stay.yaw)
         return build.build()
 
     def extent(self, name: str) -> Extent:
-        """The size of a thing, and its volume by rays from above, one for each cell of RASTER_M."""
+        """Return the size of a thing, and its volume by rays from above, one for each cell of RASTER_M."""
         corners = self._parts[name].build().vertices
         low, high = corners.min(axis=0), corners.max(axis=0)
         rays = o3d.t.geometry.RaycastingScene()
@@ -122,7 +122,7 @@ PEOPLE, VEHICLES = 6, 2
 
 @dataclass(frozen=True)
 class NightOfCamera:
-    """What a camera did in a night."""
+    """The frames of a camera in a night."""
 
     frames: tuple[tuple[datetime, bytes], ...]
     """JPEG files, and the times that they are named after."""
@@ -175,7 +175,7 @@ class _Shoot:
 
 
 def yard_nights(nights: int, shots: Shots) -> NightsSite:
-    """Render the yard of several nights; `shots` says what is taken in each of them, `script` the light and what happens.
+    """Render the yard of several nights: `shots` says what is taken in each, `script` the light and what happens.
 
     Raises ValueError for impossible shots.
     """
@@ -196,7 +196,7 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
 
 
 def moving(nights: int, shots: Shots) -> list[Scene]:
-    """The people and vehicles of each frame, night after night."""
+    """Return the people and vehicles of each frame, night after night."""
     return movers(shots.random(2), max(_texel_m(shots), 0.02), nights * shots.captures, people=PEOPLE, vehicles=VEHICLES)
 
 
@@ -205,7 +205,7 @@ def _texel_m(shots: Shots) -> float:
 
 
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
-    """The yard of each night, empty and at each frame; all share textures and sky."""
+    """Yield the yard of each night, empty and at each frame; all share textures and sky."""
     frames = shots.captures
     yard = static_yard(shots.random(1), _texel_m(shots), choose_mounts(len(MOUNTS)))
     traffic = moving(nights, shots)
@@ -225,7 +225,7 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
 
 
 def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
-    """All nights of one camera, and its truth."""
+    """Return all nights of one camera, and its truth."""
     camera, lens = camera_at(viewpoint, shoot.shots.size)
     done: list[NightOfCamera] = []
     depths: dict[int, Float32s] = {}
@@ -266,7 +266,7 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
 def _photographed(
     shoot: _Shoot, night: _NightScene, camera: Camera, lens: Lens, name: str, seen: Hits | None
 ) -> Iterator[Uint8s]:
-    """The frames of a camera that sees the yard."""
+    """Yield the frames of a camera that sees the yard; `seen`: what its rays hit in the empty yard, where known."""
     if seen is None:
         seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
     sensor = sensor_of(np.random.default_rng([shoot.shots.seed, 3, sum(name.encode())]), night.hour.sensor)
@@ -284,7 +284,7 @@ def _photographed(
 
 
 def _covered(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> Uint8s:
-    """A tarpaulin before the lens: light from one side, no detail; it flaps a little."""
+    """Return a frame of a tarpaulin before the lens: light from one side, no detail; it flaps a little."""
     width, height = shoot.shots.size
     folds = np.random.default_rng([shoot.shots.seed, 5, night.number]).uniform(0.035, 0.14, (4, 6, 1))
     rng = _rng(shoot, night, name, frame)

@@ -19,7 +19,7 @@ Rng = np.random.Generator
 
 
 def smooth_noise(rng: Rng, shape: tuple[int, int], wave_px: tuple[float, float]) -> Float32s:
-    """Value noise: (h, w) float32 of about unit variance, correlated over `wave_px` = (along y, along x) pixels."""
+    """Return value noise: (h, w) float32 of about unit variance, correlated over `wave_px` = (along y, along x) pixels."""
     rows, cols = (int(np.ceil(n / max(w, 1.0))) + 2 for n, w in zip(shape, wave_px, strict=True))
     coarse = rng.standard_normal((rows, cols), dtype=np.float32)
     if wave_px[0] <= 1.0 and wave_px[1] <= 1.0:
@@ -39,7 +39,7 @@ def fractal_noise(
     gain: float = 0.6,
     stretch: float = 1.0,
 ) -> Float32s:
-    """Sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y."""
+    """Return sum of octaves of `smooth_noise`, (h, w) float32 of about unit variance; `stretch` > 1 draws it out along y."""
     total = np.zeros(shape, np.float32)
     power, weight, wave = 0.0, 1.0, longest_m / texel_m
     for _ in range(octaves):
@@ -53,7 +53,7 @@ def fractal_noise(
 
 
 def smoothstep(low: float, high: float, x: Float32s) -> Float32s:
-    """0 below `low`, 1 above `high`, smooth between."""
+    """Return 0 below `low`, 1 above `high`, smooth between."""
     t = np.clip((x - np.float32(low)) / np.float32(high - low), 0, 1)
     return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)
 
@@ -61,7 +61,7 @@ def smoothstep(low: float, high: float, x: Float32s) -> Float32s:
 def lettering(
     shape: tuple[int, int], texel_m: float, text: str, x_m: float, y_m: float, height_m: float, *, bold: float = 0.16
 ) -> Float32s:
-    """Coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high."""
+    """Return coverage (h, w) float32, 0 to 1, of a line of text: top-left corner at (x_m, y_m), capitals `height_m` high."""
     cover = np.zeros(shape, np.uint8)
     height = max(height_m / texel_m, 3.0)
     unit = cv2.getTextSize("H", cv2.FONT_HERSHEY_DUPLEX, 4.0, 1)[0][1] / 4.0
@@ -72,7 +72,7 @@ def lettering(
 
 
 def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, length_m: float) -> Float32s:
-    """Coverage (h, w) float32 of `count` wandering hairlines of about `length_m`."""
+    """Return coverage (h, w) float32 of `count` wandering hairlines of about `length_m`."""
     cover = np.zeros(shape, np.uint8)
     step = 0.12 / texel_m
     for _ in range(count):
@@ -85,7 +85,7 @@ def cracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, leng
 
 
 def blobs(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int, radius_m: float) -> Float32s:
-    """Coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`."""
+    """Return coverage (h, w) float32 of `count` soft-edged irregular spots (oil, lichen, repairs) of about `radius_m`."""
     cover = np.zeros(shape, np.uint8)
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     for _ in range(count):
@@ -113,7 +113,7 @@ class Texture:
 
 
 def encode(reflectance: Float32s, texel_m: float, gloss: float = 0.0) -> Texture:
-    """A texture of a (h, w, 3) linear reflectance."""
+    """Return a texture of a (h, w, 3) linear reflectance."""
     return Texture((np.sqrt(np.clip(reflectance, 0.004, 0.97)) * 255 + 0.5).astype(np.uint8), texel_m, gloss)
 
 
@@ -127,7 +127,7 @@ def one_colour(shape: tuple[int, int], colour: Colour) -> Float32s:
 
 
 def mix(image: Float32s, colour: Colour | Float32s, cover: Float32s) -> None:
-    """Paint `colour` over `image` in place where `cover` (h, w) says so."""
+    """Paint `colour` over `image` in place, as far as `cover` (h, w) goes."""
     image += (np.asarray(colour, np.float32) - image) * np.clip(cover, 0, 1)[..., None]
 
 
@@ -179,7 +179,7 @@ def stones(
     jitter: float,
     warp: float,
 ) -> tuple[Float32s, Float32s, Float32s]:
-    """Coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
+    """Return coverage, tone (unit variance, one number a stone) and relief of rows of stones `unit` = (width, height) metres."""
     rows, cols = int(shape[0] * texel_m / unit[1]) + 2, int(shape[1] * texel_m / unit[0]) + 4
     table = rng.standard_normal((rows, cols), dtype=np.float32)
     edges = (unit[0] * jitter * rng.uniform(-1, 1, (rows, cols))).astype(np.float32)
@@ -191,14 +191,14 @@ def stones(
 
 
 def palette(tones: tuple[Colour, ...], tone: Float32s) -> Float32s:
-    """A colour for each number of unit variance: the numbers' order is cut into as many classes as there are tones."""
+    """Return a colour for each number of unit variance: the numbers' order is cut into as many classes as there are tones."""
     index = np.minimum((smoothstep(-2.2, 2.2, tone) * len(tones)).astype(np.intp), len(tones) - 1)
     variation = 1 + 0.13 * np.sin(37.0 * tone)
     return np.asarray(np.asarray(tones, np.float32)[index] * variation[..., None], dtype=np.float32)
 
 
 def weather(rng: Rng, image: Float32s, texel_m: float, *, strength: float, streaks: float = 0.0) -> None:
-    """Large stains, fine grain, and rain streaks down the wall, as factors on `image` in place."""
+    """Add large stains, fine grain, and rain streaks down the wall, as factors on `image` in place."""
     shape = image.shape[:2]
     factor = 1 + strength * (
         0.55 * fractal_noise(rng, shape, texel_m, 5.0, octaves=5) + 0.45 * fractal_noise(rng, shape, texel_m, 0.4, octaves=5)

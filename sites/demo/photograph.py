@@ -32,7 +32,7 @@ Daytime = Literal["day", "dusk", "night", "dark"]
 
 @dataclass(frozen=True)
 class Shots:
-    """How many pictures are to be taken of a scene, how large, and when."""
+    """How many pictures are taken of a scene, how large, and when."""
 
     cameras: int
     """The scene's first ones."""
@@ -52,7 +52,7 @@ class Shots:
     """A name of `weak.SURFACES`."""
 
     def check(self, there_are: int) -> None:
-        """Raises ValueError for pictures that are too small, or none, and for more cameras than `there_are`."""
+        """Raise ValueError for pictures that are too small, or none, and for more cameras than `there_are`."""
         if not 1 <= self.cameras <= there_are:
             raise ValueError(f"this scene has 1 to {there_are} cameras, not {self.cameras}")
         if self.captures < 1 or min(self.size) < 16:
@@ -60,15 +60,15 @@ class Shots:
             raise ValueError(f"a camera needs at least 1 capture of 16 x 16 pixels, not {self.captures} of {wide} x {high}")
 
     def texel_m(self, width_m: float, finest_m: float, coarsest_m: float) -> float:
-        """Side of a texel, metres: a picture as wide as `width_m` of the scene has one for each of its pixels, within limits."""
+        """Return the side of a texel, metres: one to a pixel of a picture that shows `width_m` of the scene, within limits."""
         return float(np.clip(width_m / self.size[0], finest_m, coarsest_m))
 
     def voxel_m(self, width_m: float, coarsest_m: float = 0.1) -> float:
-        """The same of a cell of the reference cloud, in whole centimetres and at least two."""
+        """Return the same for a cell of the reference cloud, in whole centimetres and at least two."""
         return float(np.clip(round(width_m / self.size[0], 2), 0.02, coarsest_m))
 
     def random(self, part: int) -> np.random.Generator:
-        """The random numbers of one part of the scene."""
+        """Return the random numbers of one part of the scene."""
         return np.random.default_rng([self.seed, part])
 
 
@@ -85,7 +85,7 @@ SAMPLES = 2
 
 @dataclass(frozen=True)
 class DemoCamera:
-    """One fixed camera and what it saw."""
+    """One fixed camera, its captures and its truth."""
 
     name: str
     captures: tuple[Uint8s, ...]
@@ -119,7 +119,7 @@ class DemoSite:
 
 @dataclass(frozen=True)
 class Night:
-    """What stands before the cameras."""
+    """A scene as it stands before the cameras."""
 
     viewpoints: tuple[Viewpoint, ...]
     still: Scene
@@ -133,7 +133,7 @@ class Night:
 
 @dataclass(frozen=True)
 class _Shoot:
-    """A night made ready to be looked at: the empty scene, and the scene with its movers at each capture."""
+    """A scene ready to be rendered: empty, and with its movers at each capture."""
 
     empty: PreparedScene
     busy: tuple[PreparedScene, ...]
@@ -143,7 +143,7 @@ class _Shoot:
 
 
 def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
-    """Let every camera work, several at a time; `voxel_m`: cell of the reference cloud."""
+    """Take the pictures of all cameras, several at a time; `voxel_m`: cell of the reference cloud, metres."""
     scenes = [joined(night.still, each) for each in night.traffic]
     atlas = build_atlas(scenes[0].textures)
     empty = PreparedScene(night.still, night.lighting, atlas, night.sky)
@@ -162,7 +162,7 @@ TrueView = tuple[Camera, Float32s, Float32s, Uint8s]
 
 
 def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, list[TrueView]]:
-    """All captures of one camera and its truth, and what it sees in one pinhole or, of a fisheye, in several."""
+    """Return all captures of one camera with its truth, and its pinhole view (of a fisheye: several)."""
     camera, lens = camera_at(viewpoint, size)
     depth, normals = true_range(shoot.empty, camera, lens) if lens.model == "fisheye" else true_depth(shoot.empty, camera)
     seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
@@ -189,7 +189,7 @@ def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> t
 
 
 def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
-    """Linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
+    """Return linear radiance (h, w, 3) float32 of a whole view; `lens` None: without distortion."""
     every = np.arange(camera.width * camera.height)
     return render_pixels(prepared, camera, lens, every).reshape(camera.height, camera.width, 3)
 
@@ -197,7 +197,7 @@ def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> F
 def render_pixels(
     prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64], batch: int = 65536
 ) -> Float32s:
-    """Linear radiance (n, 3) float32 of pixels given by their index in the image, each the mean of SAMPLES x SAMPLES samples."""
+    """Return linear radiance (n, 3) float32 of pixels, given by their index, each the mean of SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     for start in range(0, len(pixels), batch):
         out[start : start + batch] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[start : start + batch]))
@@ -205,7 +205,7 @@ def render_pixels(
 
 
 def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: npt.NDArray[np.int64]) -> Hits:
-    """What SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image, meet."""
+    """Return the hits of SAMPLES x SAMPLES rays through each of some pixels, given by their index in the image."""
     y, x = np.divmod(pixels[:, None], camera.width)
     sub_y, sub_x = _in_pixel()
     column, row = (SAMPLES * x + sub_x).ravel().astype(np.float64), (SAMPLES * y + sub_y).ravel().astype(np.float64)
@@ -214,22 +214,22 @@ def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pix
 
 
 def shade_pixels(prepared: PreparedScene, seen: Hits) -> Float32s:
-    """Linear radiance (n, 3) float32 of n pixels that `trace_pixels` has looked at, in the light of `prepared`."""
+    """Return linear radiance (n, 3) float32 of n pixels from `trace_pixels`, in the light of `prepared`."""
     sub_y, sub_x = _in_pixel()
     pixels = len(seen.directions) // (SAMPLES * SAMPLES)
-    # each sample of a pixel asks another point of the sun's disc, the same in all pixels: soft edges without noise
+    # each sample of a pixel takes another point of the sun's disc, the same in all pixels: soft edges without noise
     disc = np.tile(np.column_stack([sub_x + 0.4 * sub_y, sub_y - 0.4 * sub_x]) * 1.4 - (0.98, 0.42), (pixels, 1))
     return np.asarray(shade(prepared, seen, disc.astype(np.float32)).reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
 
 
 def _in_pixel() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Row and column of each sample within its pixel."""
+    """Return row and column of each sample within its pixel."""
     rows, columns = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
     return rows, columns
 
 
 def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
-    """Depth (h, w) float32 of the undistorted view, 0 where there is no truth, and normals (h, w, 3) towards the camera."""
+    """Return depth (h, w) float32 of the undistorted view, 0 without truth, and normals (h, w, 3) towards the camera."""
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
     distance, normals = _truth(prepared, camera.C, rays)
@@ -239,7 +239,7 @@ def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float
 
 
 def true_range(prepared: PreparedScene, camera: Camera, lens: Lens) -> tuple[Float32s, Float32s]:
-    """Metres (h, w) float32 along the rays of a lens's pixels, and normals, as `true_depth`."""
+    """Return metres (h, w) float32 along the rays of a lens's pixels, and normals, as `true_depth`."""
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, lens, x.astype(np.float64), y.astype(np.float64))
     distance, normals = _truth(prepared, camera.C, rays)
@@ -247,7 +247,7 @@ def true_range(prepared: PreparedScene, camera: Camera, lens: Lens) -> tuple[Flo
 
 
 def _truth(prepared: PreparedScene, centre: Float64s, rays: Float32s) -> tuple[Float32s, Float32s]:
-    """Distance (n,) along unit rays (n, 3), 0 where there is no truth, and normals (n, 3) against them."""
+    """Return distance (n,) along unit rays (n, 3), 0 where there is no truth, and normals (n, 3) against them."""
     distance, facet = prepared.cast(np.broadcast_to(centre.astype(np.float32), rays.shape), rays)
     known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
     normals = prepared.scene.normals[np.maximum(facet, 0)]
@@ -256,7 +256,7 @@ def _truth(prepared: PreparedScene, centre: Float64s, rays: Float32s) -> tuple[F
 
 
 def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
-    """The pinhole views in which together all is seen that a wide lens sees."""
+    """Return the pinhole views that together cover a wide lens."""
     assert lens.K is not None
     found = []
     for turn, (left, right, up, down) in views_of_lens(
@@ -271,7 +271,7 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
 
 
 def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
-    """Pixels (h, w) that the facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
+    """Return the pixels (h, w) that facets of `scene`, or their shadows on the ground, may change: whole tiles of the image."""
     rows, cols = -(-camera.height // tile), -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
@@ -295,7 +295,7 @@ def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile:
 
 
 def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
-    """Where shadows of facets (t, 3, 3) fall on the ground, for each light; a lamp's only near it, further off they are faint."""
+    """Return the shadows of facets (t, 3, 3) on the ground, for each light; of a lamp only near it, where they are clear."""
     found = []
     if max(light.sun) > 0:
         found.append(_on_ground(facets, facets - 1e4 * np.asarray(light.sun_direction)))
@@ -307,14 +307,14 @@ def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
 
 
 def _on_ground(start: Float64s, end: Float64s) -> Float64s:
-    """Where the way from `start` down to `end` meets z = 0; its end where it doesn't get there."""
+    """Return the points where the way from `start` down to `end` meets z = 0; the end where it does not."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip(np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0), 0, 1)
     return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
 def undistorted_colours(camera: DemoCamera, pinhole: Camera | None = None) -> Uint8s:
-    """Colours (h, w, 3) of the undistorted view, or of another pinhole of it: the median of the captures at the nearest pixel."""
+    """Return colours (h, w, 3) of the undistorted view, or of another pinhole: the median capture at the nearest pixel."""
     view = pinhole or camera.camera
     y, x = np.divmod(np.arange(view.width * view.height), view.width)
     pixels = np.column_stack([x, y]).astype(np.float64)
@@ -335,14 +335,14 @@ _LAMP = 120.0
 
 
 def with_own_lamp(light: Light, viewpoint: Viewpoint, hour: str) -> Light:
-    """The light that a camera sees by: an infrared one lights what it sees itself where it is night."""
+    """Return the light that a camera sees by: at night an infrared one adds a lamp of its own."""
     if viewpoint.sight != "infrared" or hour not in {"night", "dark"}:
         return light
     return replace(light, lamps=(*light.lamps, Lamp(viewpoint.centre, (_LAMP, _LAMP, _LAMP))))
 
 
 def in_light(prepared: PreparedScene, light: Light) -> PreparedScene:
-    """The same scene in another light."""
+    """Return the same scene in another light."""
     other = copy(prepared)
     other.light = light
     return other

@@ -16,7 +16,7 @@ from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Uint8s, Uint1
 def reference_cloud(
     cameras: Sequence[Camera], depths: Sequence[Float32s], normals: Sequence[Float32s], colors: Sequence[Uint8s], voxel_m: float
 ) -> Cloud:
-    """One point, the mean, per cell of `voxel_m` of all that two cameras or more see.
+    """Return one point, the mean, for each cell of `voxel_m` metres of all that two cameras or more see.
 
     `views` of the cloud: the most cameras that see a point of the cell (its own among them)."""
     cells: _Cells | None = None
@@ -62,13 +62,13 @@ class _Cells:
 
 
 def _cell_keys(points: Float64s, voxel_m: float) -> npt.NDArray[np.int64]:
-    """One number for each cell of a grid anchored at 0, up to a million cells away from it."""
+    """Return one number for each cell of a grid anchored at 0, up to a million cells away from it."""
     cell = np.floor(points / voxel_m).astype(np.int64) + (1 << 20)
     return np.asarray((cell[:, 2] << 42) | (cell[:, 1] << 21) | cell[:, 0], np.int64)
 
 
 def _gathered(parts: list[_Cells]) -> _Cells:
-    """All parts as one, each cell once, in the order of the keys."""
+    """Return all parts as one, each cell once, in the order of the keys."""
     key, inverse = np.unique(np.concatenate([p.key for p in parts]), return_inverse=True)
     views = np.zeros(len(key), np.uint16)
     np.maximum.at(views, inverse, np.concatenate([p.views for p in parts]))

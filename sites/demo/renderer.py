@@ -52,7 +52,7 @@ def _halve(fine: Uint8s, coarse: Uint8s) -> None:
 
 
 def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
-    """Textures with their pyramids."""
+    """Return textures with their pyramids."""
     parts: list[Uint8s] = []
     starts, heights, widths = (np.zeros((len(textures), LEVELS), np.int32) for _ in range(3))
     position = 0
@@ -74,7 +74,7 @@ AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0,
 
 @dataclass(frozen=True)
 class SkyGrid:
-    """How much of the sky points in space see."""
+    """How much of the sky is visible from points in space."""
 
     open: Float32s
     """(nz, ny, nx, 6) float32, along +x -x +y -y +z -z."""
@@ -93,7 +93,7 @@ def _tensor(array: Any) -> Any:
 
 
 class PreparedScene:
-    """A scene made ready to be looked at: rays, light, atlas of its textures, sky visibility (computed where not given)."""
+    """A scene ready for rays: light, atlas of its textures, sky visibility (computed where not given)."""
 
     def __init__(self, scene: Scene, light: Light, atlas: Atlas, sky: SkyGrid | None = None) -> None:
         self.scene = scene
@@ -105,20 +105,21 @@ class PreparedScene:
         self.sky = self.sky_grid(spiral(48)) if sky is None else sky
 
     def cast(self, origins: Float32s, directions: Float32s) -> tuple[Float32s, Int32s]:
-        """Distance (inf for nothing) and facet (-1 for nothing) of what each of n rays hits first."""
+        """Return the distance (inf for nothing) and facet (-1 for nothing) of the first hit of each of n rays."""
         answer = self._rays.cast_rays(_tensor(np.hstack([origins, directions])))
         facet = answer["primitive_ids"].numpy().astype(np.int64)
         return answer["t_hit"].numpy(), np.where(facet < len(self.scene.kinds), facet, -1).astype(np.int32)
 
     def reaches(self, origins: Float32s, directions: Float32s, far: float = np.inf) -> Float32s:
-        """1 where a ray of length `far` (in units of its direction) meets nothing, else 0."""
+        """Return 1 for each ray of length `far` (in units of its direction) that meets nothing, else 0."""
         rays = _tensor(np.hstack([origins, directions]))
         hit = self._rays.test_occlusions(rays, tnear=0.0, tfar=float(far)).numpy()
         return np.asarray(~hit, dtype=np.float32)
 
     def sky_grid(self, directions: Float32s, cell_m: float = 0.8) -> SkyGrid:
-        """Share of the sky seen from the cells of a grid around the static scene, for the half space along each axis; by rays
-        along `directions` (n, 3)."""
+        """Return the share of the sky that cells of a grid around the static scene see in the half space along each axis.
+
+        It is counted by rays along `directions` (n, 3)."""
         still = np.repeat(self.scene.kinds == STATIC, 3)
         low = self.scene.vertices[still].min(axis=0) - cell_m
         count = np.ceil((self.scene.vertices[still].max(axis=0) + cell_m - low) / cell_m).astype(int) + 1
@@ -137,7 +138,7 @@ class PreparedScene:
 
 
 def spiral(n: int) -> Float32s:
-    """n unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    """Return n unit vectors spread evenly over the sphere (golden-angle spiral)."""
     k = np.arange(n) + 0.5
     z = 1 - 2 * k / n
     turn = np.pi * (1 + 5**0.5) * k
@@ -146,7 +147,7 @@ def spiral(n: int) -> Float32s:
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays from one point meet, before light falls on it: the same under any light."""
+    """What rays from one point hit, before light falls on it: the same in any light."""
 
     directions: Float32s
     """(n, 3) float32 unit vectors."""
@@ -165,7 +166,7 @@ _HEAD_ON = 0.02
 
 
 def sky_radiance(light: Light, directions: Float32s) -> Float32s:
-    """The sky: haze at the horizon, the light's own colour higher up, drifting bands of cloud."""
+    """Return the sky: haze at the horizon, the light's own colour higher up, drifting bands of cloud."""
     up = np.clip(directions[:, 2], 0, 1)[:, None]
     blend = np.sqrt(up)
     x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
@@ -178,7 +179,7 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
 
 
 def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: Float32s) -> Float32s:
-    """Radiance (n, 3) of surfaces that are hit, with the sky mirrored in those that have a gloss.
+    """Return radiance (n, 3) of surfaces that are hit, with the sky mirrored in those that have a gloss.
 
     What stands before the sky is mirrored as one dark tone, in its right outline: that it moves over the ground with who looks
     is what misleads a matcher.  Schlick's approximation of Fresnel's equations (Computer Graphics Forum 1994)."""
@@ -199,7 +200,7 @@ def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: F
 
 
 def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Hits:
-    """What n rays from one point meet."""
+    """Return what n rays from one point hit."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
     scene, atlas = prepared.scene, prepared.atlas
@@ -217,9 +218,9 @@ def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, sprea
 
 
 def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
-    """Radiance (n, 3) float32 of what n rays meet, in the light of a scene.
+    """Return linear radiance (n, 3) float32 of hits, in the light of a scene.
 
-    jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample asks.
+    jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample takes.
     """
     scene, light = prepared.scene, prepared.light
     hit = seen.facet >= 0

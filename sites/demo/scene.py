@@ -55,13 +55,13 @@ class SceneBuilder:
         self.kind = STATIC
 
     def with_same_textures(self) -> SceneBuilder:
-        """A builder without facets that shares this one's textures, and their numbers."""
+        """Return a builder without facets that shares this one's textures, and their numbers."""
         other = SceneBuilder()
         other._textures, other.kind = self._textures, self.kind
         return other
 
     def add_texture(self, texture: Texture) -> int:
-        """Take a texture into the scene; its number."""
+        """Add a texture and return its number."""
         self._textures.append(texture)
         return len(self._textures) - 1
 
@@ -74,7 +74,7 @@ class SceneBuilder:
         at: tuple[float, float] = (0.0, 0.0),
         run: Vector | None = None,
     ) -> None:
-        """A parallelogram seen from its front: top-left `corner`, edges `right` and `down`."""
+        """Add a parallelogram seen from its front: top-left `corner`, edges `right` and `down`."""
         c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
         u = np.asarray(run, np.float64) if run is not None else r / np.linalg.norm(r)
         v = d / np.linalg.norm(d)
@@ -85,7 +85,7 @@ class SceneBuilder:
             self._paint.append((texture, self.kind))
 
     def triangle(self, corners: Float64s, u: Float64s, v: Float64s, texture: int, at: tuple[float, float] = (0.0, 0.0)) -> None:
-        """One triangle, corners (3, 3) counter-clockwise from its front; texture axes u, v from its first corner."""
+        """Add one triangle, corners (3, 3) counter-clockwise from its front; texture axes u, v from its first corner."""
         self._corners.append(np.asarray(corners, np.float64))
         self._axes.append((np.asarray(corners[0], np.float64), np.asarray(u, np.float64), np.asarray(v, np.float64), at))
         self._paint.append((texture, self.kind))
@@ -101,7 +101,7 @@ class SceneBuilder:
         front: int | None = None,
         at: float = 0.0,
     ) -> None:
-        """A box on the centre of its foot: `texture` on all faces, `sides` on the upright ones, `front` on the one facing -y."""
+        """Add a box, given the centre of its foot; `sides` replaces `texture` on upright faces, `front` on the one facing -y."""
         x, y, z = (float(s) for s in size)
         ex, ey, ez = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0]), np.array([0, 0, 1.0])
         foot = np.asarray(base, np.float64)
@@ -118,7 +118,7 @@ class SceneBuilder:
         self.quad(corner(-1, -1, 0), ex * x, ey * y, texture, (at, z))
 
     def beam(self, start: Vector, end: Vector, thick: float, texture: int, *, at: float = 0.0) -> None:
-        """A square bar between two points."""
+        """Add a square bar between two points."""
         a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
         along = b - a
         length = float(np.linalg.norm(along))
@@ -132,7 +132,7 @@ class SceneBuilder:
             self.quad(a + half * p - half * q, thick * q, along, texture, (at, at))
 
     def tube(self, base: Vector, radius: float, height: float, texture: int, *, sides: int = 14, top: bool = True) -> None:
-        """An upright cylinder; the texture runs around it."""
+        """Add an upright cylinder; the texture runs around it."""
         foot = np.asarray(base, np.float64)
         turn = np.linspace(0, 2 * np.pi, sides + 1)
         ring = foot + np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(sides + 1)])
@@ -145,7 +145,7 @@ class SceneBuilder:
                 self.triangle(cap, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), texture, (radius, radius))
 
     def ball(self, centre: Vector, radii: Vector, texture: int, *, steps: int = 8) -> None:
-        """An ellipsoid of `steps` x 2 `steps` facets: heads, shoulders, wheels seen from afar."""
+        """Add an ellipsoid of `steps` x 2 `steps` facets: heads, shoulders, wheels seen from afar."""
         c, r = np.asarray(centre, np.float64), np.asarray(radii, np.float64)
         theta = np.linspace(0, np.pi, steps + 1)
         phi = np.linspace(0, 2 * np.pi, 2 * steps + 1)
@@ -165,8 +165,9 @@ class SceneBuilder:
                     self.triangle(np.array([a, e, d]), u, v, texture, (0.3 * j, 0.3 * i))
 
     def stamp(self, part: SceneBuilder, at: Vector = (0.0, 0.0, 0.0), *, yaw: float = 0.0, quarters: int = 0) -> None:
-        """Another copy of a part that shares this builder's textures: turned by `yaw` radians and `quarters` right angles (these
-        exactly) about its origin, then moved to `at`."""
+        """Add a copy of a part that shares this builder's textures.
+
+        It is turned by `yaw` radians and by exactly `quarters` right angles about its origin, then moved to `at`, metres."""
         c, s = np.cos(yaw), np.sin(yaw)
         quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
         turn = quarter @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
@@ -178,7 +179,7 @@ class SceneBuilder:
         self._paint.extend(part._paint)
 
     def build(self) -> Scene:
-        """The scene as arrays."""
+        """Return the scene as arrays."""
         corners = np.array(self._corners)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -198,7 +199,7 @@ class SceneBuilder:
 
 
 def joined(scene: Scene, movers: Scene) -> Scene:
-    """Both scenes as one; facets of `scene` come first."""
+    """Return both scenes as one; facets of `scene` come first."""
     pairs = {
         name: np.concatenate([getattr(scene, name), getattr(movers, name)])
         for name in ("vertices", "normals", "origins", "along_u", "along_v", "offsets", "kinds")

@@ -27,7 +27,7 @@ Event = Literal["none", "turned", "nudged", "covered", "frozen", "foreign"]
 
 @dataclass(frozen=True)
 class CameraEvent:
-    """What becomes of a camera for one night; the next morning it is put right."""
+    """What happens to a camera in one night; the next morning it is put right."""
 
     night: int
     """From 1."""
@@ -81,7 +81,7 @@ class Hour:
 
 
 def hour_of(weather: Weather) -> Hour:
-    """The light, and the time of the first frame."""
+    """Return the light of a night, and the time of its first frame."""
     day = light_of("day", LAMPS)
     if weather == "afternoon":
         return Hour("day", time(14, 2, 11), day)
@@ -98,35 +98,35 @@ def hour_of(weather: Weather) -> Hour:
 
 
 def weather_of(night: int) -> Weather:
-    """night: from 1."""
+    """Return the weather of a night, counted from 1."""
     return NIGHTS[(night - 1) % len(NIGHTS)]
 
 
 def date_of(night: int) -> date:
-    """night: from 1."""
+    """Return the date of a night, counted from 1."""
     return FIRST_NIGHT + timedelta(days=night - 1)
 
 
 def frame_time(night: int, frame: int, late_s: int) -> datetime:
-    """When a camera takes a frame (from 0); late_s: how many seconds after the others."""
+    """Return the time of a frame (from 0) of a camera that is `late_s` seconds behind the others."""
     return (
         datetime.combine(date_of(night), hour_of(weather_of(night)).begins) + frame * BETWEEN_FRAMES + timedelta(seconds=late_s)
     )
 
 
 def event_of(night: int, camera: str) -> CameraEvent:
-    """What becomes of a camera in a night."""
+    """Return what happens to a camera in a night."""
     found = (event for event in EVENTS if (event.night, event.camera) == (night, camera))
     return next(found, CameraEvent(night, camera, "none"))
 
 
 def stays(night: int) -> dict[str, Stay]:
-    """Where the things that are there stand in a night."""
+    """Return the things that stand in the yard in a night, and where."""
     return {name: stay for name, places in THINGS.items() for stay in places if stay.first <= night <= stay.last}
 
 
 def turned_axes(event: CameraEvent, focal_px: float) -> Float64s:
-    """(3, 3) the turn of a camera's axes: camera axes as they should be to camera axes as they are."""
+    """Return (3, 3), which turns a camera's axes as they should be into its axes as they are."""
     pan, tilt = event.turn if event.what == "turned" else np.degrees(np.arctan(np.array(event.turn) / focal_px))
     # x right, y down, z ahead: a pan to the right turns z towards x, a tilt upward turns it towards -y
     a, b = np.radians(float(pan)), np.radians(float(tilt))

@@ -29,7 +29,7 @@ class Sensor:
 
 
 def sensor_of(rng: np.random.Generator, light: str) -> Sensor:
-    """A camera's own sensor: up to a quarter stop of exposure and a few per cent of colour away from its neighbours'."""
+    """Return a camera's own sensor: up to a quarter stop of exposure and a few per cent of colour off its neighbours'."""
     gain = {"day": 1.0, "dusk": 1.9, "night": 3.4, "dark": 13.0}[light] * float(2 ** rng.uniform(-0.28, 0.28))
     warm = float(rng.uniform(-0.06, 0.06))
     balance = (1 + warm, 1.0, 1 - warm + float(rng.uniform(-0.02, 0.02)))
@@ -42,19 +42,19 @@ _SENSITIVE = {"grey": (0.30, 0.59, 0.11), "infrared": (0.85, 0.10, 0.05)}
 
 
 def as_seen_by(radiance: Float32s, sight: str) -> Float32s:
-    """Radiance (h, w, 3) as a sensor sees it that sees "colour", "grey" or "infrared"."""
+    """Return radiance (h, w, 3) for a sensor that sees "colour", "grey" or "infrared"."""
     if sight == "colour":
         return radiance
     return np.repeat((radiance @ np.array(_SENSITIVE[sight], np.float32))[..., None], 3, axis=2)
 
 
 def grey(image: Uint8s) -> Uint8s:
-    """A picture (h, w, 3) without the colours that a sensor's balance and noise give it."""
+    """Return a picture (h, w, 3) without the colours that a sensor's balance and noise give it."""
     return np.repeat(image[..., 1:2], 3, axis=2)
 
 
 def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.Generator) -> Uint8s:
-    """One capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
+    """Return one capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
     h, w = radiance.shape[:2]
     x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
     fall = 1 - np.float32(sensor.vignette) * (0.75 * x * x + 0.25 * y * y)
@@ -67,7 +67,7 @@ def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.
 
 
 def _encode(linear: Float32s) -> Uint8s:
-    """sRGB with a soft shoulder, so that lamps and sunlit walls do not clip hard."""
+    """Return sRGB with a soft shoulder, so that lamps and sunlit walls do not clip hard."""
     x = np.clip(linear, 0, None)
     x = np.where(x > 0.7, 1 - 0.3 * np.exp(-(x - 0.7) / 0.3), x)
     table = np.linspace(0, 1, 4096)
@@ -76,13 +76,13 @@ def _encode(linear: Float32s) -> Uint8s:
 
 
 def clock_area(size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """x, y, width, height in pixels of the strip that the clock covers, for an image of `size` = (width, height)."""
+    """Return x, y, width, height in pixels of the strip that the clock covers, for an image of `size` = (width, height)."""
     w, h = size
     return 0, 0, round(0.40 * w), max(round(0.046 * h), 9)
 
 
 def burn_clock(image: Uint8s, text: str) -> Uint8s:
-    """A copy of the picture with white text on a dark strip in the top left corner."""
+    """Return a copy of the picture with white text on a dark strip in the top left corner."""
     x, y, w, h = clock_area((image.shape[1], image.shape[0]))
     out = image.copy()
     out[y : y + h, x : x + w] //= 4
@@ -94,7 +94,7 @@ def burn_clock(image: Uint8s, text: str) -> Uint8s:
 
 
 def clock_mask(size: tuple[int, int]) -> Bools:
-    """(h, w) bool, True where a pixel may be used: everywhere but under the clock."""
+    """Return (h, w) bool, True where a pixel may be used: everywhere but under the clock."""
     x, y, w, h = clock_area(size)
     mask = np.ones((size[1], size[0]), np.bool_)
     mask[y : y + h, x : x + w] = False
@@ -108,7 +108,7 @@ STREAKS = 0.0016
 
 
 def add_rain(radiance: Float32s, light: Light, rng: np.random.Generator) -> Float32s:
-    """A picture (h, w, 3) of linear radiance through rain: a veil, and streaks that are elsewhere in every frame."""
+    """Return a picture (h, w, 3) of linear radiance through rain: a veil, and streaks that are elsewhere in every frame."""
     height, width = radiance.shape[:2]
     scale = width / 640
     streaks = np.zeros((height, width), np.uint8)
@@ -124,12 +124,12 @@ def add_rain(radiance: Float32s, light: Light, rng: np.random.Generator) -> Floa
 
 
 def jpeg(image: Uint8s, quality: int = 92) -> bytes:
-    """JPEG of (h, w, 3) uint8 RGB."""
+    """Return JPEG of (h, w, 3) uint8 RGB."""
     return _encoded(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def png(mask: Bools) -> bytes:
-    """PNG of (h, w) bool: white is True."""
+    """Return PNG of (h, w) bool: white is True."""
     return _encoded(".png", mask.astype(np.uint8) * np.uint8(255), [])
 
 

@@ -69,7 +69,7 @@ def square(shots: Shots) -> DemoSite:
 
 
 def viewpoints() -> list[Viewpoint]:
-    """The six cameras, 2.5 m above the ground, looking down on the square: most of what they see is paving."""
+    """Return the six cameras, 2.5 m above the ground, looking down on the square: most of what they see is paving."""
     found = []
     for k, bearing in enumerate(np.deg2rad(BEARINGS_DEG)):
         distance = 15.5 + 0.8 * float(np.sin(2.3 * k))
@@ -86,7 +86,7 @@ def viewpoints() -> list[Viewpoint]:
 
 
 def static_square(rng: Rng, texel_m: float) -> Scene:
-    """Everything that stands still; textures at `texel_m` metres per texel."""
+    """Return everything that stands still; textures at `texel_m` metres per texel."""
     build = SceneBuilder()
     build.kind = STATIC
     _ground(build, rng, texel_m)
@@ -98,7 +98,7 @@ def static_square(rng: Rng, texel_m: float) -> Scene:
 
 
 def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """8 x 8 fields of 8 x 8 tiles, edge to edge; a street behind; four iron covers."""
+    """Add 8 x 8 fields of 8 x 8 tiles, edge to edge; a street behind; four iron covers."""
     tiles = build.add_texture(repeating_tiles(rng, TILE_M, 8, 0.5 * texel_m))
     field = 8 * TILE_M
     for i in range(-4, 4):
@@ -112,7 +112,7 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Houses around the square, all with the same two windows, each with its own wall, shop and roof."""
+    """Add houses around the square, all with the same two windows, each with its own wall, shop and roof."""
     panes = [build.add_texture(paint.window(w, h, texel_m)) for w, h in ((1.1, 1.7), (1.3, 2.0))]
     sill = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.45, 0.43, 0.39)))
     glass = build.add_texture(paint.window(2.4, 2.3, texel_m))
@@ -141,7 +141,7 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _openings(width: float, height: float, pane: int, shop: int, door: int) -> list[Opening]:
-    """Storeys of windows every 2.2 m, two shop windows and a door between them."""
+    """Return storeys of windows every 2.2 m, two shop windows and a door between them."""
     columns = int((width - 0.8) / 2.2)
     first = 0.5 * (width - 2.2 * columns) + 0.45
     tops = np.arange(height - 5.9, 0.5, -2.75)
@@ -152,7 +152,7 @@ def _openings(width: float, height: float, pane: int, shop: int, door: int) -> l
 
 
 def _fountain(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> None:
-    """An eight-sided basin with water, a pedestal with an inscription, and a figure on it."""
+    """Add an eight-sided basin with water, a pedestal with an inscription, and a figure on it."""
     stone = build.add_texture(paint.ashlar(rng, 14.0, 1.5, texel_m, tint=(0.8, 0.8, 0.82)))
     bronze = build.add_texture(paint.painted_steel(rng, 2.0, 3.0, texel_m, (0.09, 0.15, 0.12)))
     build.tube((0.0, 0.0, 0.0), 2.6, 0.15, stone, sides=8)
@@ -178,7 +178,7 @@ def _fountain(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
 
 
 def _standing(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> None:
-    """Lamps, benches, trees in tubs, a kiosk, an advertising column, bicycle stands, bollards and the cameras' poles."""
+    """Add lamps, benches, trees in tubs, a kiosk, an advertising column, bicycle stands, bollards and the cameras' poles."""
     for x, y, z in LAMPS:
         build.stamp(street_lamp(build, look, height=z), (x, y, 0.0))
     seat = bench(build, look)

@@ -31,7 +31,7 @@ class CarTextures:
 
 
 def car_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> CarTextures:
-    """Take the textures of cars into a scene."""
+    """Add the textures of cars to a scene."""
     fine = min(texel_m, 0.03)
     paints = tuple(build.add_texture(_lacquer(rng, fine, colour)) for colour in CAR_PAINTS)
     glass, dark, light = (
@@ -42,14 +42,14 @@ def car_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> CarTextures:
 
 
 def _lacquer(rng: Rng, texel_m: float, colour: Colour) -> Texture:
-    """Car paint, dusty towards the bottom."""
+    """Paint car lacquer, dusty towards the bottom."""
     shape = shape_of(4.0, 1.0, texel_m)
     dust = np.linspace(1.03, 0.9, shape[0], dtype=np.float32)[:, None] * (1 + 0.025 * fractal_noise(rng, shape, texel_m, 0.5))
     return encode(dust[..., None] * np.asarray(colour, np.float32), texel_m)
 
 
 def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 4.3) -> SceneBuilder:
-    """A car on the origin, nose along +x: a part to `stamp`."""
+    """Return a car on the origin, nose along +x: a part to `stamp`."""
     part = build.with_same_textures()
     body, half, wide = look.paints[colour % len(look.paints)], length / 2, 1.76
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
@@ -90,7 +90,7 @@ class Furniture:
 
 
 def furniture_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> Furniture:
-    """Take the textures of street furniture into a scene."""
+    """Add the textures of street furniture to a scene."""
     return Furniture(
         bark=build.add_texture(paint.planks(rng, 1.0, 3.0, texel_m, (0.13, 0.10, 0.075))),
         crown=build.add_texture(paint.leaves(rng, texel_m)),
@@ -102,7 +102,7 @@ def furniture_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> Furnitu
 
 
 def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0) -> SceneBuilder:
-    """A trunk and a crown of leafy lumps, on the origin: a part to `stamp`."""
+    """Return a trunk and a crown of leafy lumps, on the origin: a part to `stamp`."""
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.03 * height, 0.55 * height, look.bark, sides=9)
     for _ in range(9):
@@ -113,7 +113,7 @@ def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0)
 
 
 def bench(build: SceneBuilder, look: Furniture) -> SceneBuilder:
-    """A bench of 1.8 m along x on the origin: a part to `stamp`."""
+    """Return a bench of 1.8 m along x on the origin: a part to `stamp`."""
     part = build.with_same_textures()
     for k in range(3):
         part.box((0.0, -0.15 + 0.15 * k, 0.44), (1.8, 0.11, 0.04), look.wood)
@@ -125,7 +125,7 @@ def bench(build: SceneBuilder, look: Furniture) -> SceneBuilder:
 
 
 def street_lamp(build: SceneBuilder, look: Furniture, *, height: float) -> SceneBuilder:
-    """A post with a lamp head on the origin: a part to `stamp`; its light belongs at `height`."""
+    """Return a post with a lamp head on the origin: a part to `stamp`; its light belongs at `height`."""
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.11, 0.9, look.steel, sides=8)
     part.tube((0.0, 0.0, 0.9), 0.06, height - 0.85, look.steel, sides=8)

@@ -50,7 +50,7 @@ def facade(
     openings: list[Opening],
     sill: int,
 ) -> None:
-    """A wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
+    """Add a wall with openings: `corner` top left and `right` unit direction as seen from outside, `size` = (width, height).
 
     The wall is cut along the edges of its openings; all its pieces continue one texture."""
     inward = np.cross(right, -UP)
@@ -68,7 +68,7 @@ def facade(
 
 
 def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Float64s, o: Opening, wall: int, sill: int) -> None:
-    """The pane or door leaf, its four reveals, and a sill that sticks out."""
+    """Add the pane or door leaf, its four reveals, and a sill that sticks out."""
     deep, across, down = o.depth * inward, o.width * right, -o.height * UP
     build.quad(corner + deep, across, down, o.texture)
     build.quad(corner, deep, down, wall, (o.left, o.top))
@@ -82,7 +82,7 @@ def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Floa
 
 
 def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
-    """A shipping container: ribbed walls painted one by one, corner posts, door end with bars."""
+    """Add a shipping container: ribbed walls painted one by one, corner posts, door end with bars."""
     yaw, length, colour, name = box.yaw, box.length, box.colour, box.name
     width, height, post = 2.44, 2.59, 0.16
     ahead, side = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([-np.sin(yaw), np.cos(yaw), 0])
@@ -121,7 +121,7 @@ def _ribs(
     post: float,
     texture: int,
 ) -> None:
-    """A corrugated wall between posts and rails: trapezoids of 0.28 m, 36 mm deep; the texture is measured straight across."""
+    """Add a corrugated wall between posts and rails: trapezoids of 0.28 m, 36 mm deep; its texture runs straight across."""
     pitch, deep = 0.28, 0.036
     down = -(height - 2 * post) * UP
     build.quad(corner, length * right, -post * UP, texture)
@@ -144,7 +144,7 @@ def _ribs(
 def crane(
     build: SceneBuilder, rng: Rng, foot: tuple[float, float], texel_m: float, *, height: float, reach: float, bearing: float
 ) -> None:
-    """A slewing crane: lattice tower, cabin, lattice jib with a hook, counterweight."""
+    """Add a slewing crane: lattice tower, cabin, lattice jib with a hook, counterweight."""
     yellow = build.add_texture(painted_steel(rng, 12.0, 3.0, texel_m, (0.58, 0.36, 0.02)))
     striped = build.add_texture(painted_steel(rng, 3.0, 2.0, texel_m, (0.62, 0.42, 0.03), stripes=True))
     base = np.array([*foot, 0.0])
@@ -165,7 +165,7 @@ def crane(
 def _lattice(
     build: SceneBuilder, start: Float64s, a: Float64s, b: Float64s, along: Float64s, width: float, length: float, texture: int
 ) -> None:
-    """A square lattice girder: four chords and zigzag braces."""
+    """Add a square lattice girder: four chords and zigzag braces."""
     corners = [start + width / 2 * (i * a + j * b) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     bays = max(round(length / width), 1)
     for k, corner in enumerate(corners):
@@ -178,7 +178,7 @@ def _lattice(
 
 
 def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, rows: int, levels: int) -> None:
-    """A stack of crates of different sizes on pallets, set down by hand."""
+    """Add a stack of crates of different sizes on pallets, set down by hand."""
     for k in range(rows):
         z = 0.0
         x, y = place[0] + 1.25 * k + rng.normal(0, 0.1), place[1] + rng.normal(0, 0.25)
@@ -192,7 +192,7 @@ def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: 
 
 
 def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: list[int], *, count: int) -> None:
-    """A loose group of oil drums."""
+    """Add a loose group of oil drums."""
     for k in range(count):
         x = place[0] + 0.72 * (k % 4) + rng.normal(0, 0.06)
         y = place[1] + 0.72 * (k // 4) + rng.normal(0, 0.06)
@@ -202,7 +202,7 @@ def barrels(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures:
 def heap(
     build: SceneBuilder, rng: Rng, place: tuple[float, float], radius: float, height: float, texture: int, *, steps: int = 18
 ) -> None:
-    """A tipped heap of gravel, rough on the scale of its facets."""
+    """Add a tipped heap of gravel, rough on the scale of its facets."""
     side = np.linspace(-radius, radius, steps + 1)
     x, y = np.meshgrid(side, side)
     z = height * (1 - (np.hypot(x, y) / radius) ** 1.3) + 0.04 * rng.standard_normal(x.shape)
@@ -222,7 +222,7 @@ def heap(
 
 
 def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int) -> None:
-    """A post with an arm."""
+    """Add a post with an arm."""
     x, y = place
     build.tube((x, y, 0.0), 0.09, height, steel, sides=8)
     build.beam((x, y, height - 0.1), (x, y + 1.1, height), 0.09, steel)

@@ -44,7 +44,7 @@ RUST: Colour = (0.19, 0.075, 0.03)
 def brick_wall(
     rng: Rng, width_m: float, height_m: float, texel_m: float, *, sign: str = "", tint: Colour = (1.0, 1.0, 1.0)
 ) -> Texture:
-    """Old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign."""
+    """Paint old brickwork: tone by brick, pale joints, repairs, soot from the eaves, damp at the foot, a faded painted sign."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.25, 0.078), 0.013, bond=0.5, jitter=0.05, warp=0.004)
     repairs = blobs(rng, shape, texel_m, count=int(width_m * height_m / 18), radius_m=0.6)
@@ -69,7 +69,7 @@ def brick_wall(
 
 
 def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Pantiles in rows, dark under each row's lip, with moss and replaced tiles."""
+    """Paint pantiles in rows, dark under each row's lip, with moss and replaced tiles."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.24, 0.33), 0.02, bond=0.0, jitter=0.03, warp=0.008)
     image = palette(TILE_TONES, tone) * (1 + 0.35 * relief)[..., None]
@@ -80,7 +80,7 @@ def roof_tiles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Tex
 
 
 def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.62, 0.58, 0.48)) -> Texture:
-    """Nearly even render: a hard surface for matching on purpose; a few cracks, faint stains, flakes at the foot."""
+    """Paint nearly even render, hard to match on purpose: a few cracks, faint stains, flakes at the foot."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     image *= (1 + 0.025 * fractal_noise(rng, shape, texel_m, 3.0) + 0.012 * fractal_noise(rng, shape, texel_m, 0.05, octaves=2))[
@@ -94,7 +94,7 @@ def plaster(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: C
 
 
 def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, name: str, serial: str) -> Texture:
-    """Painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams."""
+    """Paint painted steel with a company's name, a stripe or disc, a serial number, dents of tone, rust from edges and seams."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     pale: Colour = (0.72, 0.70, 0.66) if sum(colour) < 1.2 else (0.10, 0.16, 0.32)
@@ -114,7 +114,7 @@ def container_side(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 
 
 def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour) -> Texture:
-    """Faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
+    """Paint faded paint under dirt, dried puddles and rust between the ribs, and the number for the crane driver."""
     shape = shape_of(width_m, height_m, texel_m)
     rib = np.asarray(np.sin(np.arange(shape[1], dtype=np.float32) * np.float32(texel_m * 2 * np.pi / 0.28)), dtype=np.float32)
     image = one_colour(shape, colour) * (1 + 0.10 * rib)[None, :, None]
@@ -130,7 +130,7 @@ def container_roof(rng: Rng, width_m: float, height_m: float, texel_m: float, co
 
 
 def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
-    """Rust where noise and nearness to the top and bottom edges agree, running down in streaks."""
+    """Add rust where noise and nearness to the top and bottom edges agree, running down in streaks."""
     shape = image.shape[:2]
     y = np.linspace(-1, 1, shape[0], dtype=np.float32)[:, None] ** 4
     field = (
@@ -142,7 +142,7 @@ def _rust(rng: Rng, image: Float32s, texel_m: float, *, amount: float) -> None:
 
 
 def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, *, stripes: bool = False) -> Texture:
-    """Painted steel of cranes, posts and vehicles, with or without warning stripes."""
+    """Paint painted steel of cranes, posts and vehicles, with or without warning stripes."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     if stripes:
@@ -154,7 +154,7 @@ def painted_steel(rng: Rng, width_m: float, height_m: float, texel_m: float, col
 
 
 def planks(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour = (0.36, 0.24, 0.13)) -> Texture:
-    """Vertical boards with grain: gates, crates, pallets."""
+    """Paint vertical boards with grain: gates, crates, pallets."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (0.16, height_m + 1.0), 0.014, bond=0.0, jitter=0.06, warp=0.003)
     image = (1 + 0.22 * tone)[..., None] * np.asarray(colour, np.float32)
@@ -165,7 +165,7 @@ def planks(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Co
 
 
 def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colour: Colour, number: str) -> Texture:
-    """A slatted steel door with a large number."""
+    """Paint a slatted steel door with a large number."""
     shape = shape_of(width_m, height_m, texel_m)
     y = (np.arange(shape[0], dtype=np.float32) * texel_m % 0.12) / 0.12
     light = np.asarray(0.75 + 0.4 * np.sin(np.pi * y), dtype=np.float32)
@@ -181,7 +181,7 @@ def roller_door(rng: Rng, width_m: float, height_m: float, texel_m: float, colou
 
 
 def window(width_m: float, height_m: float, texel_m: float) -> Texture:
-    """The one window that all façades repeat: white bars, dark panes that mirror a pale sky, half-drawn blind."""
+    """Paint the one window that all façades repeat: white bars, dark panes that mirror a pale sky, half-drawn blind."""
     shape = shape_of(width_m, height_m, texel_m)
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float32) * np.float32(texel_m)
     sheen = smoothstep(0.0, 1.0, 0.9 - 0.5 * y / height_m - 0.35 * x / width_m)
@@ -200,7 +200,7 @@ def window(width_m: float, height_m: float, texel_m: float) -> Texture:
 def sign_board(
     rng: Rng, width_m: float, height_m: float, texel_m: float, lines: tuple[str, ...], colour: Colour, ink: Colour
 ) -> Texture:
-    """A painted board with a frame and lines of text."""
+    """Paint a painted board with a frame and lines of text."""
     shape = shape_of(width_m, height_m, texel_m)
     image = one_colour(shape, colour)
     pitch = height_m / len(lines)
@@ -215,14 +215,14 @@ def sign_board(
 
 
 def cloth(rng: Rng, texel_m: float, colour: Colour) -> Texture:
-    """Clothes, skin, rubber, glass: one colour with a little fold and grain."""
+    """Paint clothes, skin, rubber, glass: one colour with a little fold and grain."""
     shape = shape_of(1.0, 1.0, texel_m)
     factor = 1 + 0.18 * fractal_noise(rng, shape, texel_m, 0.3)
     return encode(factor[..., None] * np.asarray(colour, np.float32), texel_m)
 
 
 def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tint: Colour = (1.0, 1.0, 1.0)) -> Texture:
-    """Dressed stone in courses, sooty from the top, with streaks."""
+    """Paint dressed stone in courses, sooty from the top, with streaks."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.95, 0.42), 0.014, bond=0.5, jitter=0.10, warp=0.003)
     image = palette(ASHLAR_TONES, tone) * np.asarray(tint, np.float32) * (1 + 0.05 * relief)[..., None]
@@ -233,7 +233,7 @@ def ashlar(rng: Rng, width_m: float, height_m: float, texel_m: float, *, tint: C
 
 
 def leaves(rng: Rng, texel_m: float, colour: Colour = (0.06, 0.095, 0.03)) -> Texture:
-    """Foliage from outside: clumps of light and shadow down to the leaf."""
+    """Paint foliage from outside: clumps of light and shadow down to the leaf."""
     shape = shape_of(3.0, 3.0, texel_m)
     clumps = fractal_noise(rng, shape, texel_m, 0.7, octaves=6, gain=0.85)
     image = np.clip(1 + 0.55 * clumps, 0.12, 3)[..., None] * np.asarray(colour, np.float32)

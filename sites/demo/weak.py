@@ -17,7 +17,7 @@ _GLOSS = 0.7
 
 
 def check_surfaces(surfaces: str, scene: str) -> None:
-    """Raises ValueError for what is no row of `SURFACES`, and for a scene that has no such surfaces."""
+    """Raise ValueError for surfaces that are not in `SURFACES`, and for a scene that does not have them."""
     if surfaces not in SURFACES:
         raise ValueError(f"surfaces are {', '.join(SURFACES)}, not {surfaces!r}")
     if surfaces != "standard" and scene != "yard":
@@ -25,7 +25,7 @@ def check_surfaces(surfaces: str, scene: str) -> None:
 
 
 def white_plaster(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Fresh paint on even render: a per cent of contrast, a few hair cracks."""
+    """Paint fresh white on even render: one per cent of contrast, a few hair cracks."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.80, 0.79, 0.76), broad=0.012, fine=0.006, fine_m=0.05)
     hair = cracks(rng, image.shape[:2], texel_m, count=int(width_m / 5), length_m=1.5)
     mix(image, (0.45, 0.43, 0.40), 0.4 * hair)
@@ -33,7 +33,7 @@ def white_plaster(rng: Rng, width_m: float, height_m: float, texel_m: float) -> 
 
 
 def wet_asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Dark, with stones of a few centimetres that hardly differ, and the sky in its water."""
+    """Paint wet asphalt: dark, with stones of a few centimetres that hardly differ, and a gloss that mirrors the sky."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.045, 0.045, 0.048), broad=0.06, fine=0.08, fine_m=0.04)
     seams = cracks(rng, image.shape[:2], texel_m, count=int(width_m * height_m / 60), length_m=3.0)
     mix(image, (0.02, 0.02, 0.02), 0.7 * seams)
@@ -41,7 +41,7 @@ def wet_asphalt(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Te
 
 
 def snow(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
-    """Fresh snow: soft waves of one per cent."""
+    """Paint fresh snow: soft waves of one per cent."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.86, 0.88, 0.90), broad=0.015, fine=0.010, fine_m=0.12)
     return encode(image, texel_m)
 

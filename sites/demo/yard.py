@@ -42,7 +42,7 @@ DRUMS = ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
 
 
 def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...], surfaces: str = "standard") -> Scene:
-    """Everything that stands still."""
+    """Return everything that stands still."""
     build = SceneBuilder()
     build.kind = STATIC
     _ground(build, rng, texel_m, surfaces)
@@ -55,7 +55,7 @@ def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...], surfaces: s
 
 
 def _ground(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> None:
-    """Cobbles (or half asphalt, half snow), the concrete quay with its edge, and the water."""
+    """Add cobbles (or half asphalt, half snow), the concrete quay with its edge, and the water."""
     east, south = np.array([1.0, 0, 0]), np.array([0, -1.0, 0])
     if surfaces == "weak":
         for x, paving in ((0.0, weak.wet_asphalt), (20.0, weak.snow)):
@@ -74,7 +74,7 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> Non
 
 
 def _buildings(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> None:
-    """Two brick warehouses alike, a plastered shed opposite, gatehouse and office: all with the same window."""
+    """Add two brick warehouses alike, a plastered shed opposite, gatehouse and office: all with the same window."""
     pane = build.add_texture(paint.window(1.2, 1.8, texel_m))
     stone = build.add_texture(ground.concrete(rng, 2.0, 1.0, texel_m))
     _facades(build, rng, texel_m, pane, stone, surfaces)
@@ -99,7 +99,7 @@ def _buildings(build: SceneBuilder, rng: Rng, texel_m: float, surfaces: str) -> 
 
 
 def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int, surfaces: str) -> None:
-    """The walls that close the yard in the north, east and west."""
+    """Add the walls that close the yard in the north, east and west."""
     colours = ((0.13, 0.24, 0.19), (0.13, 0.24, 0.19), (0.10, 0.16, 0.30), (0.35, 0.33, 0.30), (0.13, 0.24, 0.19))
     doors = [build.add_texture(paint.roller_door(rng, 3.4, 3.4, texel_m, c, str(k + 1))) for k, c in enumerate(colours)]
     gate = build.add_texture(paint.planks(rng, 3.4, 3.4, texel_m))
@@ -120,7 +120,7 @@ def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int
 
 
 def _bays(size: tuple[float, float], pane: int, doors: list[int]) -> list[Opening]:
-    """Rows of the one window every 2.5 m; doors, evenly spread, take the place of ground-floor windows."""
+    """Return rows of the one window every 2.5 m; doors, evenly spread, take the place of ground-floor windows."""
     width, height = size
     columns = [0.65 + 2.5 * k for k in range(int((width - 0.65) / 2.5))]
     at = [width * (k + 0.5) / len(doors) - 1.7 for k in range(len(doors))]
@@ -133,7 +133,7 @@ def _bays(size: tuple[float, float], pane: int, doors: list[int]) -> list[Openin
 
 
 def _signs(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """Boards on the façades."""
+    """Add boards on the façades."""
     boards = (
         ((3.2, 29.86, 4.95), (2.6, 0.06, 0.8), ("LADEZONE A",), (0.60, 0.42, 0.04), (0.03, 0.03, 0.03)),
         ((13.1, 29.86, 3.75), (2.2, 0.06, 0.7), ("TOR 2  EINFAHRT",), (0.05, 0.13, 0.35), (0.7, 0.7, 0.68)),
@@ -146,7 +146,7 @@ def _signs(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> None:
-    """Crates, drums, a parked lorry, heaps of gravel, bollards, lamps and the cameras' masts."""
+    """Add crates, drums, a parked lorry, heaps of gravel, bollards, lamps and the cameras' masts."""
     wood = [build.add_texture(paint.planks(rng, 5.0, 1.5, texel_m, tone)) for tone in WOOD]
     stencil = paint.sign_board(rng, 4.0, 1.0, texel_m, ("OBEN", "VORSICHT 40 KG"), (0.38, 0.28, 0.16), (0.05, 0.04, 0.04))
     wood.append(build.add_texture(stencil))
@@ -171,7 +171,7 @@ def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount,
 
 
 def _lamp_holders(build: SceneBuilder, rng: Rng, steel: int) -> None:
-    """Arms on the walls, two posts, and a bulb just above each light's position."""
+    """Add arms on the walls, two posts, and a bulb just above each light's position."""
     for x, y, z in LAMPS[6:]:
         lamp_post(build, (x, y - 1.1), z + 0.25, steel)
     walls = [(x, 30.0) for x, _, _ in LAMPS[:4]] + [(40.0, LAMPS[4][1]), (0.0, LAMPS[5][1])]
@@ -185,7 +185,7 @@ def _lamp_holders(build: SceneBuilder, rng: Rng, steel: int) -> None:
 
 
 def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
-    """A flatbed lorry parked for the night, with a crate on it."""
+    """Add a flatbed lorry parked for the night, with a crate on it."""
     red = build.add_texture(paint.painted_steel(rng, 3.0, 3.0, texel_m, (0.42, 0.06, 0.05)))
     bed = build.add_texture(paint.planks(rng, 5.0, 2.5, texel_m))
     dark = build.add_texture(paint.cloth(rng, texel_m, (0.03, 0.03, 0.035)))
@@ -203,7 +203,7 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
 
 
 def yard_light(light: str) -> Light:
-    """Afternoon sun, the last of dusk with the lamps on, night, or night without lamps."""
+    """Return afternoon sun, the last of dusk with the lamps on, night, or night without lamps."""
     return light_of(light, LAMPS)
 
 
