@@ -16,6 +16,7 @@ from tests.helpers.toy_site import ToySite
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.writing import hold_to_write
 from wbflow.cli.main import main
+from wbflow.pipeline.exports import EXPORTS
 
 COMMANDS = ["run", "status", "check", "report", "history", "clean", "demo", "compare"]
 
@@ -44,6 +45,12 @@ def test_defaults_are_shown() -> None:
     said = " ".join(CliRunner().invoke(main, ["run", "--help"]).output.split())
     assert "[default: processes]" in said
     assert "(all cores)" in said
+
+
+def test_every_export_of_the_table_is_an_option_with_its_help() -> None:
+    said = " ".join(CliRunner().invoke(main, ["export", "--help"], terminal_width=200).output.split())
+    assert EXPORTS
+    assert all(f"--{row.name} {row.help}" in said for row in EXPORTS)
 
 
 def test_a_command_that_there_is_not_is_told_with_the_nearest() -> None:
