@@ -159,14 +159,14 @@ def main() -> None:
     parser.add_argument("--svg", type=Path)
     arguments = parser.parse_args()
     then, tonight = night_of(arguments.then), night_of(arguments.tonight)
-    plain = find_changes(**tonight.arguments(), **then.arguments("then_"))
+    plain = find_changes(**tonight.arguments(), **then.arguments("reference_"))
     print(f"as they are: {plain.count} changes on {plain.changed_share:.3%} of the surface; noise {plain.noise:.2f}")
     rows = []
     print(f"{'size':>6} {'step':>6} {'patches':>8} {'found':>6} {'volume off':>11} {'elsewhere':>10}")
     for size in SIZES_M:
         places = flat_places(tonight, size, PATCHES)
         for step in STEPS_M:
-            found = find_changes(**raised(tonight, places, size, step).arguments(), **then.arguments("then_"))
+            found = find_changes(**raised(tonight, places, size, step).arguments(), **then.arguments("reference_"))
             row = row_of(found, places, size, step)
             rows.append(row)
             words = f"{row.size_m:5.1f}m {row.step_m * 100:4.0f}cm {row.patches:8d} {row.found:6.0%} {row.volume_error:11.0%}"

@@ -48,7 +48,7 @@ MATCHERS: dict[str, dict[str, Any]] = {
     "kdtree": {"matcher": "kdtree"},
     "kdtree-root": {"matcher": "kdtree"},
     "mutual": {"matcher": "mutual"},
-    "dominant": {"matcher": "dominant"},
+    "hao2011-dominance": {"matcher": "hao2011-dominance"},
     "structural": {"tilt": "never"},
     "structural-tilt": {"tilt": "always"},
     "lightglue": {"matcher": "lightglue"},

@@ -39,7 +39,7 @@ from wbflow_stages.types import Camera, Disparity, Float64s, Rectification, Reje
 WIDE = "5-2 5-1 5-8 5-9"
 """Pairs of the sweep from 34 degrees on."""
 
-METHODS = ("original", "hartley", "literal", "congruent", "calibrated", "fusiello", "polar")
+METHODS = ("original", "hartley", "hao2011", "congruent", "calibrated", "fusiello", "polar")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from wbflow_stages.twoview.ambiguity import Rival
+from wbflow_stages.twoview.ambiguity import Ambiguity
 from wbflow_stages.twoview.pair_score import TERMS, PairEvidence, pair_score, terms
 from wbflow_stages.types import Bools, Camera, Float64s, Geometry
 
@@ -50,7 +50,7 @@ class LabelledPair:
     @cached_property
     def evidence(self) -> PairEvidence:
         g = self.geometry
-        rival = Rival(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg) if np.isfinite(g.rival_turned_deg) else None
+        rival = Ambiguity(g.rival_inliers, g.rival_elsewhere, g.rival_turned_deg) if np.isfinite(g.rival_turned_deg) else None
         return PairEvidence(
             g.inliers, g.distinct_cells, g.distinct_share, g.agreement, g.half_rotation_deg, g.stretch, g.angle_deg, rival
         )

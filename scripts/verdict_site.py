@@ -13,7 +13,7 @@ from verdict_scenes import REPEATING, scene_of
 from wbflow_stages.core.cameras import relative_pose
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.sfm.loops import USUAL, Habits, check_loops, closes, triangles_of
-from wbflow_stages.sfm.repeats import Rivalry, Shares, rivalry
+from wbflow_stages.sfm.repeats import AmbiguityKind, Shares, ambiguity_kind
 from wbflow_stages.sfm.rotation_averaging import average_rotations, components
 from wbflow_stages.sfm.solve import solve_from_pairs
 from wbflow_stages.twoview.pair_score import probability, tells_the_site
@@ -41,12 +41,12 @@ def count_habits(sets: Mapping[str, list[LabelledPair]]) -> Habits:
     for name, pairs in sets.items():
         if name != "nothing" and scene_of(name) not in REPEATING:
             plain.setdefault(scene_of(name), []).append(pairs)
-    kinds = [[rivalry(g) for pairs in some for g in _geometries(pairs).values()] for some in plain.values()]
+    kinds = [[ambiguity_kind(g) for pairs in some for g in _geometries(pairs).values()] for some in plain.values()]
     shares = {
         kind: max(AT_LEAST, float(np.mean([[k is kind for k in scene].count(True) / len(scene) for scene in kinds])))
-        for kind in (Rivalry.TURNED, Rivalry.SIDE, Rivalry.ROW)
+        for kind in (AmbiguityKind.TURNED, AmbiguityKind.SIDE, AmbiguityKind.ROW)
     }
-    rivals = Shares(shares[Rivalry.TURNED], shares[Rivalry.SIDE], shares[Rivalry.ROW])
+    rivals = Shares(shares[AmbiguityKind.TURNED], shares[AmbiguityKind.SIDE], shares[AmbiguityKind.ROW])
     best: tuple[float, Habits] | None = None
     for rotation, direction in WITHIN:
         tried = replace(USUAL, rotation_deg=rotation, direction_deg=direction, rivals=rivals)

@@ -2,7 +2,7 @@
 
 Three kinds of evidence are put together (`change.evidence`): distances between the clouds along their normals, with what each can
 tell (M3C2); free space, as the cameras of either night saw through the places of the other's points; and the photographs, as the
-cameras are fixed: what looks the same is the same.  Points that speak for a change and hang together become blobs with place,
+cameras are fixed: what looks the same is the same.  Points that indicate a change and are connected become clusters with place,
 size and volume (`change.clusters`).
 """
 
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .change.clusters import Blob, Over, find_blobs, over_ground, paired
+from .change.clusters import ChangeCluster, Over, find_clusters, over_ground, paired
 from .change.evidence import Epoch, Evidence, gather, judged, noise_of, seen_by
 from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, preferred_above, quantile_by_cell
@@ -70,11 +70,11 @@ def find_changes(
     frames: Mapping[str, Frame],
     depths: Mapping[str, DepthMap],
     refined: Mapping[str, DepthMap] | None = None,
-    then_poses: Poses | None = None,
-    then_cloud: Cloud | None = None,
-    then_frames: Mapping[str, Frame] | None = None,
-    then_depths: Mapping[str, DepthMap] | None = None,
-    then_refined: Mapping[str, DepthMap] | None = None,
+    reference_poses: Poses | None = None,
+    reference_cloud: Cloud | None = None,
+    reference_frames: Mapping[str, Frame] | None = None,
+    reference_depths: Mapping[str, DepthMap] | None = None,
+    reference_refined: Mapping[str, DepthMap] | None = None,
     scene: Scene | None = None,
     *,
     zones: list[dict[str, Any]] | None = None,
@@ -90,7 +90,7 @@ def find_changes(
     ----------
     poses, cloud, frames, depths, refined
         Of tonight; of cameras of the main component.
-    then_poses, then_cloud, then_frames, then_depths, then_refined
+    reference_poses, reference_cloud, reference_frames, reference_depths, reference_refined
         Of the reference; None, or empty: there is nothing to compare with.
     scene
         Where the ground is, if that is known.
@@ -112,12 +112,14 @@ def find_changes(
     tonight = Epoch(cloud, cameras, straight_frames(frames, cameras), depths, refined or {})
     plane = scene.ground if scene is not None else None
     axes = ground_axes(cameras.values(), plane)
-    if then_poses is None or then_cloud is None or not len(then_cloud.points) or not len(cloud.points):
+    if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
         return _nothing(axes, poses)
-    old = {name: camera for name, camera in then_poses.cameras.items() if camera.component == 0}
+    old = {name: camera for name, camera in reference_poses.cameras.items() if camera.component == 0}
     if not _same_world(cameras, old, cloud):
         return _nothing(axes, poses)
-    then = Epoch(then_cloud, old, straight_frames(then_frames or {}, old), then_depths or {}, then_refined or {})
+    then = Epoch(
+        reference_cloud, old, straight_frames(reference_frames or {}, old), reference_depths or {}, reference_refined or {}
+    )
     spacing = max(_spacing(tonight.points), _spacing(then.points))
     grid = grid_over(np.vstack([n.points[::_SOME] for n in (tonight, then)]), axes, cell_m or preferred_above(_CELL * spacing))
     sides = gather(tonight, then, spacing, registration_m)
@@ -125,12 +127,12 @@ def find_changes(
     limits = {"noise": noise, "sigmas": sigmas, "alike": alike}
     now, before = judged(sides[0], tonight, then, spacing, **limits), judged(sides[1], then, tonight, spacing, **limits)
     least = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
-    blobs: list[Blob] = []
+    clusters: list[ChangeCluster] = []
     ground = [over_ground(grid, night.points) for night in (tonight, then)]
     for side, own, other in ((now, tonight, ground[1]), (before, then, ground[0])):
         colors = own.cloud.colors[side.rows].astype(np.float64)
-        blobs += find_blobs(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least, alike=alike)
-    kept = sorted(paired([b for b in blobs if _is_certain(b)]), key=lambda pair: -pair[0].change.volume)
+        clusters += find_clusters(side, colors, grid, other, of_then=own is then, spacing=spacing, least_area=least, alike=alike)
+    kept = sorted(paired([b for b in clusters if _is_certain(b)]), key=lambda pair: -pair[0].change.volume)
     placed = [(_in_zone(a, zones, axes), b) for a, b in kept]
     found = _put_together(grid, _difference(grid, *ground), now, before, (tonight, then), [(a, b) for a, b in placed if a])
     return replace(found, noise=noise, metric=poses.metric, crs=poses.crs)
@@ -150,22 +152,22 @@ def _spacing(points: Float64s, sample: int = 5000) -> float:
     return max(float(np.median(distances[:, 1])) if len(points) > 1 else 1.0, 1e-9)
 
 
-def _is_certain(blob: Blob) -> bool:
+def _is_certain(cluster: ChangeCluster) -> bool:
     """Is the volume more than its error?"""
-    return min(blob.change.volume, blob.swept) >= _CERTAIN * blob.change.volume_sigma
+    return min(cluster.change.volume, cluster.swept_volume) >= _CERTAIN * cluster.change.volume_sigma
 
 
-def _in_zone(blob: Blob, zones: list[dict[str, Any]] | None, axes: Float64s) -> Blob | None:
+def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]] | None, axes: Float64s) -> ChangeCluster | None:
     """A change with the zone that it lies in; None where it counts in none."""
     if not zones:
-        return blob
-    change = blob.change
+        return cluster
+    change = cluster.change
     x, y = axes[:2] @ (change.x, change.y, change.z)
     for zone in zones:
         corners = np.array(zone["polygon"], dtype=np.float32)
         inside = cv2.pointPolygonTest(corners, (float(x), float(y)), False) >= 0
         if inside and max(change.length, change.height) >= float(zone.get("least_m", 0.0)):
-            return replace(blob, change=replace(change, zone=str(zone.get("name", ""))))
+            return replace(cluster, change=replace(change, zone=str(zone.get("name", ""))))
     return None
 
 
@@ -175,21 +177,21 @@ def _put_together(
     now: Evidence,
     before: Evidence,
     nights: tuple[Epoch, Epoch],
-    found: list[tuple[Blob, Blob | None]],
+    found: list[tuple[ChangeCluster, ChangeCluster | None]],
 ) -> Changes:
     """Changes with the points of both nights; those of then only where they have vanished or nothing is known of them."""
     blob_of = [np.zeros(len(side.core), np.uint16) for side in (now, before)]
     changes, crops = {}, {}
-    for k, (blob, source) in enumerate(found, 1):
-        for part in (blob, source):
+    for k, (cluster, source) in enumerate(found, 1):
+        for part in (cluster, source):
             if part is not None:
                 blob_of[int(part.of_then)][part.rows] = k
-        side = before if blob.of_then else now
-        cameras = _cameras(side, blob, nights[int(blob.of_then)])
-        seen_by = dict.fromkeys(camera_id(name, nights[int(blob.of_then)].cameras[name]) for name in cameras)
-        changes[str(k)] = replace(blob.change, cameras=",".join(seen_by))
+        side = before if cluster.of_then else now
+        cameras = _cameras(side, cluster, nights[int(cluster.of_then)])
+        seen_by = dict.fromkeys(camera_id(name, nights[int(cluster.of_then)].cameras[name]) for name in cameras)
+        changes[str(k)] = replace(cluster.change, cameras=",".join(seen_by))
         if cameras:
-            crops[str(k)] = _crop(side.core[blob.rows], cameras[0], nights)
+            crops[str(k)] = _crop(side.core[cluster.rows], cameras[0], nights)
     gone = blob_of[1] > 0
     told = gone | (before.unknown & ~before.changed)
     labels = np.where(blob_of[0] > 0, NEW, np.where(now.unknown, UNKNOWN, SAME)), np.where(gone, VANISHED, UNKNOWN)[told]
@@ -215,9 +217,9 @@ def _put_together(
     )
 
 
-def _cameras(side: Evidence, blob: Blob, night: Epoch) -> list[str]:
+def _cameras(side: Evidence, cluster: ChangeCluster, night: Epoch) -> list[str]:
     """The cameras that see a change, the one that shows most of it first."""
-    X, sigma = side.core[blob.rows], night.sigma[side.rows[blob.rows]]
+    X, sigma = side.core[cluster.rows], night.sigma[side.rows[cluster.rows]]
     found = []
     for name in night.seeing:
         seen = seen_by(X, sigma, night, name)
@@ -252,9 +254,9 @@ def _difference(grid: GroundGrid, tonight: Over, then: Over) -> Float32s:
 
 def _nothing(axes: Float64s, poses: Poses) -> Changes:
     none = np.zeros(0, np.float32)
-    labels, blobs = np.zeros(0, np.uint8), np.zeros(0, np.uint16)
+    labels, clusters = np.zeros(0, np.uint8), np.zeros(0, np.uint16)
     grid, empty = GroundGrid(axes, 0.0, 0.0, 1.0, 0, 0), np.zeros((0, 0), np.float32)
     colors = np.zeros((0, 3), np.uint8)
     return Changes(
-        False, {}, np.zeros((0, 3)), colors, none, none, none, labels, blobs, grid, empty, metric=poses.metric, crs=poses.crs
+        False, {}, np.zeros((0, 3)), colors, none, none, none, labels, clusters, grid, empty, metric=poses.metric, crs=poses.crs
     )

@@ -34,8 +34,8 @@ def match_dense(
     left: Frame,
     right: Frame,
     rectification: Rectification,
-    then_rectification: Rectification | None = None,
-    then: Disparity | None = None,
+    reference_rectification: Rectification | None = None,
+    reference_disparity: Disparity | None = None,
     *,
     matcher: str = "patchmatch",
     tolerance_px: float = 2.0,
@@ -51,8 +51,8 @@ def match_dense(
         The frames of the pair; masked and saturated pixels are never matched.
     rectification
         How the frames are resampled.
-    then_rectification, then
-        The reference's, if there is one: where to start from, for matchers that can, as long as the frames are resampled as then.
+    reference_rectification, reference_disparity
+        The reference's, if there is one: where to start from, for matchers that can, if the frames are resampled as they were.
     matcher
         "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
         OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone, and "graphcut": expansion moves at no
@@ -79,8 +79,8 @@ def match_dense(
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))
-    if then is not None and then_rectification is not None and _alike(rectification, then_rectification):
-        pair = _starting_from(pair, then)
+    if reference_disparity is not None and reference_rectification is not None and _alike(rectification, reference_rectification):
+        pair = _starting_from(pair, reference_disparity)
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
     matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
@@ -97,9 +97,9 @@ def match_dense(
     return Disparity(left_map, right_map, sure1, sure2, offset, density)
 
 
-def _starting_from(pair: RectifiedPair, then: Disparity) -> RectifiedPair:
-    left, right = (_known(stored, then.offset_px, pair.left.shape[1]) for stored in (then.left, then.right))
-    return replace(pair, then_left=left, then_right=right)
+def _starting_from(pair: RectifiedPair, reference: Disparity) -> RectifiedPair:
+    left, right = (_known(stored, reference.offset_px, pair.left.shape[1]) for stored in (reference.left, reference.right))
+    return replace(pair, reference_left=left, reference_right=right)
 
 
 def _alike(one: Rectification, two: Rectification) -> bool:

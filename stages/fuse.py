@@ -21,20 +21,20 @@ from .core.parallel import parallel_map
 from .core.residual_distortion import straight_frames
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
-from .fusion.surface_support import company
+from .fusion.surface_support import surface_support
 from .fusion.uncertainty import along_nearest_rays, depth_variance
 from .fusion.visibility import CrossCheck, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
 from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
 
-_AMONG_VOUCHED = 0.1
-"""A depth that nothing else vouches for lies on one surface with so much of its surroundings that is vouched for."""
+_AMONG_ACCEPTED = 0.1
+"""A depth without support of its own is accepted if this share of its surroundings is accepted and lies on its surface."""
 
-_LEAST_COMPANY = 0.4
+_LEAST_SUPPORT = 0.4
 """What a single pair shows must lie on one surface with so much of its surroundings."""
 
-_GOOD_COMPANY, _SHALLOW = 0.4, 0.4
+_GOOD_SUPPORT, _SHALLOW = 0.4, 0.4
 """Where pixels lie further apart on a slanted surface than voxels look for others, a point is kept that has so much of its
 surroundings on its plane, and a standard deviation below this share of the way to the next pixel (chosen on the demo yard)."""
 
@@ -105,12 +105,12 @@ def fuse(
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
 
-    def standing(name: str, grid: VoxelGrid) -> Samples:
+    def accepted_of(name: str, grid: VoxelGrid) -> Samples:
         check = cross_check(name, near[name], cameras, depth_of)
         others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
         return _samples(frames[name], cameras[name], depth_of(name), check, others, gains[name], min_consistent_pairs, grid)
 
-    given = _collected(grid, list(cameras), standing)
+    given = _collected(grid, list(cameras), accepted_of)
     loaded.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
@@ -120,10 +120,10 @@ def fuse(
     return _joined(parts, given)
 
 
-def _collected(grid: VoxelGrid, names: Sequence[str], standing: Callable[[str, VoxelGrid], Samples]) -> dict[str, int]:
-    """Merge in what stands of each view, in order, which sums depend on; returns how many points each has given."""
+def _collected(grid: VoxelGrid, names: Sequence[str], accepted_of: Callable[[str, VoxelGrid], Samples]) -> dict[str, int]:
+    """Merge in the accepted samples of each view, in order, which sums depend on; returns how many points each has given."""
     given = {}
-    views = parallel_map(lambda name: standing(name, grid), names)
+    views = parallel_map(lambda name: accepted_of(name, grid), names)
     for name in names:
         samples = next(views)
         given[name] = len(samples.points)
@@ -136,29 +136,29 @@ def _samples(
     frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, others: Float64s, gains: Float64s, min_pairs: int,
     grid: VoxelGrid,
 ) -> Samples:  # fmt: skip
-    """The points of one view that its own and the other views' evidence leaves standing.
+    """The points of one view that its own and the other views' evidence supports.
 
     A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
-    several views put elsewhere, though near, is left to them.  What refinement put there on the word of a single pair counts
-    where it continues what is vouched for, and is nobody's elsewhere: where one pattern repeats, both views agree on a wrong one.
+    several views put elsewhere, though near, is left to them.  What refinement put there by a single pair counts only
+    where it continues an accepted surface: where one pattern repeats, both views agree on a wrong depth.
     """
-    vouched = depth.sure | ((check.agreeing > 0) & (check.pairs > 1))
-    vouched |= company(depth, frame.mask & ~vouched, frame.mask & vouched) >= _AMONG_VOUCHED
-    supported = frame.mask & vouched
+    accepted = depth.sure | ((check.agreeing > 0) & (check.pairs > 1))
+    accepted |= surface_support(depth, frame.mask & ~accepted, frame.mask & accepted) >= _AMONG_ACCEPTED
+    supported = frame.mask & accepted
     if min_pairs > 1:
         supported &= check.agreeing >= min_pairs
     supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
     supported &= np.isfinite(depth.depth) & (2 * check.violating <= check.agreeing)
     supported &= (check.agreeing < 2) | (np.abs(check.shift) * camera.K[0, 0] <= _OUTVOTED)
-    share = company(depth, supported)
-    supported &= (check.pairs > 1) | (share >= _LEAST_COMPANY)
+    share = surface_support(depth, supported)
+    supported &= (check.pairs > 1) | (share >= _LEAST_SUPPORT)
     y, x = np.nonzero(supported)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
     pixel, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
     footprint = np.maximum(pixel, sigma).astype(np.float32)
     spacing = pixel / np.maximum(_cosines(camera, points, normals), _GRAZING)
-    accompanied = (spacing >= grid.reach(footprint)) & (variance < (_SHALLOW * spacing) ** 2) & (share[y, x] >= _GOOD_COMPANY)
+    self_supported = (spacing >= grid.reach(footprint)) & (variance < (_SHALLOW * spacing) ** 2) & (share[y, x] >= _GOOD_SUPPORT)
     return Samples(
         points,
         normals.astype(np.float32),
@@ -168,7 +168,7 @@ def _samples(
         check.cameras[y, x].astype(np.float32),
         footprint,
         along_nearest_rays(variance, camera, others, check.nearest[y, x], points, normals).astype(np.float32),
-        accompanied,
+        self_supported,
     )
 
 

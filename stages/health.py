@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from .core.luminance import grey_levels
-from .twoview.global_search import compare_widely
+from .twoview.global_search import search_globally
 from .twoview.registration import Found, Turn, corners, find_again, fit_turn
 from .types import Camera, CameraHealth, Float64s, Frame, Uint8s, Usual
 
@@ -157,7 +157,7 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
 
 def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
     """The state of a camera whose picture does not fit near its old place."""
-    wide = compare_widely(grey1, grey2, pinned.mask, frame.mask, K)
+    wide = search_globally(grey1, grey2, pinned.mask, frame.mask, K)
     case.figures |= {"matches": float(wide.matches), "agreeing": float(wide.agreeing)}
     if wide.turn_deg is not None:
         case.figures["turn_deg"] = wide.turn_deg

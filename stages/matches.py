@@ -10,8 +10,8 @@ from .types import Features, Frame, Matches
 
 MATCHERS = {
     "structural": "wbflow_stages.matching.structural:match_structural",
-    "dominant": "wbflow_stages.matching.hao2011:match_dominant",
-    "literal": "wbflow_stages.matching.hao2011:match_literal",
+    "hao2011-dominance": "wbflow_stages.matching.hao2011:match_hao2011_dominance",
+    "hao2011": "wbflow_stages.matching.hao2011:match_hao2011",
     "mutual": "wbflow_stages.matching.nearest_neighbour:match_mutual",
     "kdtree": "wbflow_stages.matching.nearest_neighbour:match_kdtree",
     "onnx": "wbflow_stages.matching.learned:match_onnx",
@@ -35,8 +35,8 @@ def match(
     ----------
     left, right : keypoints of the two frames.
     left_frame, right_frame : the frames themselves, for matchers that ask for them.
-    matcher : "structural" (descriptors and local affine structure together); for study "literal" (Hao 2011, section 3.3.2, to
-        the letter) and "dominant" (the same with a dominance test that can fire); rivals "mutual" (mutual nearest neighbours
+    matcher : "structural" (descriptors and local affine structure together); for study "hao2011" (Hao 2011, section 3.3.2, to the
+        letter) and "hao2011-dominance" (the same with a dominance test that can fire); rivals "mutual" (mutual nearest neighbours
         under a ratio both ways) and "kdtree" (Lowe's, through FLANN); "onnx" (a learned one, whose `model: PATH` you bring); or a
         function of your own, `package.module:function`.
     min_matches : fewer than this reject the pair.

@@ -21,19 +21,19 @@ from .reasons import Reason, Rejected
 from .rectification.predicted import predict
 from .sfm.baseline import without_baseline
 from .sfm.calibration_check import check_calibration
-from .sfm.moved_cameras import NewPose, overruled
+from .sfm.moved_cameras import NewPose, find_moved_cameras
 from .sfm.pose_check import (
     PAIR_PX,
     TURNED_DEG,
     Evidence,
+    PoseConstraints,
     Sigma,
-    Witnesses,
     check_cameras,
     confirmed,
     epipolar_error_px,
     turned_deg,
 )
-from .sfm.pose_prior_adjustment import Adjusted, adjust_within
+from .sfm.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .sfm.rigs import beside
 from .types import CalibrationCheck, Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
@@ -93,7 +93,7 @@ def solve_poses(
     cameras = adjusted.cameras
     if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
-    told = Witnesses.of(tuple(cameras), seen).evidence(cameras)
+    told = PoseConstraints.of(tuple(cameras), seen).evidence(cameras)
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
     believed = {name: placement for name, placement in placements.items() if name not in moved} | held
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
@@ -134,9 +134,9 @@ def _checked(
     found
         All cameras.
     stages
-        Known cameras as stated; those that were not overruled, as adjusted; and these with those that have no witnesses.
+        Known cameras as stated; those that have not moved, as adjusted; and these with those that nothing checks.
     moved, seen, told
-        What was overruled; the pairs of known cameras; and what they say of the adjusted ones.
+        The moved cameras; the pairs of known cameras; and what they say of the adjusted ones.
     max_epipolar_px
         See `solve_poses`.
     """
@@ -161,22 +161,22 @@ def _checked(
 
 def _believed(
     known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], frames: Mapping[str, Frame]
-) -> tuple[Adjusted, dict[str, NewPose]]:
-    """Known cameras as the images have them within their standard deviations, and those that the images overrule."""
-    adjusted = adjust_within(known, sigmas, geometries)
+) -> tuple[AdjustedPoses, dict[str, NewPose]]:
+    """Known cameras as the images have them within their standard deviations, and those that have moved."""
+    adjusted = adjust_within_priors(known, sigmas, geometries)
     if frames and _uncertain(adjusted, geometries):
-        from .sfm.ground_adjustment import adjust_by_ground  # here: other nights don't wait for its kernels
+        from .sfm.ground_adjustment import adjust_to_ground  # here: other nights don't wait for its kernels
 
         grey = {name: grey_levels(frame.image).astype(np.float32) for name, frame in frames.items()}
-        adjusted = adjust_by_ground(grey, known, sigmas, geometries) or adjusted
+        adjusted = adjust_to_ground(grey, known, sigmas, geometries) or adjusted
     cameras = adjusted.cameras
-    moved = _with_views_beside(cameras, overruled(cameras, Witnesses.of(tuple(cameras), geometries)))
+    moved = _with_views_beside(cameras, find_moved_cameras(cameras, PoseConstraints.of(tuple(cameras), geometries)))
     if moved:
-        adjusted = adjust_within({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
+        adjusted = adjust_within_priors({name: camera for name, camera in known.items() if name not in moved}, sigmas, geometries)
     return adjusted, moved
 
 
-def _uncertain(adjusted: Adjusted, pairs: Iterable[Pair]) -> dict[str, float]:
+def _uncertain(adjusted: AdjustedPoses, pairs: Iterable[Pair]) -> dict[str, float]:
     """The cameras none of whose pairs has rows that are known well enough to match along them; the least standard deviation."""
     least: dict[str, float] = {}
     for pair in pairs:
@@ -192,7 +192,7 @@ def _uncertain(adjusted: Adjusted, pairs: Iterable[Pair]) -> dict[str, float]:
 
 
 def _with_views_beside(cameras: Mapping[str, Camera], moved: Mapping[str, NewPose]) -> dict[str, NewPose]:
-    """The overruled ones, and the other views of their cameras."""
+    """The moved cameras, with the other views of each."""
     found = dict(moved)
     for name, camera in cameras.items():
         for new in moved.values() if name not in moved else ():
@@ -276,7 +276,7 @@ def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
 def _common(names: list[str], told: list[Evidence]) -> list[str]:
     """The camera that all of several contradictions have in common, if it is one."""
     against = [e.cameras for e in told if e.contradicts]
-    common = [name for name in names if all(name in witnesses for witnesses in against)]
+    common = [name for name in names if all(name in constraint for constraint in against)]
     return common if len(names) > 1 and len(against) > 1 and len(common) == 1 else []
 
 

@@ -1,6 +1,6 @@
 """Rectification of a pair: after it a point lies on the same row in both images (Hao 2011, chapter 4).
 
-The homographies of `congruent`, `literal`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image; then
+The homographies of `congruent`, `hao2011`, `hartley` and `calibrated` cannot work when an epipole lies in or near the image; then
 `polar` takes over.  What would be wrong is rejected, with the reason.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from .core.cameras import rays
 from .core.methods import bind
 from .core.ordering import median, percentiles
-from .core.residual_distortion import bend_of, straight_points
+from .core.residual_distortion import residual_distortion, straight_points
 from .mvs.ground import ground_homography, inverse_depth_line
 from .reasons import Reason, Rejected
 from .rectification.fitting import Placed, finished, placed
@@ -23,7 +23,7 @@ from .rectification.method import MatchedPair
 from .rectification.predicted import ground_in_both, predict
 from .rectification.quality import parallax_px
 from .rectification.warping import to_rectified
-from .stereo.row_verification import ask_witness
+from .stereo.row_verification import verify_rows
 from .twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
 from .twoview.pair_score import hardly_converging
@@ -31,7 +31,7 @@ from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfP
 
 METHODS = {
     "congruent": "wbflow_stages.rectification.planar:congruent",
-    "literal": "wbflow_stages.rectification.planar:literal",
+    "hao2011": "wbflow_stages.rectification.planar:hao2011",
     "hartley": "wbflow_stages.rectification.planar:hartley",
     "calibrated": "wbflow_stages.rectification.planar:calibrated",
     "polar": "wbflow_stages.rectification.polar:polar",
@@ -96,7 +96,7 @@ def rectify(
         The frames of the pair, and what is known of where things are: looked at where the matches are too few.
     method
         "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
-        the matches; "literal": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
+        the matches; "hao2011": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
         orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a dotted function.
         Homographies that tear the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
     fallback
@@ -142,7 +142,12 @@ def _first_usable(*found: Rectification | Rejected) -> Rectification | Rejected:
 
 def _straight(geometry: Geometry | None, left: Camera | None, right: Camera | None) -> Geometry | None:
     """With matches where straight frames have them, where both cameras are known."""
-    if geometry is None or left is None or right is None or (bend_of(left) is None and bend_of(right) is None):
+    if (
+        geometry is None
+        or left is None
+        or right is None
+        or (residual_distortion(left) is None and residual_distortion(right) is None)
+    ):
         return geometry
     return replace(geometry, x1=straight_points(left, geometry.x1), x2=straight_points(right, geometry.x2))
 
@@ -151,7 +156,7 @@ def _bent(found: Rectification | Rejected, left: Camera | None, right: Camera | 
     """With what the lenses of two known cameras still bend in their frames."""
     if isinstance(found, Rejected) or left is None or right is None:
         return found
-    bend1, bend2 = bend_of(left), bend_of(right)
+    bend1, bend2 = residual_distortion(left), residual_distortion(right)
     return found if bend1 is None and bend2 is None else replace(found, bend1=bend1, bend2=bend2)
 
 
@@ -207,12 +212,12 @@ def _from_cameras(
     reach = to_rectified(first[0], 1, expected.ends1)[:, 0] - to_rectified(first[0], 2, expected.ends2)[:, 0]
     low, high = percentiles(reach[np.isfinite(reach)], 2, 98)
     likely = replace(first[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
-    witness = ask_witness(*frames, replace(likely, bend1=bend_of(cameras[0]), bend2=bend_of(cameras[1])))
-    rows = witness.rows
+    verified = verify_rows(*frames, replace(likely, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1])))
+    rows = verified.rows
     right = rows.passed(_LEAST_ROW_SHARE, _LEAST_ROW_RATIO) or rows.shows_ground(_LEAST_GROUND_SHARE, _LEAST_GROUND_RATIO)
-    if not right or len(witness.x1) < _FEWEST_POINTS:
+    if not right or len(verified.x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
-    pair = _known_pair(cameras, witness.x1, witness.x2, witness.confidence)
+    pair = _known_pair(cameras, verified.x1, verified.x2, verified.confidence)
     pair = replace(pair, around=(expected.x1, expected.x2))
     if pair.angle_deg < min_angle_deg:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})

@@ -25,7 +25,7 @@ from .core.residual_distortion import straight_frame, straight_frames
 from .fusion.pair_depth import NoiseModel
 from .mvs.ground import ground_planes
 from .mvs.multi_scale_fill import filled, reduced, reduced_view
-from .mvs.plane_prior import Flats, lay_on_flats
+from .mvs.plane_prior import PlanePriors, apply_plane_priors
 from .mvs.propagation import Propagation
 from .reasons import Reason, Rejected
 from .stereo.plane_filter import smoothed
@@ -66,8 +66,8 @@ def refine(
     frames: Mapping[str, Frame],
     cameras: Mapping[str, Camera],
     scene: Scene | None = None,
-    then_camera: Camera | None = None,
-    then_depth: DepthMap | None = None,
+    reference_camera: Camera | None = None,
+    reference_depth: DepthMap | None = None,
     *,
     radius: int = 3,
     sweeps: int = 3,
@@ -87,7 +87,7 @@ def refine(
         Of the views around it, by id; views without a camera of the same world are passed over.
     scene
         Where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
-    then_camera, then_depth
+    reference_camera, reference_depth
         The reference's, if there is one: where to start from where tonight's pairs have nothing, if the camera stands as then.
     radius
         The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
@@ -106,9 +106,9 @@ def refine(
         return Rejected(Reason.NO_USEFUL_ANGLE, {"views": len(frames)})
     ground = scene.ground if scene is not None else None
     limits = _Limits(radius, sweeps, min(max_sources, _SOURCES), max_cost, noise_px)
-    if not _stands(camera, then_camera, depth, then_depth):
-        then_depth = None
-    return _refined(frame, camera, depth, frames, others, finer, ground, then_depth, limits)
+    if not _stands(camera, reference_camera, depth, reference_depth):
+        reference_depth = None
+    return _refined(frame, camera, depth, frames, others, finer, ground, reference_depth, limits)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class _Limits:
 
 def _refined(
     frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], ground: Float64s | None, then_depth: DepthMap | None, limits: _Limits,
+    finer: Mapping[str, float], ground: Float64s | None, reference_depth: DepthMap | None, limits: _Limits,
 ) -> DepthMap:  # fmt: skip
     """Depth from the views that see as finely as this one, then as coarsely as the finest of the others do from these, too.
 
@@ -132,7 +132,7 @@ def _refined(
     fits at many depths: it is not asked beside others that see more.
     """
     fine = {name: times for name, times in finer.items() if times * _UNLIKE >= 1}
-    found = _compared(frame, camera, depth, frames, cameras, fine or finer, ground, then_depth, limits)
+    found = _compared(frame, camera, depth, frames, cameras, fine or finer, ground, reference_depth, limits)
     if not fine or len(fine) == len(finer):
         return found
     times = 1 / max(finer[name] for name in finer if name not in fine)
@@ -145,7 +145,7 @@ def _refined(
 
 def _compared(
     frame: Frame, camera: Camera, depth: DepthMap, frames: Mapping[str, Frame], cameras: Mapping[str, Camera],
-    finer: Mapping[str, float], ground: Float64s | None, then_depth: DepthMap | None, limits: _Limits,
+    finer: Mapping[str, float], ground: Float64s | None, reference_depth: DepthMap | None, limits: _Limits,
 ) -> DepthMap:  # fmt: skip
     """Depth from all of these views at once; the finer ones are looked at as coarsely as this one sees."""
     around, max_cost = list(finer)[: limits.sources], limits.cost
@@ -154,10 +154,10 @@ def _compared(
     M, b = (np.stack(part) for part in zip(*(transfer(camera, other) for _, other in small), strict=True))
     spacing, least = _spacings_px(max(image.shape), [finer[other] for other in around])
     far = max(2, round(5 * max(image.shape) / 768))
-    planes = _first_planes(depth, then_depth)
+    planes = _first_planes(depth, reference_depth)
     nearest, farthest = np.percentile(planes[0][np.isfinite(planes[0])], [99.8, 0.2])
     propagation = Propagation(image, frame.mask, sources, M, b, spacing * _taps(limits.radius))
-    cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=then_depth is not None)
+    cost = propagation.improve(planes, limits.sweeps, far, 0.9 * farthest, 1.1 * nearest, again=reference_depth is not None)
     level = ground_planes(camera, ground) if ground is not None else None
     if level is not None:
         _lean_on_ground(planes, cost, propagation, level, max_cost)
@@ -171,10 +171,12 @@ def _compared(
     sure = _as_before(z, sigma, depth) | (support.second < _SURE_COST) | (support.first < _SURE_ALONE)
     if level is not None:
         sure |= _on_ground(planes, level)
-    if then_depth is not None:
-        sure |= (support.second < max_cost) & then_depth.sure & _as_before(z, sigma, then_depth)
+    if reference_depth is not None:
+        sure |= (support.second < max_cost) & reference_depth.sure & _as_before(z, sigma, reference_depth)
     rough = DepthMap(z, sigma, planes[1], planes[2], support.sources, tuple(around), kept & sure)
-    return _flattened(rough, planes[0], lay_on_flats(frame, image, propagation, planes, support, rough.sure, scale, max_cost))
+    return _flattened(
+        rough, planes[0], apply_plane_priors(frame, image, propagation, planes, support, rough.sure, scale, max_cost)
+    )
 
 
 def _planes_of(depth: DepthMap) -> Float32s:
@@ -182,15 +184,15 @@ def _planes_of(depth: DepthMap) -> Float32s:
     return np.stack([1.0 / depth.depth, depth.slope_x, depth.slope_y])
 
 
-def _first_planes(depth: DepthMap, then_depth: DepthMap | None) -> Float32s:
+def _first_planes(depth: DepthMap, reference_depth: DepthMap | None) -> Float32s:
     """Tonight's, and the reference's where tonight has none."""
     planes = _planes_of(depth)
-    return planes if then_depth is None else np.where(np.isfinite(planes[0]), planes, _planes_of(then_depth))
+    return planes if reference_depth is None else np.where(np.isfinite(planes[0]), planes, _planes_of(reference_depth))
 
 
-def _stands(camera: Camera, then: Camera | None, depth: DepthMap, then_depth: DepthMap | None) -> bool:
+def _stands(camera: Camera, then: Camera | None, depth: DepthMap, reference_depth: DepthMap | None) -> bool:
     """Does the camera see each place in the same pixel as in the reference?"""
-    if then is None or then_depth is None or depth.depth.shape != then_depth.depth.shape:
+    if then is None or reference_depth is None or depth.depth.shape != reference_depth.depth.shape:
         return False
     return all(np.array_equal(now, was) for now, was in ((camera.K, then.K), (camera.R, then.R), (camera.C, then.C)))
 
@@ -215,9 +217,9 @@ def _settled(
     planes[0] = smoothed(image, scale * planes, cost, max_cost, spacing)[0] / scale
     if least == spacing:
         return planes
-    propagation.polish(planes, radius, least, _STEPS)
+    propagation.refine_photometrically(planes, radius, least, _STEPS)
     planes = smoothed(image, scale * planes, cost, max_cost, least, rounds=2) / scale
-    propagation.polish(planes, radius, least, _STEPS_AGAIN)
+    propagation.refine_photometrically(planes, radius, least, _STEPS_AGAIN)
     return planes
 
 
@@ -240,7 +242,7 @@ def _depth_and_sigma(q: Float32s, parallax: Float32s, noise: NoiseModel) -> tupl
     return z.astype(np.float32), sigma.astype(np.float32)
 
 
-def _flattened(rough: DepthMap, q: Float32s, flats: Flats) -> DepthMap:
+def _flattened(rough: DepthMap, q: Float32s, flats: PlanePriors) -> DepthMap:
     """Depth with even surfaces on their planes, and without what was found by chance.  q: (h, w) inverse depths."""
     flat, nan = np.isfinite(flats.sigma), np.float32(np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -23,7 +23,7 @@ _FAINT, _FEWEST_EDGES = 24.0, 50
 
 
 @dataclass(frozen=True)
-class Looks:
+class ImageStatistics:
     """One picture in figures."""
 
     brightness: float
@@ -36,14 +36,14 @@ class Looks:
     """Standard deviation of their Laplacian as a share of the contrast: defocus, drops and dirt lower it, darkness doesn't."""
 
 
-def looks(image: Uint8s, usable: Bools) -> Looks:
+def image_statistics(image: Uint8s, usable: Bools) -> ImageStatistics:
     """Figures of a picture (h, w, 3) uint8 where it may be used (h, w)."""
     grey = grey_levels(image)
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)  # the sensor's noise is no sharpness
     edges = cv2.Laplacian(smooth, cv2.CV_32F)[usable]
     levels = grey[usable]
     contrast = float(levels.std())
-    return Looks(
+    return ImageStatistics(
         brightness=float(levels.mean()),
         contrast=contrast,
         saturated=float(np.mean((levels <= 2) | (levels >= 253))),
@@ -104,8 +104,8 @@ def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tupl
     weights = np.ones(len(images))
     if len(images) < 3 or not small.any():
         return weights, []
-    found = [looks(np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8), small) for i in images]
-    usual = Looks(*(float(np.median([getattr(f, n) for f in found])) for n in Looks.__dataclass_fields__))
+    found = [image_statistics(np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8), small) for i in images]
+    usual = ImageStatistics(*(float(np.median([getattr(f, n) for f in found])) for n in ImageStatistics.__dataclass_fields__))
     words = []
     for k, (name, one) in enumerate(zip(names, found, strict=True)):
         if one.saturated > usual.saturated + _BLINDED:

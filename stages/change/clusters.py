@@ -46,7 +46,7 @@ _CLEARED = 0.75
 
 
 @dataclass(frozen=True)
-class Blob:
+class ChangeCluster:
     """A change, and which core points of a night's evidence it consists of."""
 
     change: Change
@@ -56,11 +56,11 @@ class Blob:
     """The points are those of then: it has vanished."""
     colour: Float64s
     """(2,) mean shares of red and green."""
-    swept: float
+    swept_volume: float
     """Volume between both nights' surfaces as the distances tell it; inf where most of it lies too far off for these."""
 
 
-def find_blobs(
+def find_clusters(
     side: Evidence,
     colors: Float64s,
     grid: GroundGrid,
@@ -70,7 +70,7 @@ def find_blobs(
     spacing: float,
     least_area: float,
     alike: float,
-) -> list[Blob]:
+) -> list[ChangeCluster]:
     """The things that a night's changed points make, as far as most cameras say so that could and the photographs differ.
 
     Parameters
@@ -105,34 +105,34 @@ def find_blobs(
         surface = len(rows) * (CORE * spacing) ** 2
         if surface < least_area:
             continue
-        likeness = _likeness(side, rows)
+        likeness = _median_ncc(side, rows)
         if likeness >= alike or not np.nanmean(side.cleared[rows]) >= _CLEARED:
             continue
         change = _measured(side, rows, labels == number, same, grid, other, spacing)
         if change is not None:
             shares = colors[rows].mean(axis=0)
             kind = "vanished" if of_then else "new"
-            colour, swept = shares[:2] / max(float(shares.sum()), 1.0), _swept(side, rows, surface)
-            found.append(Blob(replace(change, kind=kind, likeness=likeness), rows, of_then, colour, swept))
+            colour, swept_volume = shares[:2] / max(float(shares.sum()), 1.0), _swept_volume(side, rows, surface)
+            found.append(ChangeCluster(replace(change, kind=kind, likeness=likeness), rows, of_then, colour, swept_volume))
     return found
 
 
-def _likeness(side: Evidence, rows: Int64s) -> float:
+def _median_ncc(side: Evidence, rows: Int64s) -> float:
     """Median of what is known of these points; -2 where nothing is."""
-    likeness = side.likeness[rows]
+    likeness = side.ncc[rows]
     known = likeness[np.isfinite(likeness)]
     return float(np.median(known)) if len(known) else -2.0
 
 
-def _swept(side: Evidence, rows: Int64s, surface: float) -> float:
-    """Volume that a surface has swept along its normals: of a strip of wall less than heights over its footprint say."""
+def _swept_volume(side: Evidence, rows: Int64s, surface: float) -> float:
+    """Volume that a surface has swept along its normals: for a strip of wall it is less than heights over the footprint give."""
     told = side.measured[rows]
     return surface * float(side.distance[rows][told].mean()) if told.mean() > _TOLD else float("inf")
 
 
-def paired(blobs: list[Blob]) -> list[tuple[Blob, Blob | None]]:
+def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:
     """What has moved: a new thing with the vanished one that it was before, the most alike first; all others alone."""
-    new, gone = [b for b in blobs if not b.of_then], [b for b in blobs if b.of_then]
+    new, gone = [b for b in clusters if not b.of_then], [b for b in clusters if b.of_then]
     ways = sorted(
         (abs(a.change.volume - b.change.volume), i, j) for i, a in enumerate(new) for j, b in enumerate(gone) if _alike(a, b)
     )
@@ -142,17 +142,17 @@ def paired(blobs: list[Blob]) -> list[tuple[Blob, Blob | None]]:
             came_from[i] = j
     moved = [(_moved(new[i], gone[j]), gone[j]) for i, j in sorted(came_from.items())]
     left = [b for i, b in enumerate(new) if i not in came_from] + [b for j, b in enumerate(gone) if j not in came_from.values()]
-    return [*moved, *((blob, None) for blob in left)]
+    return [*moved, *((cluster, None) for cluster in left)]
 
 
-def _alike(one: Blob, two: Blob) -> bool:
+def _alike(one: ChangeCluster, two: ChangeCluster) -> bool:
     a, b = one.change, two.change
     sizes = ((a.volume, b.volume, _SAME_VOLUME), (a.height, b.height, _SAME_HEIGHT), (a.length, b.length, _SAME_LENGTH))
     same = all(abs(x - y) <= share * max(x, y) for x, y, share in sizes)
     return same and bool(np.abs(one.colour - two.colour).max() <= _SAME_COLOUR)
 
 
-def _moved(new: Blob, gone: Blob) -> Blob:
+def _moved(new: ChangeCluster, gone: ChangeCluster) -> ChangeCluster:
     was = gone.change
     return replace(new, change=replace(new.change, kind="moved", from_x=was.x, from_y=was.y, from_z=was.z))
 

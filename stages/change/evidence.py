@@ -18,7 +18,7 @@ from ..core.jit import kernel
 from ..types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Int64s, Uint8s
 from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances
 from .free_space import Sight, look_at
-from .ncc import Photograph, likeness
+from .ncc import Photograph, ncc
 from .point_index import index_points, mean_normals, one_of_each_cell
 
 RADIUS, REACH, CORE = 3.0, 15.0, 2.0
@@ -59,7 +59,7 @@ class Evidence:
     """What the cameras of the other night saw there."""
     measured: Bools
     """The distance comes from both clouds, not from a camera that saw through."""
-    likeness: Float32s
+    ncc: Float32s
     """Median over the cameras that see the point of the correlation of both nights' pictures; nan where it was not asked, or they
     show nothing."""
     cleared: Float32s
@@ -164,7 +164,7 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
     cleared, rows = np.full(len(side.core), np.nan, np.float32), np.flatnonzero(changed)
     cleared[rows] = _cleared(side.core[rows], own.sigma[side.rows[rows]], nearer[rows], own, other)
     measured = side.measured & ~by_sight
-    return replace(side, distance=distance, sigma=sigma, measured=measured, likeness=like, cleared=cleared, changed=changed)
+    return replace(side, distance=distance, sigma=sigma, measured=measured, ncc=like, cleared=cleared, changed=changed)
 
 
 def _cleared(X: Float64s, sigma: Float64s, measured: Bools, own: Epoch, other: Epoch) -> Float32s:
@@ -213,7 +213,7 @@ def _likeness(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other:
     both = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
     if not both or not len(X):
         return np.full(len(X), np.nan, np.float32)
-    told = np.stack([likeness(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in both])
+    told = np.stack([ncc(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in both])
     for row, name in zip(told, both, strict=True):
         (here, _), (there, _) = project(own.cameras[name], X), project(own.cameras[name], X - offset)
         with np.errstate(invalid="ignore"):

@@ -32,7 +32,7 @@ class Photograph:
     frame: Frame
 
 
-def likeness(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Float32s:
+def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Float32s:
     """(n,) correlation, -1 to 1, of the patches around points in both photographs, the best of nine shifts by a pixel.
 
     nan where a patch shows nothing, or is masked, or lies outside.

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..types import Camera, Float32s, Float64s, Frame
 
-BENT_PX = 1.0
+STRAIGHT_PX = 1.0
 """A frame whose corners a lens moves by no more than this is taken for straight."""
 
 
@@ -44,21 +44,21 @@ def _fold(k1: float, k2: float) -> float:
     return float(np.sqrt(min(ahead))) if ahead else np.inf
 
 
-def bent_px(camera: Camera) -> float:
+def residual_px(camera: Camera) -> float:
     """How far the solved distortion moves the corners of the frame."""
     corners = np.array([[x, y] for x in (0.0, camera.width - 1.0) for y in (0.0, camera.height - 1.0)])
     return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
-def bend_of(camera: Camera | None) -> Float64s | None:
+def residual_distortion(camera: Camera | None) -> Float64s | None:
     """(6,) fx fy cx cy k1 k2 of a camera whose frame is bent; None where it is straight."""
-    if camera is None or not any(camera.radial) or bent_px(camera) <= BENT_PX:
+    if camera is None or not any(camera.radial) or residual_px(camera) <= STRAIGHT_PX:
         return None
     K = camera.K
     return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.radial])
 
 
-def bent_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
+def distorted_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
     """Where in a bent frame the pixels x, y of the straight one are; far outside where the lens folds over."""
     fx, fy, cx, cy, k1, k2 = (np.float64(number) for number in bend)
     a, b = (x - cx) / fx, (y - cy) / fy
@@ -72,17 +72,17 @@ def bent_pixels(bend: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) 
 
 def straight_points(camera: Camera | None, x: Float64s) -> Float64s:
     """(n, 2) pixels of a frame as it is, moved to where the straight frame has them."""
-    return x if camera is None or bend_of(camera) is None else without_distortion(camera, x)
+    return x if camera is None or residual_distortion(camera) is None else without_distortion(camera, x)
 
 
 def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
     """The frame as a pinhole would show it: itself where it is straight."""
-    bend = bend_of(camera)
+    bend = residual_distortion(camera)
     if bend is None:
         return frame
     height, width = frame.mask.shape
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    maps = bent_pixels(bend, x, y)
+    maps = distorted_pixels(bend, x, y)
     image = cv2.remap(frame.image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     mask = cv2.remap(frame.mask.astype(np.float32), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return replace(frame, image=np.asarray(image, np.uint8), mask=np.asarray(mask > 0.9999, np.bool_))
@@ -90,7 +90,7 @@ def straight_frame(frame: Frame, camera: Camera | None) -> Frame:
 
 def straight_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) -> Mapping[str, Frame]:
     """Frames by camera as pinholes would show them, each made when it is asked for."""
-    if not any(name in frames and bend_of(camera) is not None for name, camera in cameras.items()):
+    if not any(name in frames and residual_distortion(camera) is not None for name, camera in cameras.items()):
         return frames
     return _Straight(frames, cameras)
 

@@ -11,7 +11,7 @@ _REACH, _STRIDE = 6, 2
 """How far away, in pixels of an image 768 wide, and how densely neighbours are asked; as far in larger ones."""
 
 
-def company(depth: DepthMap, usable: Bools, among: Bools | None = None) -> Float32s:
+def surface_support(depth: DepthMap, usable: Bools, among: Bools | None = None) -> Float32s:
     """(h, w) share of the neighbours of each usable pixel that are `among` those asked (None: usable, too), and lie on its plane;
     0 elsewhere.
 

@@ -32,7 +32,7 @@ _AROUND = (_NEAR << 40) + 1
 """...whose keys differ by less."""
 _COLUMNS, _BEST = 17, 14
 """Columns of a voxel's sums: position, normal (by weight), colour (by confidence), weight, confidence, count, standard deviation
-by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras, accompanied."""
+by weight, variance by squared weight; from `_BEST` on the largest values: confidence, cameras, self_supported."""
 _IN_COMMON = 0.25
 """Correlation of the errors of a voxel's samples: views share pairs, pixels their patches (fitted as in `fusion.uncertainty`)."""
 
@@ -52,7 +52,7 @@ class Samples:
     cameras: Float32s
     footprint: Float32s
     variance: Float32s
-    accompanied: Bools
+    self_supported: Bools
 
 
 class VoxelGrid:
@@ -86,7 +86,7 @@ class VoxelGrid:
         sums = np.empty((len(starts), _COLUMNS), np.float32)
         _sum(
             order, np.append(starts, len(order)), away, samples.normals, samples.colors,
-            samples.weight, samples.confidence, samples.cameras, samples.variance, samples.accompanied, sums,
+            samples.weight, samples.confidence, samples.cameras, samples.variance, samples.self_supported, sums,
         )  # fmt: skip
         self._merge(keys[starts], sums)
 
@@ -97,7 +97,7 @@ class VoxelGrid:
         Position and normal are means by weight, the colour by confidence; `weight` is the samples' mean, `variance` that of the
         position, as of samples whose errors correlate by `_IN_COMMON`; confidence and cameras are the best sample's.
         """
-        kept = np.flatnonzero(sociable(self._keys, neighbours) | (self._sums[:, 16] > 0))
+        kept = np.flatnonzero(supported_voxels(self._keys, neighbours) | (self._sums[:, 16] > 0))
         yield from parallel_map(lambda piece: self._means(kept[piece]), _pieces(len(kept)))
 
     def _means(self, rows: Int64s) -> Samples:
@@ -157,7 +157,7 @@ def _sum(
     confidence: Float32s,
     cameras: Float32s,
     variance: Float32s,
-    accompanied: Bools,
+    self_supported: Bools,
     sums: Float32s,
 ) -> None:
     """Sums of each voxel over its samples, which stand together in `order` from one of `starts` to the next."""
@@ -178,7 +178,7 @@ def _sum(
             row[13] += w * w * variance[s]
             row[14] = max(row[14], c)
             row[15] = max(row[15], cameras[s])
-            row[16] = max(row[16], np.float32(accompanied[s]))
+            row[16] = max(row[16], np.float32(self_supported[s]))
 
 
 @kernel
@@ -220,7 +220,7 @@ def _merge_from_the_end(keys: Int64s, sums: Float32s, before: int, new_keys: Int
             b -= 1
 
 
-def sociable(keys: Int64s, neighbours: int) -> Bools:
+def supported_voxels(keys: Int64s, neighbours: int) -> Bools:
     """Which voxels (sorted keys) have at least `neighbours` others of their own or a finer level within three edges."""
     kept = np.zeros(len(keys), np.bool_)
     bounds = [*np.searchsorted(keys, np.arange(_LEVELS) << 60), len(keys)]

@@ -25,7 +25,7 @@ _TINY = 1e-10
 _DEPENDENT = 1e-6
 
 
-def match_literal(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
+def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) -> Matches:
     """Match the keypoints of the plain views by the published test.  `probability` is 1: the test gives no order.
 
     Parameters
@@ -36,11 +36,11 @@ def match_literal(left: Features, right: Features, *, dominance: float = 0.8) ->
         An entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
-    i1, i2 = (found.astype(np.int32) for found in np.nonzero(literal_dominance(P, dominance)))
+    i1, i2 = (found.astype(np.int32) for found in np.nonzero(published_dominance(P, dominance)))
     return keypoint_matches(left, right, rows1[i1], rows2[i2], np.ones(len(i1)))
 
 
-def match_dominant(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
+def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
     """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, an order.
 
     Parameters
@@ -51,8 +51,8 @@ def match_dominant(left: Features, right: Features, *, ratio: float = 0.8) -> Ma
         Second largest over largest entry of a row and of a column of P, at most; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
-    i1, i2, rivalry = nearest_dominance(P, ratio)
-    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - rivalry.astype(np.float64))
+    i1, i2, distance_ratio = nearest_dominance(P, ratio)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - distance_ratio.astype(np.float64))
 
 
 def _permutation(left: Features, right: Features) -> tuple[Int32s, Int32s, Float32s]:
@@ -134,7 +134,7 @@ def _by_reflections(X: Float64s) -> tuple[Float64s, Float64s]:
     return Q, R
 
 
-def literal_dominance(P: Float32s, dominance: float) -> Bools:
+def published_dominance(P: Float32s, dominance: float) -> Bools:
     """(m, n) True where an entry outweighs the absolute sum of the rest of its row, and of its column, `dominance` times."""
     weight = np.abs(P)
     rest_of_row = weight.sum(axis=1, keepdims=True) - weight
@@ -152,9 +152,9 @@ def nearest_dominance(P: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float3
     best = P[i, j]
     second = np.maximum(_second(P)[i], _second(np.ascontiguousarray(P.T))[j])
     with np.errstate(divide="ignore", invalid="ignore"):
-        rivalry = np.where(best > 0, second / best, np.inf).astype(np.float32)
-    keep = rivalry < ratio
-    return i[keep].astype(np.int32), j[keep].astype(np.int32), np.maximum(rivalry[keep], 0)
+        distance_ratio = np.where(best > 0, second / best, np.inf).astype(np.float32)
+    keep = distance_ratio < ratio
+    return i[keep].astype(np.int32), j[keep].astype(np.int32), np.maximum(distance_ratio[keep], 0)
 
 
 def _second(P: Float32s) -> Float32s:

@@ -21,8 +21,8 @@ def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matc
         First over second descriptor distance, at most, both ways; no unit.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
-    i1, i2, rivalry = mutual_matches(left.descriptors[rows1], right.descriptors[rows2], ratio)
-    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - rivalry.astype(np.float64))
+    i1, i2, distance_ratio = mutual_matches(left.descriptors[rows1], right.descriptors[rows2], ratio)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - distance_ratio.astype(np.float64))
 
 
 def mutual_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float) -> tuple[Int32s, Int32s, Float32s]:
@@ -57,8 +57,8 @@ def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: i
         Of the trees' random splits.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
-    i1, i2, rivalry = kdtree_matches(left.descriptors[rows1], right.descriptors[rows2], ratio, seed)
-    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - rivalry.astype(np.float64))
+    i1, i2, distance_ratio = kdtree_matches(left.descriptors[rows1], right.descriptors[rows2], ratio, seed)
+    return keypoint_matches(left, right, rows1[i1], rows2[i2], 1 - distance_ratio.astype(np.float64))
 
 
 def kdtree_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float, seed: int) -> tuple[Int32s, Int32s, Float32s]:

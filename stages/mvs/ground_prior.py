@@ -31,7 +31,7 @@ _LEAST_SPREAD = 16.0
 """Variance of grey levels: flatter patches look alike anywhere."""
 
 _MOST_STRETCH = 4.0
-"""What is seen from so much farther or nearer away, in pixels that it covers, is no witness."""
+"""A patch that covers so many times more or fewer pixels in the other view is not compared."""
 
 
 def ground_matches(
@@ -141,9 +141,9 @@ def _best_place(scores: Float64s, reach: int, found: Float64s) -> None:
         for c in range(size):
             if max(abs(r - row), abs(c - column)) > _BESIDE_PX:
                 second = max(second, scores[r, c])
-    bend_across = scores[row, column - 1] - 2 * best + scores[row, column + 1]
-    bend_down = scores[row - 1, column] - 2 * best + scores[row + 1, column]
-    if bend_across < 0 and bend_down < 0:
-        found[0] = column - reach + 0.5 * (scores[row, column - 1] - scores[row, column + 1]) / bend_across
-        found[1] = row - reach + 0.5 * (scores[row - 1, column] - scores[row + 1, column]) / bend_down
+    curvature_x = scores[row, column - 1] - 2 * best + scores[row, column + 1]
+    curvature_y = scores[row - 1, column] - 2 * best + scores[row + 1, column]
+    if curvature_x < 0 and curvature_y < 0:
+        found[0] = column - reach + 0.5 * (scores[row, column - 1] - scores[row, column + 1]) / curvature_x
+        found[1] = row - reach + 0.5 * (scores[row - 1, column] - scores[row + 1, column]) / curvature_y
         found[2], found[3] = best, second

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from ..types import Bools, Float32s, Float64s
 from .propagation import Propagation, Support
-from .textureless import EvenRegions, RegionPlane, from_middle
+from .textureless import RegionPlane, TexturelessRegions, from_middle
 
 SURE_PX = 0.5
 """Standard deviation of a plane where it is taken, at most."""
@@ -34,7 +34,7 @@ _CLEARLY, _AS_FOUND = 0.02, 0.05
 
 
 @dataclass(frozen=True)
-class Sighted:
+class CheckedPlanes:
     """What was put on planes by sight, (h, w) each but the first."""
 
     planes: Float32s
@@ -45,10 +45,10 @@ class Sighted:
     """Regions whose depths tell nothing, whether they were put on a plane or not."""
 
 
-def planes_by_sight(
-    regions: EvenRegions, found: Sequence[RegionPlane], propagation: Propagation, support: Support, sure: Bools,
+def checked_planes(
+    regions: TexturelessRegions, found: Sequence[RegionPlane], propagation: Propagation, support: Support, sure: Bools,
     scale: np.float32, max_cost: float, spacing: int,
-) -> Sighted:  # fmt: skip
+) -> CheckedPlanes:  # fmt: skip
     """Put doubtful regions of a picture on the planes of those around them.
 
     Parameters
@@ -56,7 +56,7 @@ def planes_by_sight(
     regions, found
         Of the picture, and the planes that its depths tell.
     propagation, support, sure, scale, max_cost
-        See `mvs.plane_prior.lay_on_flats`.
+        See `mvs.plane_prior.apply_plane_priors`.
     spacing
         Pixels for each of an image 768 wide.
     """
@@ -69,19 +69,19 @@ def planes_by_sight(
             if plane.variance(_middle(boxes[k - 1], shape))[0] <= SURE_PX**2:
                 doubtful[k] = False
     nan = np.full((4, *shape), np.nan, np.float32)
-    sighted = Sighted(nan[:3], nan[3], doubtful[regions.number])
+    checked = CheckedPlanes(nan[:3], nan[3], doubtful[regions.number])
     tried = []
     for k in np.flatnonzero(doubtful).tolist():
         beside = _around(regions, boxes[k - 1], found, spacing)
         if beside is not None:
             tried.append(k)
-            _put(sighted, beside, boxes[k - 1], regions.number[boxes[k - 1]] == k)
+            _put(checked, beside, boxes[k - 1], regions.number[boxes[k - 1]] == k)
     if tried:
-        seen = _seen(regions, sighted.planes, propagation, support, sure, scale, max_cost)
+        seen = _seen(regions, checked.planes, propagation, support, sure, scale, max_cost)
         unseen = ~np.isin(regions.number, [k for k in tried if seen[k]])
-        sighted.planes[:, unseen] = np.nan
-        sighted.sigma[unseen] = np.nan
-    return sighted
+        checked.planes[:, unseen] = np.nan
+        checked.sigma[unseen] = np.nan
+    return checked
 
 
 def _middle(box: tuple[slice, slice], shape: tuple[int, ...]) -> Float64s:
@@ -89,7 +89,9 @@ def _middle(box: tuple[slice, slice], shape: tuple[int, ...]) -> Float64s:
     return from_middle(x, y, shape)
 
 
-def _around(regions: EvenRegions, box: tuple[slice, slice], planes: Sequence[RegionPlane], spacing: int) -> RegionPlane | None:
+def _around(
+    regions: TexturelessRegions, box: tuple[slice, slice], planes: Sequence[RegionPlane], spacing: int
+) -> RegionPlane | None:
     """The plane that has most pixels around a region, if it is sure in the region."""
     reach = _BESIDE * spacing
     rows, columns = (slice(max(0, along.start - reach), along.stop + reach) for along in box)
@@ -100,17 +102,17 @@ def _around(regions: EvenRegions, box: tuple[slice, slice], planes: Sequence[Reg
     return planes[-max(having)[1]] if having else None
 
 
-def _put(sighted: Sighted, plane: RegionPlane, box: tuple[slice, slice], mine: Bools) -> None:
+def _put(checked: CheckedPlanes, plane: RegionPlane, box: tuple[slice, slice], mine: Bools) -> None:
     y, x = np.nonzero(mine)
     y, x = y + box[0].start, x + box[1].start
-    at = from_middle(x, y, sighted.sigma.shape)
-    for layer, values in zip(sighted.planes, (at @ plane.plane, plane.plane[1], plane.plane[2]), strict=True):
+    at = from_middle(x, y, checked.sigma.shape)
+    for layer, values in zip(checked.planes, (at @ plane.plane, plane.plane[1], plane.plane[2]), strict=True):
         layer[y, x] = values
-    sighted.sigma[y, x] = np.sqrt(plane.variance(at))
+    checked.sigma[y, x] = np.sqrt(plane.variance(at))
 
 
 def _seen(
-    regions: EvenRegions, planes: Float32s, propagation: Propagation, support: Support, sure: Bools, scale: np.float32,
+    regions: TexturelessRegions, planes: Float32s, propagation: Propagation, support: Support, sure: Bools, scale: np.float32,
     max_cost: float,
 ) -> Bools:  # fmt: skip
     """(regions + 1,): do the photographs show the region on its plane, in the mean?"""

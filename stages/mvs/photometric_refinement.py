@@ -183,7 +183,7 @@ def _move(s: Float32s, votes: Float32s) -> None:
 
 
 @kernel
-def polish(
+def refine_photometrically(
     image: Float32s, usable: Float32s, pairs: Uint64s, height: int, width: int, M: Float32s, b: Float32s, taps: Int32s,
     fall: Float32s, reach: int, steps: int, planes: Float32s,
 ) -> None:  # fmt: skip

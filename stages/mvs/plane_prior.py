@@ -1,8 +1,8 @@
 """Even surfaces laid on planes: what patches of plaster, asphalt or snow cannot tell, a whole wall of them can.
 
 Where next to nothing is to be seen a patch matches by its noise, and beside a window by the window: depths scatter about the
-surface by several times what is expected.  A plane through the depths of a whole even region (`mvs.textureless`) averages that.
-It is taken where the depths around a pixel lie about it as noise does, and yields to what the photographs show.
+surface by several times what is expected.  A plane through the depths of a whole textureless region (`mvs.textureless`) averages
+that.  It is taken where the depths around a pixel lie about it as noise does, and yields to what the photographs show.
 
 References
 ----------
@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 
 from ..types import Bools, Float32s, Frame, Uint32s
-from .photometric_check import SURE_PX, planes_by_sight
+from .photometric_check import SURE_PX, checked_planes
 from .propagation import Propagation, Support
-from .textureless import CORRELATED, NEAR_PX, EvenRegions, RegionPlane, even_regions, from_middle, planes_of_regions
+from .textureless import CORRELATED, NEAR_PX, RegionPlane, TexturelessRegions, from_middle, planes_of_regions, textureless_regions
 
 _AROUND = 25
 """Half the side of the window, pixels of an image 768 wide, in which depths must lie about a plane."""
@@ -43,8 +43,8 @@ _YIELDS = 0.198
 """...and a plane yields if its cost squared is so much more: where exp(-c^2 / .18) (1 + .5) falls below exp(-c^2 / .18) .5."""
 
 _RELIEF = 0.045
-"""Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the even
-ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
+"""Where planes cost so much more than the depths around that they replace, in the mean, the surface has relief: 95 % of the
+textureless ones of the demo's weak yard cost less than .03 more, waves of one and a half pixels .06, the flank of a tank .2."""
 
 _SOURCES = 2.0
 """So many sources must see the depths around, on average, for a plane to replace one: what a single one errs, calibration
@@ -76,8 +76,8 @@ class _Laid:
 
 
 @dataclass(frozen=True)
-class Flats:
-    """What became of even surfaces, (h, w) each."""
+class PlanePriors:
+    """What became of textureless surfaces, (h, w) each."""
 
     sigma: Float32s
     """Standard deviation of the inverse depths that were put on planes, nan elsewhere."""
@@ -85,11 +85,11 @@ class Flats:
     """Depths that were found by chance, on no plane, and lie off the surface for it."""
 
 
-def lay_on_flats(
+def apply_plane_priors(
     frame: Frame, grey: Float32s, propagation: Propagation, planes: Float32s, support: Support, sure: Bools,
     scale: np.float32, max_cost: float,
-) -> Flats:  # fmt: skip
-    """Put even surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
+) -> PlanePriors:  # fmt: skip
+    """Put textureless surfaces on planes of many pixels: planes and the sources of `support` are changed in place.
 
     Parameters
     ----------
@@ -105,12 +105,12 @@ def lay_on_flats(
         A source sees a plane that costs less.
     """
     spacing = max(1, round(max(grey.shape) / 768))
-    regions = even_regions(frame.image, frame.mask, spacing)
+    regions = textureless_regions(frame.image, frame.mask, spacing)
     known = np.where(sure, scale * planes[0], np.float32(np.nan))
     found = planes_of_regions(regions, known, spacing)
     laid = _laid(regions, found, known, spacing)
-    sighted = planes_by_sight(regions, found, propagation, support, sure, scale, max_cost, spacing)
-    _add(laid, sighted.planes, sighted.sigma)
+    checked = checked_planes(regions, found, propagation, support, sure, scale, max_cost, spacing)
+    _add(laid, checked.planes, checked.sigma)
     strong = _strong(grey, 6 * spacing + 1)
     take = np.isfinite(laid.sigma) & (laid.planes[0] > 0)
     if take.any():
@@ -125,11 +125,11 @@ def lay_on_flats(
         support.sources[take] = (sources | shown.sources | np.where(sure, support.sources, np.uint32(0)))[take]
     sigma = np.where(take, laid.sigma / scale, np.float32(np.nan)).astype(np.float32)
     steep = scale * np.hypot(planes[1], planes[2]) > _STEEP_PX  # the error leaves it on the surface, a pixel or less aside
-    return Flats(sigma, sighted.doubted & ~take & ~strong & ~steep)
+    return PlanePriors(sigma, checked.doubted & ~take & ~strong & ~steep)
 
 
-def _laid(regions: EvenRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
-    """The planes of a view's even regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
+def _laid(regions: TexturelessRegions, found: Sequence[RegionPlane], known: Float32s, spacing: int) -> _Laid:
+    """The planes of a view's textureless regions.  known: (h, w) inverse depths in pixels of a source, nan for none."""
     nan = np.full((4, *known.shape), np.nan, np.float32)
     laid = _Laid(nan[:3], nan[3], np.zeros(known.shape, bool), np.zeros(known.shape, np.float32))
     for plane in found:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..types import Bools, Float32s, Float64s, Int32s, Uint32s
 from .kernels import BLOCK, NOISE, UNSEEN, Scalar, judge, propagate
-from .photometric_refinement import polish
+from .photometric_refinement import refine_photometrically
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Propagation:
             )  # fmt: skip
         return cost
 
-    def polish(self, planes: Float32s, radius: int, spacing: int, steps: int) -> None:
+    def refine_photometrically(self, planes: Float32s, radius: int, spacing: int, steps: int) -> None:
         """Move planes (3, h, w) in place, by fractions of a pixel, to where all sources together fit best
         (`mvs.photometric_refinement`).
 
@@ -106,7 +106,7 @@ class Propagation:
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)
         fall = np.exp(-2 * (offsets**2).sum(axis=1) / radius**2).astype(np.float32)
-        polish(
+        refine_photometrically(
             self.image, self.usable, self.pairs, self.height, self.width, self.M, self.b, spacing * offsets, fall, self.reach,
             steps, planes,
         )  # fmt: skip

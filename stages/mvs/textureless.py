@@ -53,7 +53,7 @@ CORRELATED = 240.0
 
 
 @dataclass(frozen=True)
-class EvenRegions:
+class TexturelessRegions:
     """Regions 1, 2, ... of a picture."""
 
     number: Int32s
@@ -80,7 +80,7 @@ class RegionPlane:
         return np.asarray(np.sum((at @ self.covariance) * at, axis=1), dtype=np.float64)
 
 
-def even_regions(image: Uint8s, usable: Bools, spacing: int) -> EvenRegions:
+def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> TexturelessRegions:
     """The even regions of a picture.
 
     Parameters
@@ -99,7 +99,7 @@ def even_regions(image: Uint8s, usable: Bools, spacing: int) -> EvenRegions:
     number = (np.cumsum(kept) * kept)[found].astype(np.int32)
     thick = np.zeros(int(kept.sum()) + 1, bool)
     if len(thick) == 1:
-        return EvenRegions(number, thick)
+        return TexturelessRegions(number, thick)
     inner = cv2.distanceTransform((number > 0).astype(np.uint8), cv2.DIST_C, 3)
     thick[number[inner >= (_THICK - 1) * spacing]] = True
     outside = (number == 0).astype(np.uint8)
@@ -110,10 +110,10 @@ def even_regions(image: Uint8s, usable: Bools, spacing: int) -> EvenRegions:
     there = place[nearest]  # the nearest pixel of a region
     unlike = np.abs(image.astype(np.int16) - image.reshape(-1, 3)[there].astype(np.int16)).max(axis=2)
     belongs = usable & ((away <= 1) | ((away <= _BESIDE * spacing) & (unlike <= _ALIKE)))
-    return EvenRegions(np.where(belongs, number.ravel()[there], 0).astype(np.int32), thick)
+    return TexturelessRegions(np.where(belongs, number.ravel()[there], 0).astype(np.int32), thick)
 
 
-def planes_of_regions(regions: EvenRegions, known: Float32s, spacing: int) -> list[RegionPlane]:
+def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int) -> list[RegionPlane]:
     """Planes that depths in even regions tell, those of the best known regions first.
 
     Parameters

@@ -3,9 +3,9 @@
 From `F ~ H2^-T [i]x H1` follow the second and third row of H1 once H2 is chosen; its first row, three numbers, is free.
 
 - `congruent` makes the *net* of matches congruent in both images.  Hao (2011, section 4.3) joins the matches by a Delaunay net
-  and minimises the differences of its edges (4-6).  To the letter, edges across depth jumps are noise in the regressor and shrink
-  x.  Two steps together cure it: one control point for each cell of a grid (that work's own future work), and weights that let
-  edges across depth jumps go.
+  and minimises the differences of its edges (4-6).  To the letter (`hao2011`), edges across depth jumps are noise in the
+  regressor and shrink x.  Two steps together cure it: one control point for each cell of a grid (that work's own future work),
+  and weights that let edges across depth jumps go.
 - `hartley` brings *points* to the x of their partners.
 - `calibrated` turns two cameras of known K and pose to a common orientation, then makes the net congruent."""
 
@@ -34,7 +34,7 @@ def congruent(pair: MatchedPair) -> Homographies:
     return _fit(pair.F, pair.x1[chosen], pair.x2[chosen], pair.size2, robust=True)
 
 
-def literal(pair: MatchedPair) -> Homographies:
+def hao2011(pair: MatchedPair) -> Homographies:
     """By the letter of Hao's 4.3: every match, plain least squares."""
     return _fit(pair.F, pair.x1, pair.x2, pair.size2, robust=False)
 

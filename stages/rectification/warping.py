@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..core.jit import kernel
-from ..core.residual_distortion import bent_pixels
+from ..core.residual_distortion import distorted_pixels
 from ..twoview.epipolar import apply_homography
 from ..types import INVALID, Bools, Disparity, Float32s, Float64s, PolarRows, Rectification
 
@@ -170,7 +170,7 @@ def _source_of_pixels(rectification: Rectification, side: Side) -> tuple[Float32
     """Frame coordinates (h, w) of every pixel of the rectified image, float32; far outside the frame where there is none."""
     x, y = _straight_source(rectification, side)
     bend = rectification.bend1 if side == 1 else rectification.bend2
-    return (x, y) if bend is None else bent_pixels(bend, x, y)
+    return (x, y) if bend is None else distorted_pixels(bend, x, y)
 
 
 def _straight_source(rectification: Rectification, side: Side) -> tuple[Float32s, Float32s]:

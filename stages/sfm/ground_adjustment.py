@@ -19,7 +19,7 @@ from ..mvs.ground_prior import ground_matches
 from ..twoview.epipolar import triangulate_depth
 from ..types import Camera, Float32s, Float64s, Geometry, Int64s, Pair
 from .pose_check import Sigma
-from .pose_prior_adjustment import MIN_MATCHES, Adjusted, adjust_within
+from .pose_prior_adjustment import MIN_MATCHES, AdjustedPoses, adjust_within_priors
 
 _MOST_PLANES = 4
 """Planes that are looked at more closely."""
@@ -44,15 +44,15 @@ _CLEARER, _CLEARER_FOR_TWO = 1.5, 3.0
 class _Fit:
     """Cameras adjusted to a plane."""
 
-    adjusted: Adjusted
+    adjusted: AdjustedPoses
     plane: Float64s
     share: float
     """Of the patches that look alike on it."""
 
 
-def adjust_by_ground(
+def adjust_to_ground(
     images: Mapping[str, Float32s], known: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pairs: Mapping[Pair, Geometry]
-) -> Adjusted | None:
+) -> AdjustedPoses | None:
     """The cameras as the ground has them; None where no plane stands out.
 
     Parameters
@@ -149,7 +149,7 @@ def _roughly(site: _Site, plane: Float64s) -> _Fit | None:
     matches = site.matches(site.known, plane, 1, _ROUGH)
     if not matches:
         return None
-    adjusted = adjust_within(site.known, site.sigmas, matches, trusted=True)
+    adjusted = adjust_within_priors(site.known, site.sigmas, matches, trusted=True)
     share, settled = settled_on(site.views(adjusted.cameras, 1), plane)
     return _Fit(adjusted, settled, share)
 
@@ -165,7 +165,7 @@ def _finely(site: _Site, fit: _Fit) -> _Fit:
             x1, x2 = np.concatenate([x1, found[pair].x1]), np.concatenate([x2, found[pair].x2])
         if len(x1):
             both[pair] = _of(geometry, x1, x2)
-    adjusted = adjust_within(site.known, site.sigmas, both, trusted=True)
+    adjusted = adjust_within_priors(site.known, site.sigmas, both, trusted=True)
     share, settled = settled_on(site.views(adjusted.cameras, 1), fit.plane)
     return _Fit(adjusted, settled, share)
 

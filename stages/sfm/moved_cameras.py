@@ -1,4 +1,4 @@
-"""Which stated poses the images overrule: those for which several partners agree on one and the same other pose."""
+"""Find cameras that have moved: several partners agree on one pose that is not the stated one."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..core.cameras import project
 from ..core.rotations import angle_between_deg, rotation_matrix
 from ..twoview.epipolar import fundamental_from_cameras, sampson_distance
 from ..types import Camera, Float64s, Geometry, Pair
-from .pose_check import PAIR_PX, TRIO_PX, Evidence, Trio, Witnesses, seen_points
+from .pose_check import PAIR_PX, TRIPLET_PX, Evidence, PoseConstraints, Triplet, seen_points
 
 AGREE_DEG = 1.5
 """Two pairs agree on a camera's rotation within this; then one pose must satisfy both."""
 CLEARER = 2.0
-"""A witness supports a new pose if it fits so many times better than the stated one."""
+"""A constraint supports a new pose if that fits it so many times better than the stated one."""
 MIN_CELLS = 8
-"""Distinctive matches of a witness are in so many cells of the image at least (of 96)."""
+"""Distinctive matches of a constraint are in so many cells of the image at least (of 96)."""
 SAMPLE = 150
-"""So many matches of a witness are fitted."""
+"""So many matches of a constraint are fitted."""
 PARALLEL = 0.03
 """Two directions to a camera that differ by less than this (radians) leave its distance open."""
 
@@ -32,24 +32,25 @@ class NewPose:
 
     camera: Camera
     support: int
-    """Witnesses for it..."""
+    """Constraints that it satisfies..."""
     left: int
     """...and contradictions that stay with it among all cameras."""
     pairs: tuple[Pair, ...]
     """Those that agree with it."""
 
 
-def overruled(cameras: Mapping[str, Camera], witnesses: Witnesses) -> dict[str, NewPose]:
+def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstraints) -> dict[str, NewPose]:
     """The cameras whose stated poses are wrong, with where they are instead.
 
-    A camera is overruled if at least two pairs with different partners, or three cameras whose matches close, contradict its
-    pose and agree on another one; if their distinctive matches are spread over the image; and if they are more than the witnesses
-    against it.  Where it could be one camera as well as another, neither is; nor if it were half of all cameras.
+    A camera is find_moved_cameras if at least two pairs with different partners, or three cameras whose matches close, contradict
+    its pose and agree on another one; if their distinctive matches are spread over the image; and if they are more than the
+    constraints against it.  Where it could be one camera as well as another, neither counts as moved; nor does any if it were
+    half of all cameras.
     """
     found: dict[str, NewPose] = {}
     passed: set[str] = set()
     while True:
-        among = witnesses.without(set(found))
+        among = constraints.without(set(found))
         open_ = [name for name in cameras if name not in found and name not in passed]
         candidates = {name: new for name in open_ if (new := _agreed(name, cameras, among)) is not None}
         if not candidates:
@@ -63,19 +64,19 @@ def overruled(cameras: Mapping[str, Camera], witnesses: Witnesses) -> dict[str, 
             found[name] = candidates[name]
 
 
-def _agreed(name: str, cameras: Mapping[str, Camera], witnesses: Witnesses) -> NewPose | None:
+def _agreed(name: str, cameras: Mapping[str, Camera], constraints: PoseConstraints) -> NewPose | None:
     """The pose of a camera that its partners agree on against the stated one; None where they don't."""
-    stated = {e.cameras: e for e in witnesses.evidence(cameras, name)}
-    against = {key: e for key, e in stated.items() if e.contradicts and _distinctive(key, witnesses.pairs)}
-    trios = [trio for trio in witnesses.trios if trio.cameras in against]
-    pairs = {pair: geometry for pair, geometry in witnesses.pairs.items() if pair in against}
-    if len(pairs) < 2 and not trios:
+    stated = {e.cameras: e for e in constraints.evidence(cameras, name)}
+    against = {key: e for key, e in stated.items() if e.contradicts and _distinctive(key, constraints.pairs)}
+    triplets = [triplet for triplet in constraints.triplets if triplet.cameras in against]
+    pairs = {pair: geometry for pair, geometry in constraints.pairs.items() if pair in against}
+    if len(pairs) < 2 and not triplets:
         return None
     best: NewPose | None = None
-    others = sum(e.contradicts for e in witnesses.evidence(cameras)) - sum(e.contradicts for e in stated.values())
-    for start, those, three in _starts(name, cameras, pairs, trios):
+    others = sum(e.contradicts for e in constraints.evidence(cameras)) - sum(e.contradicts for e in stated.values())
+    for start, those, three in _starts(name, cameras, pairs, triplets):
         camera = _fitted(name, start, cameras, those, three)
-        supporters, left = _votes(stated, witnesses.evidence({**cameras, name: camera}, name))
+        supporters, left = _votes(stated, constraints.evidence({**cameras, name: camera}, name))
         partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
         if (len(partners) < 2 and not any(len(key) == 3 for key in supporters)) or len(supporters) <= left:
             continue
@@ -103,18 +104,18 @@ def _distinctive(key: tuple[str, ...], pairs: Mapping[Pair, Geometry]) -> bool:
 
 
 def _starts(
-    name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], trios: list[Trio]
-) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Trio]]]:
-    """Poses to begin with, each with the witnesses that say so."""
+    name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
+) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Triplet]]]:
+    """Yield poses to begin with, each with the constraints that give it."""
     told = {pair: said for pair, g in pairs.items() if (said := _told(name, cameras, pair, g)) is not None}
     for a, b in combinations(told, 2):
         if angle_between_deg(told[a][0], told[b][0]) <= AGREE_DEG:
             C = _crossing(cameras[name], *told[a][1:], *told[b][1:])
             if C is not None:
-                three = [trio for trio in trios if {*a, *b} == set(trio.cameras)]
+                three = [triplet for triplet in triplets if {*a, *b} == set(triplet.cameras)]
                 yield replace(cameras[name], R=told[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, three
-    for trio in trios:
-        yield cameras[name], {pair: g for pair, g in pairs.items() if set(pair) <= set(trio.cameras)}, [trio]
+    for triplet in triplets:
+        yield cameras[name], {pair: g for pair, g in pairs.items() if set(pair) <= set(triplet.cameras)}, [triplet]
 
 
 def _told(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
@@ -138,13 +139,15 @@ def _crossing(camera: Camera, A: Float64s, a: Float64s, B: Float64s, b: Float64s
     return np.asarray(0.5 * (A + s * a + B + t * b), dtype=np.float64) if min(s, t) > 0 else None
 
 
-def _fitted(name: str, start: Camera, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], trios: list[Trio]) -> Camera:
-    """The pose that satisfies some witnesses best, the other cameras being where they are said to be."""
+def _fitted(
+    name: str, start: Camera, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
+) -> Camera:
+    """Return the pose that satisfies some constraints best, the other cameras being at their stated poses."""
     from scipy.optimize import least_squares  # here: nights whose poses are right don't wait for it
 
     scale = min(float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name) or 1.0
     sights = [(pair, g.x1[_some(len(g.x1))], g.x2[_some(len(g.x1))]) for pair, g in pairs.items()]
-    points = [(x[_some(len(x))], X[_some(len(x))]) for trio in trios for x, X in [seen_points(cameras, trio, name)]]
+    points = [(x[_some(len(x))], X[_some(len(x))]) for triplet in triplets for x, X in [seen_points(cameras, triplet, name)]]
 
     def at(step: Float64s) -> Camera:
         return replace(start, R=rotation_matrix(step[:3]) @ start.R, C=start.C + scale * step[3:])
@@ -152,7 +155,7 @@ def _fitted(name: str, start: Camera, cameras: Mapping[str, Camera], pairs: Mapp
     def errors(step: Float64s) -> Float64s:
         moved = {**cameras, name: at(step)}
         off = [sampson_distance(fundamental_from_cameras(moved[a], moved[b]), x1, x2) / PAIR_PX for (a, b), x1, x2 in sights]
-        off += [np.nan_to_num((project(moved[name], X)[0] - x) / TRIO_PX).ravel() for x, X in points]
+        off += [np.nan_to_num((project(moved[name], X)[0] - x) / TRIPLET_PX).ravel() for x, X in points]
         return np.concatenate([*off, np.zeros(6)])
 
     return at(least_squares(errors, np.zeros(6), loss="cauchy", max_nfev=60).x)

@@ -3,7 +3,7 @@
 A stated pose is evidence with a standard deviation.  Two kinds of evidence speak about it.  A pair: how far its inliers lie from
 the epipolar lines of the stated poses.  Three cameras: keypoints that all three pairs among them chain to the same point; this
 also tells what moves along the epipolar lines.  Either may be a look-alike, which no count of inliers tells from the truth: so a
-pose is overruled only where several partners agree on one new pose (`overruled`), and is unverified otherwise.
+pose is replaced only where several partners agree on one new pose (`moved_cameras`), and is unverified otherwise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .tracks import same_places
 
 MIN_SHARED = 20
 """Matches or points that a piece of evidence needs at least."""
-PAIR_PX, TRIO_PX = 1.0, 4.0
+PAIR_PX, TRIPLET_PX = 1.0, 4.0
 """Larger median errors contradict exact poses: of a pair, and of three cameras, where the error of a point adds to that of the
 matches."""
 DEVIATIONS = 3.0
@@ -31,7 +31,7 @@ DEVIATIONS = 3.0
 TURNED_DEG = 0.5
 """The relative rotation of a pair's poses and that of its matches differ by more than this if one of the cameras was turned."""
 BELIEVED = 0.5
-"""Pairs that are less probable than this are no witnesses."""
+"""Pairs that are less probable than this check no pose."""
 SURE = 4.0
 """Log odds of a pair that is confirmed by known poses."""
 MIN_ANGLE = np.radians(3.0)
@@ -74,7 +74,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Trio:
+class Triplet:
     """Three cameras and (n, 2) pixels in each of points that all three pairs among them agree on."""
 
     cameras: tuple[str, str, str]
@@ -82,25 +82,25 @@ class Trio:
 
 
 @dataclass(frozen=True)
-class Witnesses:
-    """What may speak about poses: believed pairs with enough matches, and the trios among them."""
+class PoseConstraints:
+    """What may speak about poses: believed pairs with enough matches, and the triplets among them."""
 
     pairs: Mapping[Pair, Geometry]
-    trios: tuple[Trio, ...]
+    triplets: tuple[Triplet, ...]
 
     @classmethod
-    def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> Witnesses:
+    def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> PoseConstraints:
         """Those among the cameras of these names."""
         known = set(names)
         pairs = {p: g for p, g in geometries.items() if set(p) <= known and g.good_probability >= BELIEVED}
         pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
-        trios = [trio for three in _triangles(pairs) if (trio := _trio(three, pairs)) is not None]
-        return cls(pairs, tuple(trios))
+        triplets = [triplet for three in _triangles(pairs) if (triplet := _triplet(three, pairs)) is not None]
+        return cls(pairs, tuple(triplets))
 
-    def without(self, names: set[str]) -> Witnesses:
+    def without(self, names: set[str]) -> PoseConstraints:
         """Those that say nothing of some cameras."""
         pairs = {pair: g for pair, g in self.pairs.items() if not set(pair) & names}
-        return Witnesses(pairs, tuple(t for t in self.trios if not set(t.cameras) & names))
+        return PoseConstraints(pairs, tuple(t for t in self.triplets if not set(t.cameras) & names))
 
     def evidence(self, cameras: Mapping[str, Camera], about: str = "") -> list[Evidence]:
         """What all say; or those that know the camera `about`."""
@@ -108,9 +108,9 @@ class Witnesses:
         for pair, geometry in self.pairs.items():
             if not about or about in pair:
                 found.append(Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX))
-        for trio in self.trios:
-            if (not about or about in trio.cameras) and (error := trio_error_px(cameras, trio)) is not None:
-                found.append(Evidence(trio.cameras, error, TRIO_PX))
+        for triplet in self.triplets:
+            if (not about or about in triplet.cameras) and (error := triplet_error_px(cameras, triplet)) is not None:
+                found.append(Evidence(triplet.cameras, error, TRIPLET_PX))
         return found
 
 
@@ -162,8 +162,8 @@ def check_cameras(
 
 
 def verified(views: Set[str], evidence: list[Evidence]) -> bool:
-    """Do more of a camera's pairs, and of its trios, agree with the poses than contradict them?  All its views have a say: they
-    move as one."""
+    """Do more of a camera's pairs, and of its triplets, agree with the poses than contradict them?  All its views have a say:
+    they move as one."""
     mine = [e for e in evidence if not views.isdisjoint(e.cameras)]
     votes = [sum(-1 if e.contradicts else 1 for e in mine if len(e.cameras) == size) for size in (2, 3)]
     return votes[0] > 0 and votes[1] >= 0
@@ -188,30 +188,30 @@ def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) ->
     return angle_between_deg(geometry.cam2_R_cam1, relative_pose(cameras[pair[0]], cameras[pair[1]])[0])
 
 
-def trio_error_px(cameras: Mapping[str, Camera], trio: Trio) -> float | None:
+def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float | None:
     """Median distance of the points that the two widest views give to their pixels in the third; None where these are few."""
     best: tuple[float, float] | None = None
     for i, j in combinations(range(3), 2):
-        X = _meet(cameras[trio.cameras[i]], cameras[trio.cameras[j]], trio.x[i], trio.x[j])
+        X = _meet(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
         good = np.isfinite(X[:, 0])
         if good.sum() < MIN_SHARED:
             continue
-        angle = ray_angles(X - cameras[trio.cameras[i]].C, X - cameras[trio.cameras[j]].C)
+        angle = ray_angles(X - cameras[triplet.cameras[i]].C, X - cameras[triplet.cameras[j]].C)
         width = float(np.median(angle[good]))
         if best is None or width > best[0]:
             k = 3 - i - j
-            off = np.linalg.norm(project(cameras[trio.cameras[k]], X[good])[0] - trio.x[k][good], axis=1)
+            off = np.linalg.norm(project(cameras[triplet.cameras[k]], X[good])[0] - triplet.x[k][good], axis=1)
             best = width, float(np.median(off))
     return best and best[1]
 
 
-def seen_points(cameras: Mapping[str, Camera], trio: Trio, name: str) -> tuple[Float64s, Float64s]:
-    """(n, 2) pixels of one camera of a trio, and (n, 3) the points that the other two make of them."""
-    k = trio.cameras.index(name)
+def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> tuple[Float64s, Float64s]:
+    """(n, 2) pixels of one camera of a triplet, and (n, 3) the points that the other two make of them."""
+    k = triplet.cameras.index(name)
     i, j = (n for n in range(3) if n != k)
-    X = _meet(cameras[trio.cameras[i]], cameras[trio.cameras[j]], trio.x[i], trio.x[j])
+    X = _meet(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
     good = np.isfinite(X[:, 0])
-    return trio.x[k][good], X[good]
+    return triplet.x[k][good], X[good]
 
 
 def _triangles(pairs: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
@@ -221,7 +221,7 @@ def _triangles(pairs: Mapping[Pair, Geometry]) -> list[tuple[str, str, str]]:
     return [(a, b, c) for a, b in pairs for c in sorted(after.get(b, set()) & after[a])]
 
 
-def _trio(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Trio | None:
+def _triplet(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Triplet | None:
     """The points whose matches close: what a wrong pair says, the two others would have to say, too."""
     a, b, c = three
     ab, bc, ac = pairs[a, b], pairs[b, c], pairs[a, c]
@@ -231,7 +231,7 @@ def _trio(three: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Trio |
     closes = np.linalg.norm(ac.x2[third] - bc.x2[second], axis=1) < 1.5
     if closes.sum() < MIN_SHARED:
         return None
-    return Trio(three, (ab.x1[first[closes]], ab.x2[first[closes]], bc.x2[second[closes]]))
+    return Triplet(three, (ab.x1[first[closes]], ab.x2[first[closes]], bc.x2[second[closes]]))
 
 
 def _joined(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -> tuple[Int64s, Int64s]:

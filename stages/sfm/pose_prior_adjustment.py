@@ -15,7 +15,7 @@ from ..core.least_squares import Equations, levenberg_marquardt
 from ..core.rotations import rotation_matrix, rotation_vector, skew
 from ..twoview.epipolar import fundamental_from_cameras, homogeneous, symmetric_epipolar_distance
 from ..types import Bools, Camera, Float64s, Geometry, Pair
-from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, Sigma, Witnesses, slack_px
+from .pose_check import BELIEVED, DEVIATIONS, PAIR_PX, PoseConstraints, Sigma, slack_px
 from .rigs import between, rigs_of
 from .tracks import Edge, Tracks, build_tracks
 from .triangulation import angles, residuals, triangulate
@@ -39,9 +39,9 @@ MIN_ANGLE = np.radians(1.0)
 """Rays that meet at less than this don't make a point."""
 
 
-def adjust_within(
+def adjust_within_priors(
     cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], geometries: Mapping[Pair, Geometry], *, trusted: bool = False
-) -> Adjusted:
+) -> AdjustedPoses:
     """The most probable cameras, given their stated poses with their standard deviations and the matches that these allow.
 
     Parameters
@@ -65,14 +65,14 @@ def adjust_within(
         if set(pair) <= set(cameras) and (near := _allowed(cameras, sigmas, pair, geometry, trusted)) is not None:
             edges[number[pair[0]], number[pair[1]]] = near
     loose = [name for name in names if not sigmas.get(name, Sigma()).exact]
-    stated_only = Adjusted.as_stated(cameras, {name: sigmas[name] for name in loose})
+    stated_only = AdjustedPoses.as_stated(cameras, {name: sigmas[name] for name in loose})
     if not edges or not loose:
         return stated_only
     tracks = build_tracks(edges, len(names))
     stated = {number[name]: camera for name, camera in cameras.items()}
     known = {number[name]: sigmas[name] for name in loose}
-    trios = Witnesses.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).trios
-    confirmed = {frozenset(pair) for trio in trios for pair in combinations(trio.cameras, 2)}
+    triplets = PoseConstraints.of(names, {(names[i], names[j]): geometry for (i, j), geometry in edges.items()}).triplets
+    confirmed = {frozenset(pair) for triplet in triplets for pair in combinations(triplet.cameras, 2)}
     while True:
         weight = sum(CONFIRMED if trusted or {names[i], names[j]} in confirmed else ALONE for i, j in edges)
         found, problem = _most_probable(stated, known, tracks, weight)
@@ -267,7 +267,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class AdjustedPoses:
     """Cameras in their most probable places, with the covariance of those that are not exact."""
 
     cameras: dict[str, Camera]
@@ -278,19 +278,19 @@ class Adjusted:
     """(n, n)."""
 
     @classmethod
-    def as_stated(cls, cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma]) -> Adjusted:
+    def as_stated(cls, cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma]) -> AdjustedPoses:
         """Cameras of which the images say nothing; sigmas: of those that are not exact."""
         own = [(np.radians(sigma.degrees),) * 3 + (sigma.metres,) * 3 for sigma in sigmas.values()]
         places = {name: Place(6 * k, np.eye(3)) for k, name in enumerate(sigmas)}
         return cls(dict(cameras), places, np.diag(np.square(np.array(own, dtype=np.float64).reshape(-1))))
 
-    def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> Adjusted:
+    def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> AdjustedPoses:
         """These cameras, with what the images have told of some of them."""
         n = len(self.covariance)
         both = np.zeros((n + len(covariance),) * 2)
         both[:n, :n], both[n:, n:] = self.covariance, covariance
         told = {name: Place(n + place.first, place.turn) for name, place in places.items()}
-        return Adjusted(cameras, {**self.places, **told}, both)
+        return AdjustedPoses(cameras, {**self.places, **told}, both)
 
     def row_sigmas_px(self, pair: Pair, x1: Float64s, x2: Float64s) -> Float64s:
         """(n,) standard deviation of how far points x1, x2 (n, 2) of two cameras are from the epipolar lines, to first order."""

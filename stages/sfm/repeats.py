@@ -28,7 +28,7 @@ ROW_SHARE, ROW_INLIERS = 0.2, 20
 """Of the accepted inliers, and matches, that a rival of the same rotation needs."""
 
 
-class Rivalry(Enum):
+class AmbiguityKind(Enum):
     """What the rival of a pair looks like."""
 
     NONE = "none"
@@ -47,13 +47,18 @@ class Shares:
     side: float
     row: float
 
-    def log_odds(self, other: Shares, kind: Rivalry) -> float:
+    def log_odds(self, other: Shares, kind: AmbiguityKind) -> float:
         """For this scene against the other, of one pair."""
         return log(self._of(kind) / other._of(kind))
 
-    def _of(self, kind: Rivalry) -> float:
+    def _of(self, kind: AmbiguityKind) -> float:
         none = 1 - self.turned - self.side - self.row
-        return {Rivalry.NONE: none, Rivalry.TURNED: self.turned, Rivalry.SIDE: self.side, Rivalry.ROW: self.row}[kind]
+        return {
+            AmbiguityKind.NONE: none,
+            AmbiguityKind.TURNED: self.turned,
+            AmbiguityKind.SIDE: self.side,
+            AmbiguityKind.ROW: self.row,
+        }[kind]
 
 
 FROM_OTHER_SIDES, IN_A_ROW = Shares(turned=0.3, side=0.2, row=0.01), Shares(turned=0.1, side=0.01, row=0.5)
@@ -63,17 +68,17 @@ P_REPEATS = 0.2
 """Of a site to be the one or the other."""
 
 
-def rivalry(geometry: Geometry) -> Rivalry | None:
+def ambiguity_kind(geometry: Geometry) -> AmbiguityKind | None:
     """The kind of a pair's rival, None where nobody looked for one."""
     turned = geometry.rival_turned_deg
     if not isfinite(turned):
         return None
     share = geometry.rival_elsewhere / max(geometry.inliers, 1)
     if share >= MUCH_TURNED and _part_of_a_turn(turned):
-        return Rivalry.SIDE
+        return AmbiguityKind.SIDE
     if share >= ROW_SHARE and geometry.rival_elsewhere >= ROW_INLIERS and turned < SAME_ROTATION_DEG:
-        return Rivalry.ROW
-    return Rivalry.TURNED if share >= MUCH_TURNED and turned > TURNED_DEG else Rivalry.NONE
+        return AmbiguityKind.ROW
+    return AmbiguityKind.TURNED if share >= MUCH_TURNED and turned > TURNED_DEG else AmbiguityKind.NONE
 
 
 def _part_of_a_turn(degrees: float) -> bool:
@@ -100,7 +105,7 @@ def distinct_copies(posed: Mapping[Pair, Geometry], triangles: Iterable[tuple[st
 
 def why_ambiguous(geometries: Iterable[Geometry], usual: Shares) -> Reason | None:
     """In which way a scene repeats, None where it more likely does not; usual: the shares of scenes that don't."""
-    kinds = [kind for geometry in geometries if (kind := rivalry(geometry)) is not None]
+    kinds = [kind for geometry in geometries if (kind := ambiguity_kind(geometry)) is not None]
     prior = log(P_REPEATS / (1 - P_REPEATS))
     odds = {
         Reason.SAME_FROM_OTHER_SIDES: prior + sum(FROM_OTHER_SIDES.log_odds(usual, kind) for kind in kinds),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.cameras import relative_pose
-from ..core.residual_distortion import BENT_PX, bent_px, without_distortion
+from ..core.residual_distortion import STRAIGHT_PX, residual_px, without_distortion
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
@@ -19,7 +19,7 @@ from .loops import USUAL, Habits
 from .pose_check import BELIEVED, confirmed
 from .rigs import rigs_of
 from .tracks import Edge
-from .triplet_consistency import FEWEST, MOST_STRAIN, confirmed_matches, strain
+from .triplet_consistency import FEWEST, MOST_INCONSISTENCY, consistent_matches, inconsistency
 from .view_graph import ViewGraph
 from .world import World, to_world
 
@@ -56,9 +56,9 @@ def solve_from_pairs(
     held = {number[name]: camera for name, camera in exact.items()}
     believed = {edge: graph.geometries[edge] for edge in trusted}
     models, out = _refined(graph.models(trusted, held), believed, max_epipolar_px)
-    strained = {graph.names[view]: much for view, much in _strained(models, believed).items()}
+    strained = {graph.names[view]: much for view, much in _inconsistent(models, believed).items()}
     if strained:
-        confirmed = replace(graph, geometries={**graph.geometries, **confirmed_matches(believed, FEWEST)})
+        confirmed = replace(graph, geometries={**graph.geometries, **consistent_matches(believed, FEWEST)})
         again, gone = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
         models, out = (again, gone) if again else (models, out)
     if not models:
@@ -75,10 +75,10 @@ def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epip
     return [model for model, _ in supported if model.use.any()], [view for _, out in supported for view in out]
 
 
-def _strained(models: Sequence[Model], believed: Mapping[Edge, Geometry]) -> dict[int, float]:
+def _inconsistent(models: Sequence[Model], believed: Mapping[Edge, Geometry]) -> dict[int, float]:
     """The views of models that look-alikes have a say in, and how much of one."""
-    found = ((model, strain(model, believed)) for model in models)
-    return {view: much for model, much in found if much > MOST_STRAIN for view in model.cameras}
+    found = ((model, inconsistency(model, believed)) for model in models)
+    return {view: much for model, much in found if much > MOST_INCONSISTENCY for view in model.cameras}
 
 
 def _unsure_lenses(graph: ViewGraph, worlds: list[World]) -> dict[str, LensSigma]:
@@ -147,7 +147,7 @@ def _collect(
     checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
     unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
     notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
-    if bent := {name: px for name in order if (px := bent_px(cameras[name])) > BENT_PX}:
+    if bent := {name: px for name in order if (px := residual_px(cameras[name])) > STRAIGHT_PX}:
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
         notes.append(
             f"{what}: that is taken out of what follows; once these solved cameras are the calibration, of what is matched, too"

@@ -28,7 +28,7 @@ from .loops import triangles_of
 from .tracks import Edge, build_tracks
 from .triangulation import triangulate
 
-MOST_STRAIN = 16.0
+MOST_INCONSISTENCY = 16.0
 """More is not noise: cameras with stated lenses that were right had .9 to 4.3, with solved ones 1.7 to 5.4 (photographs) and 12.6
 to 14.0 (yards, .45 % of their size off, whose lenses k1 and k2 do not describe); wrong ones 22 to 57 (car parks, houses)."""
 SAME_PX, ELSEWHERE_PX = 3.0, 12.0
@@ -41,7 +41,7 @@ OUTLIER = 2.0
 """Errors beyond so many standard deviations count as their length, not its square."""
 
 
-def strain(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
+def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     """By how much confirmed observations fit cameras of their own better: the loss in squared standard deviations of their noise,
     for each degree of freedom of the cameras.  About one where all matches tell the same; nan where too few are confirmed.
 
@@ -53,7 +53,7 @@ def strain(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
         The pairs that were believed.
     """
     mine = {edge: geometry for edge, geometry in geometries.items() if edge[0] in model.cameras and edge[1] in model.cameras}
-    tracks = build_tracks(confirmed_matches(mine), 1 + max(model.cameras))
+    tracks = build_tracks(consistent_matches(mine), 1 + max(model.cameras))
     asked = {view: camera for view, camera in model.cameras.items() if (tracks.view == view).sum() >= FEWEST}
     if len(asked) < 3:
         return float("nan")
@@ -70,7 +70,7 @@ def strain(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     return float(max(loss.sum(), 0.0)) / _freedoms(own)
 
 
-def confirmed_matches(geometries: Mapping[Edge, Geometry], fewest: int = 0) -> dict[Edge, Geometry]:
+def consistent_matches(geometries: Mapping[Edge, Geometry], fewest: int = 0) -> dict[Edge, Geometry]:
     """Of each pair the matches that more third cameras confirm than contradict; all where these are fewer than `fewest`."""
     votes = {edge: np.zeros(len(geometry.x1), np.int64) for edge, geometry in geometries.items()}
 

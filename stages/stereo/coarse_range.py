@@ -14,7 +14,7 @@ import numpy as np
 from ..types import Bools, Float32s
 from .consistency import within_reach
 from .matcher import RectifiedPair
-from .sgbm import confirmed, match_in_one_piece
+from .sgbm import cross_checked, match_in_one_piece
 
 _SHRINK = 4
 
@@ -37,7 +37,7 @@ def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
     """The pair with the disparity range that a coarse match finds, and both images of one brightness and contrast."""
     small = _shrunk(pair)
     found = match_in_one_piece(_flattened(small))
-    agreed = ~np.isnan(confirmed(found.left, found.right, small.valid_left, -1))
+    agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1))
     common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
     if agreed.sum() < max(_ENOUGH * common.sum(), 50):
         return _flattened(pair)

@@ -31,8 +31,8 @@ class RectifiedPair:
     prior_right: Float32s | None = None
     """(h, w) disparity of a surface that is likely to be there (the ground), nan where there is none; None where nobody knows."""
     _: KW_ONLY
-    then_left: Float32s | None = None
-    then_right: Float32s | None = None
+    reference_left: Float32s | None = None
+    reference_right: Float32s | None = None
     """(h, w) disparity of another night from the same places, nan where it had none; None where there is no such night."""
     floor_left: Float32s | None = None
     floor_right: Float32s | None = None
@@ -79,8 +79,8 @@ def mirrored(pair: RectifiedPair) -> RectifiedPair:
         prior_right=None if pair.prior_left is None else flip(pair.prior_left),
         floor_left=None if pair.floor_right is None else flip(pair.floor_right),
         floor_right=None if pair.floor_left is None else flip(pair.floor_left),
-        then_left=None if pair.then_right is None else flip(pair.then_right),
-        then_right=None if pair.then_left is None else flip(pair.then_left),
+        reference_left=None if pair.reference_right is None else flip(pair.reference_right),
+        reference_right=None if pair.reference_left is None else flip(pair.reference_left),
     )
 
 

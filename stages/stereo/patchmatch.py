@@ -49,7 +49,7 @@ def match_patchmatch(pair: RectifiedPair) -> DenseMatches:
     """Disparity of both views to a fraction of a pixel; confidence 1 - cost, 0 where the surroundings speak against it."""
     view1, view2 = _matched_views(pair)
     for view in (view1, view2):
-        view.planes = view.smoothed(rounds=2 if pair.then_left is None else 1)
+        view.planes = view.smoothed(rounds=2 if pair.reference_left is None else 1)
     left, mirrored_right = view1.planes[0], view2.planes[0]
     mirrored_left, right = (np.ascontiguousarray(disparity[:, ::-1]) for disparity in (left, mirrored_right))
     confidence1, confidence2 = view1.confidence(right), view2.confidence(mirrored_left)
@@ -107,7 +107,7 @@ class _View:
 
 def _matched_views(pair: RectifiedPair) -> tuple[_View, _View]:
     """The view of the left image, and that of the right one in a mirror."""
-    if pair.then_left is not None and pair.then_right is not None:
+    if pair.reference_left is not None and pair.reference_right is not None:
         return _matched_again(pair)
     large = pair.left.size > _DIRECT_PX
     return _propagated(pair, _coarse_planes(pair, large), 1 if large else _ROUNDS)
@@ -129,7 +129,7 @@ def _matched_again(pair: RectifiedPair) -> tuple[_View, _View]:
 
 def _planes_then(pair: RectifiedPair) -> Float32s:
     """(3, h, w) planes of the left view as another night knows them, nan where it doesn't."""
-    then = pair.then_left
+    then = pair.reference_left
     assert then is not None
     return np.stack([then, *_slopes(then)])
 

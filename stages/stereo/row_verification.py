@@ -34,7 +34,7 @@ _SAME_PX = 0.75
 
 
 @dataclass(frozen=True)
-class RowTest:
+class RowAgreement:
     """How many pixels find their partners on the rows as they are, and on shifted ones."""
 
     share: float
@@ -57,12 +57,12 @@ class RowTest:
         return self.ground >= least_share and self.ground >= least_ratio * self.ground_chance
 
 
-def row_test(pair: RectifiedPair) -> tuple[RowTest, Float32s, Float32s]:
+def match_rows(pair: RectifiedPair) -> tuple[RowAgreement, Float32s, Float32s]:
     """Match a pair at half its size on its rows and on shifted ones.
 
     Returns
     -------
-    RowTest
+    RowAgreement
     disparity : (h / 2, w / 2) float32
         Of the halved left image on the rows as they are, nan where nothing matches.
     confidence : (h / 2, w / 2) float32
@@ -76,7 +76,7 @@ def row_test(pair: RectifiedPair) -> tuple[RowTest, Float32s, Float32s]:
     if small.prior_left is not None:
         ground = _on_ground(small, small.prior_left, _matched(_shifted(small, 0))[1])
         chance = max(_on_ground(small, small.prior_left, matched[shift][1]) for shift in (_AWAY, -_AWAY))
-    return RowTest(max(above, here, below), max(away), error, ground, chance), disparity, confidence
+    return RowAgreement(max(above, here, below), max(away), error, ground, chance), disparity, confidence
 
 
 def _on_ground(pair: RectifiedPair, ground: Float32s, disparity: Float32s) -> float:
@@ -110,10 +110,10 @@ _MOST_POINTS = 4000
 
 
 @dataclass(frozen=True)
-class Witness:
+class RowVerification:
     """What dense matching says of a rectification."""
 
-    rows: RowTest
+    rows: RowAgreement
     """Are its rows right?"""
     x1: Float64s
     """(n, 2) pixels of frame 1: some of what matched, evenly spread over it..."""
@@ -123,13 +123,13 @@ class Witness:
     """(n,) 0 to 1."""
 
 
-def ask_witness(left: Frame, right: Frame, rectification: Rectification) -> Witness:
+def verify_rows(left: Frame, right: Frame, rectification: Rectification) -> RowVerification:
     """Match both frames at half their size as `rectification` resamples them."""
-    rows, disparity, confidence = row_test(with_coarse_range(rectified_pair(left, right, rectification)))
+    rows, disparity, confidence = match_rows(with_coarse_range(rectified_pair(left, right, rectification)))
     y, x = np.nonzero(np.isfinite(disparity))
     some = slice(None, None, max(1, len(x) // _MOST_POINTS))
     y, x = y[some], x[some]
     at1 = np.column_stack([2 * x + 0.5, 2 * y + 0.5])
     at2 = at1 - np.column_stack([2 * disparity[y, x].astype(np.float64), np.zeros(len(x))])
     x1, x2 = from_rectified(rectification, 1, at1), from_rectified(rectification, 2, at2)
-    return Witness(rows, x1, x2, confidence[y, x])
+    return RowVerification(rows, x1, x2, confidence[y, x])

@@ -30,8 +30,8 @@ def match_sgbm(pair: RectifiedPair) -> DenseMatches:
         return match_in_one_piece(pair)
     small = halved(pair)
     seen = match_sgbm(small)
-    left = _in_blocks(pair, confirmed(seen.left, seen.right, small.valid_left, -1))
-    seen_right = confirmed(seen.right, seen.left, small.valid_right, 1)
+    left = _in_blocks(pair, cross_checked(seen.left, seen.right, small.valid_left, -1))
+    seen_right = cross_checked(seen.right, seen.left, small.valid_right, 1)
     right = np.ascontiguousarray(_in_blocks(mirrored(pair), seen_right[:, ::-1])[:, ::-1])
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
 
@@ -43,7 +43,7 @@ def match_in_one_piece(pair: RectifiedPair) -> DenseMatches:
     return DenseMatches(left, right, np.ones_like(left), np.ones_like(right))
 
 
-def confirmed(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
+def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Float32s:
     """Disparity of one view where the other one's differs by at most a pixel, without speckles; nan elsewhere.
 
     Parameters

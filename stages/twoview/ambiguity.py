@@ -42,7 +42,7 @@ view of another house of a row."""
 
 
 @dataclass(frozen=True)
-class Rival:
+class Ambiguity:
     """The best other hypothesis of a pair."""
 
     inliers: int = 0
@@ -62,7 +62,7 @@ class Rival:
         return another_side or self.elsewhere >= MUCH * inliers
 
 
-def find_rival(
+def find_ambiguity(
     left: Features,
     right: Features,
     pairs: tuple[ViewPair, ...],
@@ -70,7 +70,7 @@ def find_rival(
     i2: Int32s,
     accepted: TwoView,
     seed: int = 0,
-) -> Rival:
+) -> Ambiguity:
     """The strongest pattern of matches besides the accepted ones.
 
     Parameters
@@ -90,14 +90,14 @@ def find_rival(
     others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()
     found = solve_rounds(left, right, others, _first(others[0]), DOMINANCE, ROUNDS, None) if others else None
     if found is None or len(found.i1) < FEWEST:
-        return Rival()
+        return Ambiguity()
     x1, x2 = left.xy[found.i1], right.xy[found.i2]
     every = _one_pose(x1, x2, left.view, right.view, accepted.R, accepted.t, seed)
     off = symmetric_epipolar_distance(accepted.F, x1, x2) > OFF_LINES_PX
     elsewhere = _one_pose(x1[off], x2[off], left.view, right.view, accepted.R, accepted.t, seed)
     if every.turned_deg < SAME_ROTATION_DEG and every.step_deg > ANOTHER_STEP_DEG and every.inliers > elsewhere.inliers:
         elsewhere = every
-    return Rival(every.inliers, elsewhere.inliers, elsewhere.turned_deg)
+    return Ambiguity(every.inliers, elsewhere.inliers, elsewhere.turned_deg)
 
 
 class _Pose(NamedTuple):

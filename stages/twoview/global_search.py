@@ -28,7 +28,7 @@ _DISTINCT = 300
 
 
 @dataclass(frozen=True)
-class Wide:
+class GlobalMatch:
     """What two pictures have in common anywhere."""
 
     keypoints: int
@@ -44,7 +44,7 @@ class Wide:
     """Both show enough that the same things would have been found again."""
 
 
-def compare_widely(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K: Float64s) -> Wide:
+def search_globally(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K: Float64s) -> GlobalMatch:
     """Look for the first picture anywhere in the second.
 
     Parameters
@@ -63,7 +63,7 @@ def compare_widely(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K: 
     x1, x2 = _matched(xy1, d1, xy2, d2)
     n = len(x1)
     if n < _FEWEST:
-        return Wide(len(xy2), n, 0, None, False, distinct)
+        return GlobalMatch(len(xy2), n, 0, None, False, distinct)
     needed = max(_FEWEST, _SHARE * n)
     H, agree = _fit(cv2.findHomography, x1, x2)
     if H is not None and agree.sum() >= needed and _spread(x1[agree], grey1.shape):
@@ -71,10 +71,10 @@ def compare_widely(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K: 
         U, _, Vt = np.linalg.svd(turn / np.cbrt(np.linalg.det(turn)))
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         angle = float(np.degrees(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0))))
-        return Wide(len(xy2), n, int(agree.sum()), angle, True, distinct)
+        return GlobalMatch(len(xy2), n, int(agree.sum()), angle, True, distinct)
     F, obey = _fit(cv2.findFundamentalMat, x1, x2)
     shared = F is not None and obey.sum() >= max(2 * _FEWEST, 2 * _SHARE * n) and _spread(x1[obey], grey1.shape)
-    return Wide(len(xy2), n, int(max(agree.sum(), obey.sum() if shared else 0)), None, bool(shared), distinct)
+    return GlobalMatch(len(xy2), n, int(max(agree.sum(), obey.sum() if shared else 0)), None, bool(shared), distinct)
 
 
 def _keypoints(grey: Uint8s, mask: Bools, scale: float) -> tuple[Float64s, Float32s]:

@@ -21,7 +21,7 @@ from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, mutual_neighbours, rival_distances
 from ..matching.neighbours import nearest_elsewhere
 from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches, View
-from .ambiguity import Rival, find_rival
+from .ambiguity import Ambiguity, find_ambiguity
 from .epipolar import homogeneous, symmetric_epipolar_distance
 from .image_grid import places
 from .robust import TwoView, estimate_essential
@@ -49,7 +49,7 @@ class PairEvidence:
     stretch: float
     angle_deg: float = float("nan")
     """Median angle between the rays, nan without a pose."""
-    rival: Rival | None = None
+    rival: Ambiguity | None = None
     """The best other hypothesis, None where nobody looked for one: no pose, or no keypoints."""
 
 
@@ -127,7 +127,7 @@ def pair_evidence(
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
         stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
         angle_deg=ray_angle_deg(x1, x2, left.view, right.view, found.R),
-        rival=None if found.R is None else find_rival(left, right, pairs, i1, i2, found, seed),
+        rival=None if found.R is None else find_ambiguity(left, right, pairs, i1, i2, found, seed),
     )
 
 

@@ -29,7 +29,7 @@ class PoseCheck:
     off_deg: float = float("nan")
     """The same in degrees."""
     verified: bool = False
-    """More of its pairs and trios agree with the pose in use than contradict it."""
+    """More of its pairs and triplets agree with the pose in use than contradict it."""
 
 
 @short_repr

@@ -26,7 +26,7 @@ def night(*boxes: Box, seed: int = 0, brightness: float = 1.0, blind: tuple[str,
 
 
 def compared(tonight: BoxNight, then: BoxNight, **parameters: Any) -> Changes:
-    return find_changes(**tonight.arguments(), **then.arguments("then_"), **parameters)
+    return find_changes(**tonight.arguments(), **then.arguments("reference_"), **parameters)
 
 
 def the_only(found: Changes) -> Change:
@@ -140,8 +140,8 @@ def test_each_depth_map_is_read_once() -> None:
             reads[name] += 1
             return super().__getitem__(name)
 
-    tonight, then = night(CRATE, NEW_BOX, seed=1).arguments(), night(CRATE).arguments("then_")
-    tonight["depths"], then["then_depths"] = Read(tonight["depths"]), Read(then["then_depths"])
+    tonight, then = night(CRATE, NEW_BOX, seed=1).arguments(), night(CRATE).arguments("reference_")
+    tonight["depths"], then["reference_depths"] = Read(tonight["depths"]), Read(then["reference_depths"])
     find_changes(**tonight, **then)
     assert set(reads) == set(tonight["depths"])
     assert set(reads.values()) == {2}  # tonight's and then's
@@ -166,7 +166,7 @@ def test_a_world_that_was_solved_anew_is_not_compared() -> None:
     tonight = night(CRATE, NEW_BOX, seed=1).arguments()
     poses = tonight["poses"]
     shifted = {name: replace(camera, C=camera.C + np.array([30.0, 0, 0])) for name, camera in poses.cameras.items()}
-    found = find_changes(**{**tonight, "poses": replace(poses, cameras=shifted)}, **night(CRATE).arguments("then_"))
+    found = find_changes(**{**tonight, "poses": replace(poses, cameras=shifted)}, **night(CRATE).arguments("reference_"))
     assert not found.compared
 
 

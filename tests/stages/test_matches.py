@@ -30,7 +30,7 @@ def seen_again(left: Features, order: np.ndarray, move: np.ndarray) -> Features:
     return Features(left.xy[order] + move, left.frames[order], noisy, ones, plain, left.view)
 
 
-MATCHERS = ["structural", "dominant", "mutual", "kdtree"]
+MATCHERS = ["structural", "hao2011-dominance", "mutual", "kdtree"]
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
@@ -69,7 +69,7 @@ def test_no_keypoints_give_no_matches(matcher: str) -> None:
 
 
 def test_a_matcher_that_nobody_knows_is_refused_and_the_known_ones_are_listed() -> None:
-    with pytest.raises(ValueError, match="structural, dominant, literal, mutual, kdtree"):
+    with pytest.raises(ValueError, match="structural, hao2011-dominance, hao2011, mutual, kdtree"):
         match(random_features(20), random_features(20), matcher="foo")
 
 
@@ -90,7 +90,7 @@ def test_strangers_share_no_structure() -> None:
 
 def test_the_literal_dominance_test_never_fires_on_hundreds_of_features() -> None:
     left = random_features(400)
-    found = match(left, seen_again(left, RNG.permutation(400), np.zeros(2)), matcher="literal")
+    found = match(left, seen_again(left, RNG.permutation(400), np.zeros(2)), matcher="hao2011")
     assert isinstance(found, Rejected)
 
 

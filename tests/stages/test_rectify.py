@@ -16,7 +16,7 @@ from wbflow_stages.twoview.robust import estimate_fundamental
 from wbflow_stages.types import Camera, Geometry, Rectification, Rejected, View
 
 SIDEWAYS = np.array([2.0, 0.1, 0.0])
-METHODS = ("congruent", "hartley", "literal", "calibrated", "polar")
+METHODS = ("congruent", "hartley", "hao2011", "calibrated", "polar")
 
 
 def rectified(geometry: Geometry, left: Camera | None, right: Camera | None, method: str = "congruent") -> Rectification:
@@ -126,8 +126,8 @@ def test_edges_across_depth_jumps_do_not_shrink_the_congruent_image() -> None:
     left, right = looking(np.zeros(3), np.array([0.0, 0.0, 8.0])), looking(np.array([2.0, 0.0, 0.0]), np.array([0.0, 0.0, 8.0]))
     x1, x2 = seen_by_both(left, right, X)
     geometry = geometry_of(x1, x2, fundamental_from_cameras(left, right))
-    robust, literal = rectified(geometry, left, right), rectified(geometry, left, right, "literal")
-    assert (robust.method, literal.method) == ("congruent", "literal")
+    robust, literal = rectified(geometry, left, right), rectified(geometry, left, right, "hao2011")
+    assert (robust.method, literal.method) == ("congruent", "hao2011")
     on_wall = project(left, wall)[0], project(right, wall)[0]
 
     def width_ratio(result: Rectification) -> float:
@@ -308,7 +308,7 @@ def test_calibrated_needs_cameras() -> None:
 
 def test_a_method_that_nobody_knows_and_a_parameter_that_nobody_reads_are_refused() -> None:
     geometry, left, right = two_views(SIDEWAYS)
-    with pytest.raises(ValueError, match="congruent, literal, hartley, calibrated, polar"):
+    with pytest.raises(ValueError, match="congruent, hao2011, hartley, calibrated, polar"):
         rectify(geometry, left, right, method="foo")
     with pytest.raises(TypeError, match="'congruent' does not read 'tilt'"):
         rectify(geometry, left, right, tilt="never")

@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.flat_ground import cameras, frame_of, texture
 from tests.helpers.two_views import geometry_of
 from wbflow_stages.core.cameras import project
-from wbflow_stages.core.residual_distortion import bent_pixels, without_distortion
+from wbflow_stages.core.residual_distortion import distorted_pixels, without_distortion
 from wbflow_stages.rectification.warping import from_rectified, to_rectified
 from wbflow_stages.rectify import rectify
 from wbflow_stages.stereo.rectified import rectified_pair
@@ -59,7 +59,7 @@ def test_what_a_solved_lens_bends_is_taken_out_of_matches_and_frames() -> None:
     assert found.row_share > 0.8 * asis.row_share
     matched = matches_at(0.0, 0.4)
     there = [
-        np.column_stack(bent_pixels(bend, *points.T))
+        np.column_stack(distorted_pixels(bend, *points.T))
         for bend, points in zip((found.bend1, found.bend2), (matched.x1, matched.x2), strict=True)
     ]
     by_matches = rectify(replace(matched, x1=there[0].astype(np.float64), x2=there[1].astype(np.float64)), left, right)
@@ -124,7 +124,7 @@ def test_look_alikes_beneath_the_ground_do_not_widen_the_search() -> None:
 
 def test_what_lies_beneath_the_ground_is_a_limit_and_no_other_night() -> None:
     pair = rectified_pair(*FRAMES, rectified(matches_at(3.5), GROUND))
-    assert pair.then_left is None and pair.then_right is None
+    assert pair.reference_left is None and pair.reference_right is None
     assert pair.prior_left is not None and pair.floor_left is not None and pair.floor_right is not None
     both = np.isfinite(pair.prior_left) & np.isfinite(pair.floor_left)
     assert both.any() and len(np.unique(np.sign(pair.prior_left - pair.floor_left)[both])) == 1

@@ -55,9 +55,10 @@ _SURFACE: dict[str, Need] = {
     "refined": FromStage("refine", Which.ALL, optional=True),
     "scene": FromStage("scene", optional=True),
 }
-_THEN = {"poses": "poses", "cloud": "fuse", "frames": "frames", "depths": "depth", "refined": "refine"}
-_SURFACE_THEN: dict[str, Need] = {
-    f"then_{name}": FromReference(stage, Which.SAME if name in {"poses", "cloud"} else Which.ALL) for name, stage in _THEN.items()
+_OF_REFERENCE = {"poses": "poses", "cloud": "fuse", "frames": "frames", "depths": "depth", "refined": "refine"}
+_REFERENCE_SURFACE: dict[str, Need] = {
+    f"reference_{name}": FromReference(stage, Which.SAME if name in {"poses", "cloud"} else Which.ALL)
+    for name, stage in _OF_REFERENCE.items()
 }
 
 
@@ -163,6 +164,7 @@ STAGES: tuple[Stage, ...] = (
         offers={**_FRAMES_TOO, "model": FromSite(SiteValue.FILE, named="model")},
         role=Role.MATCHES,
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
+        renamed={"matcher": Renamed("matcher", {"literal": "hao2011", "dominant": "hao2011-dominance"})},
         pooled="wbflow_stages.pooled:pool_matches",
         too_little=("too-few-matches", "too-few-inliers", "clustered"),
         reports=Reports({"matches": "x1_count"}),
@@ -254,7 +256,7 @@ STAGES: tuple[Stage, ...] = (
         offers=_FEATURES_TOO,
         role=Role.RECTIFICATION,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
-        renamed={"method": Renamed("method", {"seed": "literal"})},
+        renamed={"method": Renamed("method", {"seed": "hao2011", "literal": "hao2011"})},
         reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_chance", "row_error_px"),
         held=Held(nudged="anew", moved="anew"),
     ),
@@ -266,8 +268,8 @@ STAGES: tuple[Stage, ...] = (
         needs={
             **_FRAMES,
             "rectification": FromStage("rectify"),
-            "then_rectification": FromReference("rectify"),
-            "then": FromReference("disparity"),
+            "reference_rectification": FromReference("rectify"),
+            "reference_disparity": FromReference("disparity"),
         },
         offers={"geometry": FromStage("geometry"), **_FEATURES_TOO},
         role=Role.DISPARITY,
@@ -301,8 +303,8 @@ STAGES: tuple[Stage, ...] = (
             "frames": FromStage("frames", Which.NEAR),
             "cameras": FromStage("poses", Which.NEAR, Part("cameras")),
             "scene": FromStage("scene", optional=True),
-            "then_camera": FromReference("poses", part=Part("cameras")),
-            "then_depth": FromReference("refine"),
+            "reference_camera": FromReference("poses", part=Part("cameras")),
+            "reference_depth": FromReference("refine"),
         },
         role=Role.REFINED_DEPTH,
         pooled="wbflow_stages.pooled:pool_depths",
@@ -348,7 +350,7 @@ STAGES: tuple[Stage, ...] = (
         "changes",
         scope="site",
         function="wbflow_stages.changes:find_changes",
-        needs={"poses": FromStage("poses"), "cloud": FromStage("fuse"), **_SURFACE, **_SURFACE_THEN},
+        needs={"poses": FromStage("poses"), "cloud": FromStage("fuse"), **_SURFACE, **_REFERENCE_SURFACE},
         optional=True,
         site_parameters=("zones",),
         picture=Picture("wbflow_stages.exports.changed:changes_preview"),

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from wbflow_stages.core.residual_distortion import (
-    bend_of,
-    bent_pixels,
-    bent_px,
+    distorted_pixels,
+    residual_distortion,
+    residual_px,
     straight_frame,
     straight_frames,
     without_distortion,
@@ -42,9 +42,9 @@ def worst(image: Uint8s, expected: Uint8s, mask: Bools) -> float:
 
 
 def test_bending_and_straightening_undo_each_other() -> None:
-    bend = bend_of(BENT)
+    bend = residual_distortion(BENT)
     assert bend is not None
-    u, v = bent_pixels(bend, x, y)
+    u, v = distorted_pixels(bend, x, y)
     back = without_distortion(BENT, np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
     assert np.abs(back - np.column_stack([x.ravel(), y.ravel()])).max() < 1e-4
 
@@ -74,7 +74,7 @@ def test_frames_are_straightened_when_they_are_asked_for() -> None:
 def test_a_rectified_image_is_looked_up_where_the_bent_frame_has_it() -> None:
     H = np.array([[0.9, 0.05, 4.0], [-0.04, 0.95, 6.0], [1e-4, -1e-4, 1.0]])
     known = Rectification("hartley", "", H, H, (230, 150), (230, 150), 0.0, 10.0, 0.0, 0.0, 10.0)
-    bent = replace(known, bend1=bend_of(BENT))
+    bent = replace(known, bend1=residual_distortion(BENT))
     inside = warp_mask(bent, 1, bent_frame().mask) & warp_mask(known, 1, bent_frame().mask)
     assert inside.mean() > 0.6
     assert worst(warp(bent, 1, bent_frame().image), warp(known, 1, painted(x, y)), inside) <= 3
@@ -88,4 +88,4 @@ def test_a_wild_lens_moves_pixels_nowhere_that_is_none(radial: tuple[float, floa
     corners = np.array([[0.0, 0], [479, 0], [0, 269], [479, 269], [239.5, 134.5]])
     straight = without_distortion(camera, corners)
     assert np.isfinite(straight).all() and np.allclose(straight[4], corners[4])
-    assert np.isfinite(bent_px(camera))
+    assert np.isfinite(residual_px(camera))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
-from wbflow_stages.fusion.surface_support import company
+from wbflow_stages.fusion.surface_support import surface_support
 from wbflow_stages.types import Bools, DepthMap, Float32s
 
 
@@ -22,7 +22,7 @@ def depth_map(depth: Float32s) -> DepthMap:
 
 
 def company_of(depth: Float32s, usable: Bools | None = None) -> Float32s:
-    return company(depth_map(depth), np.isfinite(depth) if usable is None else usable)
+    return surface_support(depth_map(depth), np.isfinite(depth) if usable is None else usable)
 
 
 def test_a_slope_is_in_company_and_a_pixel_off_it_is_not() -> None:
@@ -44,8 +44,8 @@ def test_who_asks_others_is_in_their_company_only() -> None:
     """A pixel in the middle of a hole has none, one at its rim has some, and those that are asked are no matter of the answer."""
     asked = np.ones(slope().shape, np.bool_)
     asked[20:60, 40:80] = False
-    share = company(depth_map(slope()), ~asked, asked)
+    share = surface_support(depth_map(slope()), ~asked, asked)
     assert share[40, 60] == 0 and share[40, 40] > 0.3 and (share[asked] == 0).all()
     off = slope()
     off[~asked] *= 1.05
-    assert (company(depth_map(off), ~asked, asked) == 0).all()
+    assert (surface_support(depth_map(off), ~asked, asked) == 0).all()

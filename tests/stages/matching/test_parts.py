@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from wbflow_stages.core.nearest_points import nearest_points
 from wbflow_stages.matching.affine_field import fit_affine_field
 from wbflow_stages.matching.assignment import assign, without_repeats
-from wbflow_stages.matching.hao2011 import literal_dominance, nearest_dominance, procrustes
+from wbflow_stages.matching.hao2011 import nearest_dominance, procrustes, published_dominance
 from wbflow_stages.matching.neighbours import nearest_neighbours
 from wbflow_stages.types import Float64s
 
@@ -74,7 +74,7 @@ def test_thin_procrustes_finds_a_permutation_of_few_points() -> None:
     order = rng.permutation(10)
     P = procrustes(X, X[order]).matrix()
     assert (P.argmax(axis=1) == np.argsort(order)).all()
-    fired = literal_dominance(P, 0.8)
+    fired = published_dominance(P, 0.8)
     i, j, _ = nearest_dominance(P, 0.8)
     assert fired.sum() == 10 and fired[i, j].all() and len(i) == 10
 
@@ -85,7 +85,7 @@ def test_dominance_is_the_published_inequality() -> None:
         [[P[k, j] > 0.8 * (abs(P[k]).sum() - abs(P[k, j])) and P[k, j] > 0.8 * (abs(P[:, j]).sum() - abs(P[k, j]))
           for j in range(3)] for k in range(3)]
     )  # fmt: skip
-    assert (literal_dominance(P, 0.8) == expected).all() and expected[0, 0] and not expected[1, 0]
+    assert (published_dominance(P, 0.8) == expected).all() and expected[0, 0] and not expected[1, 0]
 
 
 @settings(max_examples=25, deadline=None)

@@ -7,9 +7,9 @@ import numpy as np
 from tests.helpers.weak_wall import HEIGHT, WIDTH, Relief, make_wall
 from wbflow_stages.core.cameras import transfer
 from wbflow_stages.core.luminance import luminance
-from wbflow_stages.mvs.photometric_check import planes_by_sight
+from wbflow_stages.mvs.photometric_check import checked_planes
 from wbflow_stages.mvs.propagation import Propagation
-from wbflow_stages.mvs.textureless import even_regions, planes_of_regions
+from wbflow_stages.mvs.textureless import planes_of_regions, textureless_regions
 from wbflow_stages.types import Float32s
 
 SCALE, MAX_COST = np.float32(1300.0), 0.4
@@ -32,12 +32,12 @@ def off_where_put(relief: Relief) -> Float32s:
     known = (SCALE / wall.truth + rng.normal(0, 0.3, usable.shape)).astype(np.float32)
     known[:, PIECE] += rng.uniform(-12, 12, (HEIGHT, PIECE.stop - PIECE.start)).astype(np.float32)
     planes = np.stack([known / SCALE, np.zeros_like(known), np.zeros_like(known)])
-    support, regions = propagation.support(planes, MAX_COST), even_regions(frame.image, usable, 1)
+    support, regions = propagation.support(planes, MAX_COST), textureless_regions(frame.image, usable, 1)
     found = planes_of_regions(regions, known, 1)
-    sighted = planes_by_sight(regions, found, propagation, support, usable & (support.first < MAX_COST), SCALE, MAX_COST, 1)
-    assert sighted.doubted[:, PIECE].mean() > 0.5
-    assert not sighted.doubted[:, : PIECE.start].any()
-    off = sighted.planes[0] - SCALE / wall.truth
+    checked = checked_planes(regions, found, propagation, support, usable & (support.first < MAX_COST), SCALE, MAX_COST, 1)
+    assert checked.doubted[:, PIECE].mean() > 0.5
+    assert not checked.doubted[:, : PIECE.start].any()
+    off = checked.planes[0] - SCALE / wall.truth
     return np.asarray(off[:, PIECE][np.isfinite(off[:, PIECE])], dtype=np.float32)
 
 

@@ -11,7 +11,7 @@ from tests.helpers.exact_scene import make_yard, true_depth
 from tests.helpers.weak_wall import Relief, make_wall
 from wbflow_stages.mvs import plane_prior as flats
 from wbflow_stages.mvs.propagation import Support
-from wbflow_stages.mvs.textureless import RegionPlane, even_regions, planes_of_regions
+from wbflow_stages.mvs.textureless import RegionPlane, planes_of_regions, textureless_regions
 from wbflow_stages.refine import refine
 from wbflow_stages.types import DepthMap, Float32s, Uint8s
 
@@ -36,7 +36,7 @@ def plaster() -> Uint8s:
 
 
 def found(image: Uint8s, depths: Float32s) -> list[RegionPlane]:
-    regions = even_regions(image, np.ones(SHAPE, bool), 1)
+    regions = textureless_regions(image, np.ones(SHAPE, bool), 1)
     return planes_of_regions(regions, depths, 1)
 
 
@@ -78,7 +78,7 @@ def test_textured_pictures_have_no_even_regions() -> None:
 def test_windows_belong_to_no_region_of_the_plaster() -> None:
     image = plaster()
     inside = (image < 120).any(axis=2)
-    regions = even_regions(image, np.ones(SHAPE, bool), 1)
+    regions = textureless_regions(image, np.ones(SHAPE, bool), 1)
     wall = regions.number[60, 5]
     assert wall > 0
     assert (regions.number[~inside] == wall).mean() > 0.95

@@ -9,7 +9,7 @@ import pytest
 
 from wbflow_stages.reasons import Reason
 from wbflow_stages.sfm.loops import USUAL
-from wbflow_stages.sfm.repeats import Rivalry, rivalry, why_ambiguous
+from wbflow_stages.sfm.repeats import AmbiguityKind, ambiguity_kind, why_ambiguous
 from wbflow_stages.types import Geometry, View
 
 NOTHING = np.zeros((0, 2))
@@ -27,22 +27,22 @@ def pair(share: float, turned_deg: float) -> Geometry:
 @pytest.mark.parametrize(
     ("share", "turned_deg", "kind"),
     [
-        (0.1, 179.0, Rivalry.SIDE),
-        (0.1, 90.8, Rivalry.SIDE),
-        (0.1, 75.0, Rivalry.TURNED),
-        (0.3, 0.3, Rivalry.ROW),
-        (0.1, 0.3, Rivalry.NONE),
-        (0.3, 8.0, Rivalry.NONE),
-        (0.02, 180.0, Rivalry.NONE),
+        (0.1, 179.0, AmbiguityKind.SIDE),
+        (0.1, 90.8, AmbiguityKind.SIDE),
+        (0.1, 75.0, AmbiguityKind.TURNED),
+        (0.3, 0.3, AmbiguityKind.ROW),
+        (0.1, 0.3, AmbiguityKind.NONE),
+        (0.3, 8.0, AmbiguityKind.NONE),
+        (0.02, 180.0, AmbiguityKind.NONE),
     ],
 )
-def test_a_rival_is_of_a_side_of_a_row_or_of_nothing_that_repeats(share: float, turned_deg: float, kind: Rivalry) -> None:
-    assert rivalry(pair(share, turned_deg)) is kind
+def test_a_rival_is_of_a_side_of_a_row_or_of_nothing_that_repeats(share: float, turned_deg: float, kind: AmbiguityKind) -> None:
+    assert ambiguity_kind(pair(share, turned_deg)) is kind
 
 
 def test_where_nobody_looked_for_rivals_nothing_is_said() -> None:
     bare = replace(PLAIN, rival_turned_deg=float("nan"))
-    assert rivalry(bare) is None
+    assert ambiguity_kind(bare) is None
     assert why_ambiguous([bare] * 5, USUAL.rivals) is None
 
 

@@ -13,7 +13,7 @@ from wbflow_stages.evaluate import turn_errors_deg
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.incremental import Model, refine, replace_cameras
 from wbflow_stages.sfm.tracks import Edge
-from wbflow_stages.sfm.triplet_consistency import MOST_STRAIN, confirmed_matches, strain
+from wbflow_stages.sfm.triplet_consistency import MOST_INCONSISTENCY, consistent_matches, inconsistency
 from wbflow_stages.sfm.view_graph import ViewGraph
 from wbflow_stages.twoview.robust import estimate_essential
 from wbflow_stages.types import Camera, Geometry, Pair, Poses
@@ -52,7 +52,7 @@ def shorter(geometry: Geometry, count: int) -> Geometry:
 @pytest.mark.parametrize("noise_px", [0.0, 0.2, 0.5])
 def test_cameras_that_all_matches_agree_on_are_under_no_strain(know: str, noise_px: float) -> None:
     site = make_pair_site(5, know=know, noise_px=noise_px)
-    assert strain(*solved(site)) < 3
+    assert inconsistency(*solved(site)) < 3
     poses = solve_poses(site.views, {}, site.geometries)
     assert isinstance(poses, Poses) and not poses.strained
 
@@ -60,14 +60,14 @@ def test_cameras_that_all_matches_agree_on_are_under_no_strain(know: str, noise_
 @pytest.mark.parametrize("degrees", [0.1, 0.5])
 def test_a_camera_a_tenth_of_a_degree_off_is(degrees: float) -> None:
     model, geometries = solved(make_pair_site(5, noise_px=0.2))
-    assert strain(turned(model, 2, degrees), geometries) > MOST_STRAIN
+    assert inconsistency(turned(model, 2, degrees), geometries) > MOST_INCONSISTENCY
 
 
 def test_matches_that_end_elsewhere_over_a_third_camera_are_not_confirmed() -> None:
     _, geometries = solved(make_pair_site(4, noise_px=0.2))
     edge = next(iter(geometries))
     wrong = np.arange(0, len(geometries[edge].x1), 3)
-    found = confirmed_matches({**geometries, edge: shifted(geometries[edge], wrong)})
+    found = consistent_matches({**geometries, edge: shifted(geometries[edge], wrong)})
     kept = {tuple(x) for x in found[edge].x1}
     assert not kept & {tuple(x) for x in geometries[edge].x1[wrong]}
     assert len(kept) > 0.5 * len(geometries[edge].x1)
@@ -76,13 +76,13 @@ def test_matches_that_end_elsewhere_over_a_third_camera_are_not_confirmed() -> N
 def test_a_pair_without_matches_confirms_nothing() -> None:
     _, geometries = solved(make_pair_site(3, noise_px=0.2))
     edge = next(iter(geometries))
-    found = confirmed_matches({**geometries, edge: shorter(geometries[edge], 0)})
+    found = consistent_matches({**geometries, edge: shorter(geometries[edge], 0)})
     assert all(len(geometry.x1) == 0 for geometry in found.values())
-    assert sum(len(geometry.x1) for geometry in confirmed_matches(geometries).values()) > 0
+    assert sum(len(geometry.x1) for geometry in consistent_matches(geometries).values()) > 0
 
 
 def test_without_three_cameras_that_share_matches_nothing_is_told() -> None:
-    assert np.isnan(strain(*solved(make_pair_site(2, noise_px=0.2))))
+    assert np.isnan(inconsistency(*solved(make_pair_site(2, noise_px=0.2))))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.dots import stereo_pair
 from wbflow_stages.stereo.matcher import RectifiedPair
-from wbflow_stages.stereo.row_verification import row_test
+from wbflow_stages.stereo.row_verification import match_rows
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def pair() -> RectifiedPair:
 
 
 def test_right_rows_are_confirmed(pair: RectifiedPair) -> None:
-    rows, disparity, confidence = row_test(pair)
+    rows, disparity, confidence = match_rows(pair)
     assert rows.passed(0.3, 4.0)
     assert abs(rows.row_error_px) < 0.5
     assert np.isfinite(disparity).mean() > 0.3
@@ -29,13 +29,13 @@ def test_right_rows_are_confirmed(pair: RectifiedPair) -> None:
 
 @pytest.mark.parametrize("shift", [2, -2])
 def test_rows_off_by_two_are_said_to_be(pair: RectifiedPair, shift: int) -> None:
-    rows, *_ = row_test(replace(pair, right=np.roll(pair.right, shift, axis=0)))
+    rows, *_ = match_rows(replace(pair, right=np.roll(pair.right, shift, axis=0)))
     assert np.sign(rows.row_error_px) == -np.sign(shift)
 
 
 def test_rows_of_another_picture_are_not_confirmed(pair: RectifiedPair) -> None:
     other = np.random.default_rng(5).permuted(pair.right, axis=0)
-    rows, *_ = row_test(replace(pair, right=other))
+    rows, *_ = match_rows(replace(pair, right=other))
     assert not rows.passed(0.01, 2.0)
 
 
@@ -51,12 +51,12 @@ def pavement() -> RectifiedPair:
 
 
 def test_stones_that_repeat_confirm_rows_where_others_know_the_ground() -> None:
-    rows, *_ = row_test(pavement())
+    rows, *_ = match_rows(pavement())
     assert rows.share > 0.3 and not rows.passed(0.01, 2.0)
     assert rows.shows_ground(0.1, 5.0)
 
 
 def test_stones_that_repeat_do_not_confirm_wrong_rows() -> None:
     right = pavement()
-    wrong, *_ = row_test(replace(right, right=np.roll(right.right, 8, axis=0)))
+    wrong, *_ = match_rows(replace(right, right=np.roll(right.right, 8, axis=0)))
     assert wrong.share > 0.3 and not wrong.passed(0.01, 2.0) and not wrong.shows_ground(0.01, 5.0)

@@ -9,7 +9,7 @@ from tests.stages.twoview.test_pair_score import GOOD, VIEW, K, solid_pair
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.matching.candidates import view_pairs
-from wbflow_stages.twoview.ambiguity import Rival, find_rival
+from wbflow_stages.twoview.ambiguity import Ambiguity, find_ambiguity
 from wbflow_stages.twoview.pair_score import pair_score
 from wbflow_stages.twoview.robust import TwoView
 from wbflow_stages.types import Features, Geometry, Matches
@@ -60,7 +60,7 @@ def test_the_next_house_of_a_row_is_another_pose_though_it_lies_on_the_lines() -
     same = np.arange(320, dtype=np.int32)
     F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
     accepted = TwoView(F / np.linalg.norm(F), np.ones(320, bool), np.eye(3), np.array([-1.0, 0, 0]))
-    rival = find_rival(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
+    rival = find_ambiguity(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
     assert rival.inliers > 0.25 * len(same) and rival.turned_deg < 1
     assert rival.ambiguous(len(same))
 
@@ -90,7 +90,7 @@ def test_a_thing_that_stands_there_twice_is_no_rival_where_it_is_small(size_m: f
     same = np.arange(360, dtype=np.int32)
     F = np.linalg.inv(K).T @ np.array([[0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]]) @ np.linalg.inv(K)
     accepted = TwoView(F / np.linalg.norm(F), np.ones(360, bool), np.eye(3), np.array([-1.0, 0, 0]))
-    rival = find_rival(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
+    rival = find_ambiguity(left, right, view_pairs(left, right, tilted=False), same, same, accepted)
     assert rival.ambiguous(len(same)) == rivals
     assert (rival.inliers > 60) == rivals
 
@@ -113,13 +113,13 @@ def test_what_repeats_has_a_rival_and_what_does_not_has_none() -> None:
     ("elsewhere", "turned_deg", "ambiguous"), [(0, 0.0, False), (90, 0.0, True), (40, 2.0, False), (40, 90.0, True)]
 )
 def test_a_rival_with_much_support_leaves_a_pair_undecided(elsewhere: int, turned_deg: float, ambiguous: bool) -> None:
-    rival = Rival(elsewhere, elsewhere, turned_deg)
+    rival = Ambiguity(elsewhere, elsewhere, turned_deg)
     assert rival.ambiguous(GOOD.inliers) == ambiguous
     score = pair_score(replace(GOOD, angle_deg=20.0, rival=rival))
     assert score == 0 if ambiguous else score > 1
 
 
 def test_more_rivals_and_less_angle_are_a_lower_score() -> None:
-    good = replace(GOOD, angle_deg=20.0, rival=Rival())
-    for worse in (replace(good, rival=Rival(inliers=60)), replace(good, angle_deg=2.0)):
+    good = replace(GOOD, angle_deg=20.0, rival=Ambiguity())
+    for worse in (replace(good, rival=Ambiguity(inliers=60)), replace(good, angle_deg=2.0)):
         assert pair_score(worse) < pair_score(good)

@@ -36,7 +36,7 @@ def problem(folder: Path, section: str) -> str:
 def test_a_parameter_that_the_chosen_method_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
     told = problem(tmp_path, "matches: {ratio: 0.7}")
     assert "site.yaml:6:20: stages.matches.ratio: 'ratio' is not read by the chosen matcher" in told
-    assert "leave it out, or choose matcher: dominant or mutual or kdtree" in told
+    assert "leave it out, or choose matcher: hao2011-dominance or mutual or kdtree" in told
     assert loaded(tmp_path, "matches: {matcher: mutual, ratio: 0.7}").stages["matches"].parameters["ratio"] == 0.7
 
 
