@@ -64,14 +64,10 @@ def board_files(
 
     Parameters
     ----------
-    camera
-        Its id.
-    pictures_of_it
-        Photographs or videos, as they lie on disk, by name.
-    board
-        Fields of `Board` by name.
-    model
-        "brown", "rational" (as OpenCV fits them), or a key of `lens_fit.STARTS`.
+    camera : its id.
+    pictures_of_it : photographs or videos, as they lie on disk, by name.
+    board : fields of `Board` by name.
+    model : "brown", "rational" (as OpenCV fits them), or a key of `lens_fit.STARTS`.
 
     Raises
     ------

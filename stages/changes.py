@@ -88,25 +88,18 @@ def find_changes(
 
     Parameters
     ----------
-    poses, cloud, frames, depths, refined
-        Of tonight; of cameras of the main component.
-    reference_poses, reference_cloud, reference_frames, reference_depths, reference_refined
-        Of the reference; None, or empty: there is nothing to compare with.
-    scene
-        Where the ground is, if that is known.
-    zones
-        Only changes whose middle lies in one of these count: each a mapping of name, polygon (corners x, y on the ground) and
+    poses, cloud, frames, depths, refined : of tonight; of cameras of the main component.
+    reference_poses, reference_cloud, reference_frames, reference_depths, reference_refined : of the reference; None, or empty:
+        there is nothing to compare with.
+    scene : where the ground is, if that is known.
+    zones : only changes whose middle lies in one of these count: each a mapping of name, polygon (corners x, y on the ground) and
         least_m (shortest length of a change that counts, metres).
-    sigmas
-        A surface has changed where it lies so many standard deviations off.
-    registration_m
-        Standard deviation in metres of tonight's world against that of then: nearly nothing for cameras that stay.
-    alike
-        Places whose pictures correlate better on both nights have not changed, 0 to 1.
-    least_area_m2
-        Surface of the smallest change that is told of, square metres; None: what some hundred points of the cloud cover.
-    cell_m
-        Edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
+    sigmas : a surface has changed where it lies so many standard deviations off.
+    registration_m : standard deviation in metres of tonight's world against that of then: nearly nothing for cameras that stay.
+    alike : places whose pictures correlate better on both nights have not changed, 0 to 1.
+    least_area_m2 : surface of the smallest change that is told of, square metres; None: what some hundred points of the cloud
+        cover.
+    cell_m : edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
     """
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
     tonight = Epoch(cloud, cameras, straight_frames(frames, cameras), depths, refined or {})

@@ -53,20 +53,13 @@ def find_coverage(
 
     Parameters
     ----------
-    poses
-        Of the cameras; those of the main component that have a depth map count.
-    frames
-        For their masks; looked at one at a time.
-    depths, refined
-        Depth of each view from its pairs, and refined where there is such.
-    scene
-        Where the ground is, if that is known.
-    cell_m
-        Edge of a cell in metres; None: so that some 250 lie along the longer side, 1, 2 or 5 times a power of ten.
-    noise_px
-        Expected error of a match in pixels, standard deviation.
-    min_angle_deg, max_angle_deg
-        Pairs of cameras tell depth where their rays meet at angles between these.
+    poses : of the cameras; those of the main component that have a depth map count.
+    frames : for their masks; looked at one at a time.
+    depths, refined : depth of each view from its pairs, and refined where there is such.
+    scene : where the ground is, if that is known.
+    cell_m : edge of a cell in metres; None: so that some 250 lie along the longer side, 1, 2 or 5 times a power of ten.
+    noise_px : expected error of a match in pixels, standard deviation.
+    min_angle_deg, max_angle_deg : pairs of cameras tell depth where their rays meet at angles between these.
     """
     better = refined or {}
     placed = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}

@@ -36,15 +36,11 @@ def view_depth(
 
     Parameters
     ----------
-    camera
-        Of the view itself.
-    cameras
-        Of the views that it makes pairs with, by id.
-    rectifications, disparities
-        Of the pairs that the view is part of; looked at one at a time.  Of more than 32 those are taken that know most pixels
-        well enough; `left_out` of the result names the others.
-    noise_px
-        Assumed error of a disparity in pixels, standard deviation.
+    camera : of the view itself.
+    cameras : of the views that it makes pairs with, by id.
+    rectifications, disparities : of the pairs that the view is part of; looked at one at a time.  Of more than 32 those are taken
+        that know most pixels well enough; `left_out` of the result names the others.
+    noise_px : assumed error of a disparity in pixels, standard deviation.
     """
     noise = NoiseModel(noise_px=noise_px)
     found: list[_PairDepth] = []

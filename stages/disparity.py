@@ -47,25 +47,18 @@ def match_dense(
 
     Parameters
     ----------
-    left, right
-        The frames of the pair; masked and saturated pixels are never matched.
-    rectification
-        How the frames are resampled.
-    reference_rectification, reference_disparity
-        The reference's, if there is one: where to start from, for matchers that can, if the frames are resampled as they were.
-    matcher
-        "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
+    left, right : the frames of the pair; masked and saturated pixels are never matched.
+    rectification : how the frames are resampled.
+    reference_rectification, reference_disparity : the reference's, if there is one: where to start from, for matchers that can,
+        if the frames are resampled as they were.
+    matcher : "patchmatch": a slanted plane for each pixel, started from census semi-global matching; the most accurate.  "sgbm":
         OpenCV's semi-global matching, in half the time.  "census-sgm": that start alone, and "graphcut": expansion moves at no
         more than 384 x 256 pixels (slow; needs the extra `graphcut`), for comparison.  Or a function of your own,
         `package.module:function`.
-    tolerance_px
-        The two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.
-    speckle_share
-        Connected pieces of disparity smaller than this share of the rectified image are dropped.
-    min_density
-        Reject if less than this share of the common area gets a value.
-    options
-        Parameters of the matcher, see its function.
+    tolerance_px : the two views must agree within this many rectified pixels, and more closely where disparity is steep or torn.
+    speckle_share : connected pieces of disparity smaller than this share of the rectified image are dropped.
+    min_density : reject if less than this share of the common area gets a value.
+    options : parameters of the matcher, see its function.
 
     Raises
     ------

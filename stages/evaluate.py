@@ -49,14 +49,10 @@ def compare_clouds(
 
     Parameters
     ----------
-    points, reference
-        (n, 3) and (m, 3).
-    taus
-        Distances at which to score.
-    voxel
-        Both clouds are thinned to one point, the mean, per cell of this size, so that density does not weigh; 0: not thinned.
-    margin
-        Points farther than this outside the reference's bounding box are left out.
+    points, reference : (n, 3) and (m, 3).
+    taus : distances at which to score.
+    voxel : both clouds are thinned to one point, the mean, per cell of this size, so that density does not weigh; 0: not thinned.
+    margin : points farther than this outside the reference's bounding box are left out.
 
     Raises
     ------
@@ -143,12 +139,9 @@ def true_correspondences(
 
     Parameters
     ----------
-    camera1, camera2
-        The true cameras.
-    depth1, depth2
-        (h, w) float32, true depths, 0 where unknown.
-    step
-        Every `step`-th pixel of image 1, both ways.
+    camera1, camera2 : the true cameras.
+    depth1, depth2 : (h, w) float32, true depths, 0 where unknown.
+    step : every `step`-th pixel of image 1, both ways.
     """
     v, u = np.mgrid[step // 2 : camera1.height : step, step // 2 : camera1.width : step].reshape(2, -1)
     known = depth1[v, u] > 0
@@ -186,14 +179,10 @@ def correct_matches(
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) float64, pixels in images 1 and 2.
-    camera1, camera2
-        The true cameras.
-    depth1
-        (h, w) float32, true depth in image 1, 0 where unknown.
-    tolerance_px
-        In image 2.
+    x1, x2 : (n, 2) float64, pixels in images 1 and 2.
+    camera1, camera2 : the true cameras.
+    depth1 : (h, w) float32, true depth in image 1, 0 where unknown.
+    tolerance_px : in image 2.
     """
     best = np.full(len(x1), np.inf)
     for dx in (0, 1):

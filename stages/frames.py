@@ -51,27 +51,17 @@ def clean_frame(
 
     Parameters
     ----------
-    captures
-        The night's image files of this camera, in the order of time; all of one size.  Of a video, pictures are taken.
-    lens
-        Intrinsics and distortion of the image as captured (after its EXIF orientation is applied).
-    mask
-        An image of the captured size, or None: pixels that are not zero may be used.
-    privacy
-        Polygons whose pixels are gone before anything else looks at a capture; None: there are none.
-    resolution
-        Long side of the frame in pixels; None: as captured.  Images are never enlarged.
-    max_captures
-        At most so many captures are merged, spread evenly over the night: bounds memory and time.
-    video_step
-        Of a video, every so many-th picture is taken, or fewer where these would be more than `max_captures`.
-    overlays
-        Clocks, logos and captions are looked for, as pixels that stay while the exposure changes, and masked.
-    denoise
-        Noise is taken off where much of it is left in the frame (a night without lamps).
-    whole_field
-        Of a brown lens all that it sees (up to 110 degrees) becomes the frame; else what has place in a frame with the lens's own
-        K and size, which cuts off the corners of wide lenses.  Of other lenses all that they see always does.
+    captures : the night's image files of this camera, in the order of time; all of one size.  Of a video, pictures are taken.
+    lens : intrinsics and distortion of the image as captured (after its EXIF orientation is applied).
+    mask : an image of the captured size, or None: pixels that are not zero may be used.
+    privacy : polygons whose pixels are gone before anything else looks at a capture; None: there are none.
+    resolution : long side of the frame in pixels; None: as captured.  Images are never enlarged.
+    max_captures : at most so many captures are merged, spread evenly over the night: bounds memory and time.
+    video_step : of a video, every so many-th picture is taken, or fewer where these would be more than `max_captures`.
+    overlays : clocks, logos and captions are looked for, as pixels that stay while the exposure changes, and masked.
+    denoise : noise is taken off where much of it is left in the frame (a night without lamps).
+    whole_field : of a brown lens all that it sees (up to 110 degrees) becomes the frame; else what has place in a frame with the
+        lens's own K and size, which cuts off the corners of wide lenses.  Of other lenses all that they see always does.
 
     Raises
     ------
@@ -124,16 +114,11 @@ def _one_frame(
 
     Parameters
     ----------
-    clean : sequence of _Clean
-        One or more.
-    mask : Capture or None
-        As of `clean_frame`.
-    asked : _Asked
-        What is done about them.
-    captures : sequence of Capture
-        The files that they are from.
-    notes : list of str
-        What is to be said so far.
+    clean : sequence of _Clean One or more.
+    mask : as of `clean_frame`.
+    asked : _Asked What is done about them.
+    captures : the files that they are from.
+    notes : what is to be said so far.
     """
     camera, images, names = clean[0].camera, [each.image for each in clean], [each.name for each in clean]
     height, width = images[0].shape[:2]

@@ -65,23 +65,16 @@ def fuse(
 
     Parameters
     ----------
-    frames, cameras
-        Of each view; frames are looked at one at a time.
-    depths
-        Of each view that has any, from its pairs; loaded when they are needed.
-    refined
-        Depth of views refined over all views around them: taken for these instead.
-    component
-        Only cameras of this component: those that share a world.
-    min_consistent_pairs
-        A point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the same: 2 trades
-        completeness for accuracy.
-    voxel_m
-        Edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of depth.
-    neighbours
-        A point needs so many others within three voxels, or many in the picture where these lie further apart.
-    check_views
-        Each view is compared with so many others that see most of the same.
+    frames, cameras : of each view; frames are looked at one at a time.
+    depths : of each view that has any, from its pairs; loaded when they are needed.
+    refined : depth of views refined over all views around them: taken for these instead.
+    component : only cameras of this component: those that share a world.
+    min_consistent_pairs : a point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the
+        same: 2 trades completeness for accuracy.
+    voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of
+        depth.
+    neighbours : a point needs so many others within three voxels, or many in the picture where these lie further apart.
+    check_views : each view is compared with so many others that see most of the same.
     """
     better, frames = refined or {}, straight_frames(frames, cameras)
     known = {*depths, *better}

@@ -84,8 +84,8 @@ def estimate_geometry(
     few_inliers : fewer are warned about.
     min_area : share of the image that the hull of the inliers covers, at least, in both images.
     small_area : less than this is warned about.
-    min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides, and on
-        pairs whose matches agree but whose rays hardly meet.
+    min_score : log odds of being right under which a pair is rejected here; between this and 0 the site decides, and on pairs
+        whose matches agree but whose rays hardly meet.
     seed : of the random samples.
 
     Returns

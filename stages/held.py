@@ -20,10 +20,8 @@ def turn_geometry(pinned: Geometry | None, left: CameraHealth, right: CameraHeal
 
     Parameters
     ----------
-    pinned
-        The reference's.
-    left, right
-        How the cameras have turned; one that is not `corrected` counts as where it was.
+    pinned : the reference's.
+    left, right : how the cameras have turned; one that is not `corrected` counts as where it was.
 
     References
     ----------
@@ -67,22 +65,14 @@ def hold_poses(
 
     Parameters
     ----------
-    pinned
-        The reference's poses.
-    healths
-        How the cameras are; one that shows nothing of the site is not among them.
-    views
-        The pinholes of tonight's frames.
-    geometries
-        Of the pairs; those of moved cameras are looked at.
-    survey
-        Known distances and control points.
-    max_rotation_error_deg
-        As of the stage `poses`, degrees.
-    max_epipolar_px
-        As of the stage `poses`, pixels.
-    min_angle_deg
-        As of the stage `poses`, degrees.
+    pinned : the reference's poses.
+    healths : how the cameras are; one that shows nothing of the site is not among them.
+    views : the pinholes of tonight's frames.
+    geometries : of the pairs; those of moved cameras are looked at.
+    survey : known distances and control points.
+    max_rotation_error_deg : as of the stage `poses`, degrees.
+    max_epipolar_px : as of the stage `poses`, pixels.
+    min_angle_deg : as of the stage `poses`, degrees.
     """
     if pinned is None:
         return Rejected(Reason.NOTHING_KNOWN)

@@ -45,18 +45,13 @@ def estimate_overlap(
 
     Parameters
     ----------
-    views
-        The pinhole of every camera that has a frame, in the order of the site.
-    placements
-        Poses where known.
-    features
-        Keypoints of each camera; looked at for pairs in which a pose or the intrinsics are missing.
-    descriptors
-        So many of a view's largest keypoints are compared.
-    ratio
-        A resemblance counts when its distance is below this share of the second nearest's, both ways.
-    candidates
-        Of more than 32 views without a pose, each is compared with so many that look most like it, and those like which it looks.
+    views : the pinhole of every camera that has a frame, in the order of the site.
+    placements : poses where known.
+    features : keypoints of each camera; looked at for pairs in which a pose or the intrinsics are missing.
+    descriptors : so many of a view's largest keypoints are compared.
+    ratio : a resemblance counts when its distance is below this share of the second nearest's, both ways.
+    candidates : of more than 32 views without a pose, each is compared with so many that look most like it, and those like which
+        it looks.
 
     Returns
     -------

@@ -31,13 +31,11 @@ def pool_matches(nights: Mapping[str, Matches], *, same_px: float = 1.5, most_pe
 
     Parameters
     ----------
-    nights
-        Matches of one pair, by night.
-    same_px
-        Two matches are the same where their four coordinates differ by less (root of the sum of squares), pixels.
-    most_per_row
-        So many are kept at most for each row of the left view's pixels, the likeliest of each part of it.  Of many that are all
-        wrong, some geometry explains enough by chance: of .6 a row 13 to 19, of 1.7 a row up to 21, where 20 make a pair.
+    nights : matches of one pair, by night.
+    same_px : two matches are the same where their four coordinates differ by less (root of the sum of squares), pixels.
+    most_per_row : so many are kept at most for each row of the left view's pixels, the likeliest of each part of it.  Of many
+        that are all wrong, some geometry explains enough by chance: of .6 a row 13 to 19, of 1.7 a row up to 21, where 20 make a
+        pair.
     """
     newest = list(nights.values())[-1]
     ends = np.concatenate([np.hstack([night.x1, night.x2]) for night in nights.values()])
@@ -95,12 +93,10 @@ def pool_depths(nights: Mapping[str, DepthMap], *, agree: float = 3.0, least_sha
 
     Parameters
     ----------
-    nights
-        Depth maps of one size, by night.
-    agree
-        A night agrees that lies within so many of its standard deviations, no unit.
-    least_share
-        More than this share of the nights that know a pixel must agree, or it is left unknown: things come and go there.
+    nights : depth maps of one size, by night.
+    agree : a night agrees that lies within so many of its standard deviations, no unit.
+    least_share : more than this share of the nights that know a pixel must agree, or it is left unknown: things come and go
+        there.
     """
     maps = list(nights.values())
     inverse = np.stack([1.0 / depth.depth.astype(np.float64) for depth in maps])

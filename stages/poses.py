@@ -58,23 +58,17 @@ def solve_poses(
 
     Parameters
     ----------
-    views
-        The pinhole of each camera's frame, at working resolution.
-    placements
-        R and C as the site states them, where it does.
-    geometries
-        Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
-    survey
-        Known distances and control points.
-    frames_if_rough
-        The frames, looked at where keypoints don't tell poses better that are stated with standard deviations.
-    max_rotation_error_deg
-        A pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in degrees.
-    max_epipolar_px
-        So is a pair whose inliers lie farther than this from the epipolar lines of the solved cameras (median), in pixels.
-    min_angle_deg
-        Reject where the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at one place,
-        seen from the scene, tell no depth.
+    views : the pinhole of each camera's frame, at working resolution.
+    placements : R and C as the site states them, where it does.
+    geometries : Two-view geometry of the pairs.  Where all poses and intrinsics are stated, they check these.
+    survey : known distances and control points.
+    frames_if_rough : the frames, looked at where keypoints don't tell poses better that are stated with standard deviations.
+    max_rotation_error_deg : a pair whose relative rotation is farther than this from what the other pairs agree on is dropped, in
+        degrees.
+    max_epipolar_px : so is a pair whose inliers lie farther than this from the epipolar lines of the solved cameras (median), in
+        pixels.
+    min_angle_deg : reject where the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at
+        one place, seen from the scene, tell no depth.
 
     Returns
     -------
@@ -131,14 +125,10 @@ def _checked(
 
     Parameters
     ----------
-    found
-        All cameras.
-    stages
-        Known cameras as stated; those that have not moved, as adjusted; and these with those that nothing checks.
-    moved, seen, told
-        The moved cameras; the pairs of known cameras; and what they say of the adjusted ones.
-    max_epipolar_px
-        See `solve_poses`.
+    found : all cameras.
+    stages : known cameras as stated; those that have not moved, as adjusted; and these with those that nothing checks.
+    moved, seen, told : the moved cameras; the pairs of known cameras; and what they say of the adjusted ones.
+    max_epipolar_px : see `solve_poses`.
     """
     known, cameras, trusted = stages
     checks = check_cameras(cameras, seen, told)

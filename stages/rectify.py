@@ -88,32 +88,25 @@ def rectify(
 
     Parameters
     ----------
-    geometry
-        Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no cameras.
-    left, right, check
-        Solved or known cameras, which then give F; and whether the pair's matches agree with those of the whole site.
-    left_frame, right_frame, scene
-        The frames of the pair, and what is known of where things are: looked at where the matches are too few.
-    method
-        "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
+    geometry : Two-view geometry of the pair: its matches choose scale, crop and disparity range, and F where there are no
+        cameras.
+    left, right, check : solved or known cameras, which then give F; and whether the pair's matches agree with those of the whole
+        site.
+    left_frame, right_frame, scene : the frames of the pair, and what is known of where things are: looked at where the matches
+        are too few.
+    method : "congruent": homographies that make the net of matches congruent, robustly; "hartley": that minimise the disparity of
         the matches; "hao2011": congruent by the letter of Hao (2011), for study; "calibrated": both cameras turned to a common
         orientation (needs cameras), then the congruent affine; "polar": half epipolar lines as rows; or a dotted function.
         Homographies that tear the image are replaced by Hartley's, and where an epipole is near by "polar"; `reason` says why.
-    fallback
-        Replace homographies that tear the image; False keeps the asked method however it stretches, for study.
-    min_matches
-        Fewer matches than this reject the pair where no cameras are known.
-    few_matches
-        Fewer do not tell where the scene lies if both cameras are known.
-    max_row_error_px
-        Without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a frame whose long
-        side is 768, or smaller: the limit grows with larger frames, whose pixels show as much less.
-    min_angle_deg
-        Reject if the rays converge by less (median), in degrees; or where a homography explains a pair without cameras.
-    range_margin
-        The disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
-    options
-        Parameters of the method, see its function.
+    fallback : replace homographies that tear the image; False keeps the asked method however it stretches, for study.
+    min_matches : fewer matches than this reject the pair where no cameras are known.
+    few_matches : fewer do not tell where the scene lies if both cameras are known.
+    max_row_error_px : without cameras, reject if the epipolar lines may be off by more than this (95 % of them), in pixels of a
+        frame whose long side is 768, or smaller: the limit grows with larger frames, whose pixels show as much less.
+    min_angle_deg : reject if the rays converge by less (median), in degrees; or where a homography explains a pair without
+        cameras.
+    range_margin : the disparity range reaches beyond the matches by this share of their range, and 1 % of the width more.
+    options : parameters of the method, see its function.
 
     Raises
     ------

@@ -81,23 +81,17 @@ def refine(
 
     Parameters
     ----------
-    frame, camera, depth
-        Of the view itself; depth: where to start from.
-    frames, cameras
-        Of the views around it, by id; views without a camera of the same world are passed over.
-    scene
-        Where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
-    reference_camera, reference_depth
-        The reference's, if there is one: where to start from where tonight's pairs have nothing, if the camera stands as then.
-    radius
-        The patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
-    sweeps
-        Passes over the image, alternately down and up.
-    max_sources, min_angle_deg, max_angle_deg
-        Compare with at most so many views, the nearest in angle, that see the scene from so many degrees aside; where fewer than
-        two do, with those up to 80 degrees aside, too.
-    max_cost, noise_px
-        Keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels, standard deviation.
+    frame, camera, depth : of the view itself; depth: where to start from.
+    frames, cameras : of the views around it, by id; views without a camera of the same world are passed over.
+    scene : where the ground is, if that is known: it is taken where it shows the other views about as well as what was found.
+    reference_camera, reference_depth : the reference's, if there is one: where to start from where tonight's pairs have nothing,
+        if the camera stands as then.
+    radius : the patch that is compared reaches so many pixels of an image 768 wide from its centre, and as far in larger ones.
+    sweeps : passes over the image, alternately down and up.
+    max_sources, min_angle_deg, max_angle_deg : compare with at most so many views, the nearest in angle, that see the scene from
+        so many degrees aside; where fewer than two do, with those up to 80 degrees aside, too.
+    max_cost, noise_px : keep planes whose best source correlates better than 1 - max_cost; assumed error of a match, pixels,
+        standard deviation.
     """
     frame, frames = straight_frame(frame, camera), straight_frames(frames, cameras)
     others = {name: cameras[name] for name in frames if name in cameras}

@@ -22,14 +22,10 @@ def find_scene(
 
     Parameters
     ----------
-    frames
-        The clean frame of each camera.
-    cameras
-        Cameras by id; those of the main component have a say.
-    bounds
-        Two corners [[x, y, z], [x, y, z]] of the box that holds all that matters, in world lengths.
-    ground
-        Look for the plane on which most of the site stands.
+    frames : the clean frame of each camera.
+    cameras : cameras by id; those of the main component have a say.
+    bounds : two corners [[x, y, z], [x, y, z]] of the box that holds all that matters, in world lengths.
+    ground : look for the plane on which most of the site stands.
     """
     known = {name: camera for name, camera in cameras.items() if camera.component == 0 and name in frames}
     box = None if bounds is None else np.sort(np.array(bounds, dtype=np.float64), axis=0)

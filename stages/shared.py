@@ -18,8 +18,7 @@ def find_shared(poses: Poses) -> Overlap:
 
     Parameters
     ----------
-    poses
-        The cameras, in one frame or in several.
+    poses : the cameras, in one frame or in several.
 
     Returns
     -------

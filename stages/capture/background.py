@@ -44,11 +44,9 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
 
     Parameters
     ----------
-    images : sequence of ndarray
-        (h, w, 3) uint8 each, in the order of time.  Two have no majority: the later one is used, and where they differ is
+    images : (h, w, 3) uint8 each, in the order of time.  Two have no majority: the later one is used, and where they differ is
         doubtful.
-    weights : ndarray, optional
-        (n,) float64, what each counts; all the same, if not given.
+    weights : (n,) float64, what each counts; all the same, if not given.
     """
     nothing = np.zeros(images[0].shape[:2], np.bool_)
     if len(images) == 1:

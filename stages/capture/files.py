@@ -74,12 +74,9 @@ def wrong_size(name: str, width: int, height: int, lens: Lens) -> WrongSize:
 
     Parameters
     ----------
-    name : str
-        The capture's.
-    width, height : int
-        Of the picture, pixels.
-    lens : Lens
-        Which states another size.
+    name : the capture's.
+    width, height : of the picture, pixels.
+    lens : which states another size.
     """
     turned = (height, width) == (lens.width, lens.height)
     remedy = "state the intrinsics for the size captured, or set the camera back"

@@ -85,12 +85,9 @@ def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tupl
 
     Parameters
     ----------
-    images : sequence of ndarray
-        (h, w, 3) uint8 each.
-    names : sequence of str
-        For the words.
-    usable : ndarray
-        (h, w) bool, where they may be used.
+    images : (h, w, 3) uint8 each.
+    names : for the words.
+    usable : (h, w) bool, where they may be used.
 
     Returns
     -------

@@ -56,14 +56,10 @@ def fit_lens(
 
     Parameters
     ----------
-    boards
-        Of each picture, (n, 3) corners on the board (z = 0).
-    corners
-        Of each picture, (n, 2) where they are seen, pixels.
-    size
-        (width, height) of the pictures.
-    model
-        A key of `STARTS`.
+    boards : of each picture, (n, 3) corners on the board (z = 0).
+    corners : of each picture, (n, 2) where they are seen, pixels.
+    size : (width, height) of the pictures.
+    model : a key of `STARTS`.
 
     Raises
     ------
@@ -173,10 +169,8 @@ def _equations(
 
     Parameters
     ----------
-    guess : _Guess
-        Where.
-    boards, corners, model
-        As of `fit_lens`.
+    guess : _Guess Where.
+    boards, corners, model : as of `fit_lens`.
     """
     count = len(guess.intrinsics)
     whole = count + 6 * len(boards)

@@ -21,12 +21,9 @@ def private_area(privacy: Privacy | None, width: int, height: int, name: str) ->
 
     Parameters
     ----------
-    privacy : Privacy or None
-        The polygons.
-    width, height : int
-        Of a capture, pixels.
-    name : str
-        Of the capture, for messages.
+    privacy : the polygons.
+    width, height : of a capture, pixels.
+    name : of the capture, for messages.
 
     Raises
     ------

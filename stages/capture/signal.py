@@ -193,13 +193,10 @@ def remaining_noise(noise: float, captures: int, scale: float) -> float:
 
     Parameters
     ----------
-    noise : float
-        Of one capture, grey levels.
-    captures : int
-        So many are merged by their median, whose standard deviation is sqrt(pi / (2 n + pi - 2)) of one's (David and Nagaraja,
-        Order Statistics, 2003; within 1 % from three on).  Of two, one is used.
-    scale : float
-        Side of the frame's pixels over the capture's, at most 1: reducing averages.
+    noise : of one capture, grey levels.
+    captures : so many are merged by their median, whose standard deviation is sqrt(pi / (2 n + pi - 2)) of one's (David and
+        Nagaraja, Order Statistics, 2003; within 1 % from three on).  Of two, one is used.
+    scale : side of the frame's pixels over the capture's, at most 1: reducing averages.
     """
     merged = 1.0 if captures < 3 else float(np.sqrt(np.pi / (2 * captures + np.pi - 2)))
     return noise * _MIXED * merged * min(scale, 1.0)

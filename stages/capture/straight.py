@@ -40,14 +40,11 @@ class Straight:
 
         Parameters
         ----------
-        image : ndarray
-            (h, w, 3) uint8, as captured.
-        lens : Lens
-            What is known of its lens.
-        name : str
-            Of the capture, for messages.
-        whole_field : bool
-            All that the lens sees (up to `WIDEST_DEG`), rather than what has place with its own K, where it is a brown lens.
+        image : (h, w, 3) uint8, as captured.
+        lens : what is known of its lens.
+        name : of the capture, for messages.
+        whole_field : all that the lens sees (up to `WIDEST_DEG`), rather than what has place with its own K, where it is a brown
+            lens.
 
         Raises
         ------

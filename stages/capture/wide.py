@@ -39,8 +39,7 @@ def views_of_lens(
 
     Parameters
     ----------
-    K, distortion, width, height, model
-        As of `Lens`.
+    K, distortion, width, height, model : as of `Lens`.
     """
     lens = Lens(np.array(K, dtype=np.float64), np.array(distortion, dtype=np.float64), None, width, height, model)
     left, right, up, down = _limits(lens)

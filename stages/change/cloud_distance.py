@@ -72,18 +72,12 @@ def cloud_distances(
 
     Parameters
     ----------
-    core, normals
-        (n, 3) where to measure, and unit directions; nan directions give nan.
-    first, second
-        The clouds.
-    radius
-        Of the cylinder.
-    reach
-        The cylinder ends so far from the core point, both ways.
-    registration
-        Standard deviation of the position of one cloud against the other.
-    least
-        Points of each cloud that a cylinder needs.
+    core, normals : (n, 3) where to measure, and unit directions; nan directions give nan.
+    first, second : the clouds.
+    radius : of the cylinder.
+    reach : the cylinder ends so far from the core point, both ways.
+    registration : standard deviation of the position of one cloud against the other.
+    least : points of each cloud that a cylinder needs.
     """
     along = [_in_cylinders(core, normals, cloud, radius, reach) for cloud in (first, second)]
     (mean1, variance1, count1), (mean2, variance2, count2) = along

@@ -75,22 +75,14 @@ def find_clusters(
 
     Parameters
     ----------
-    side
-        What is known of one night's surface.
-    colors
-        (n, 3) of its core points.
-    grid
-        Cells of the ground.
-    other
-        The other night's cloud.
-    of_then
-        Is that night the earlier one: is what it alone has, gone?
-    spacing
-        Of the points.
-    least_area
-        A change has at least so much surface.
-    alike
-        Places whose pictures correlate better, in the median, have not changed.
+    side : what is known of one night's surface.
+    colors : (n, 3) of its core points.
+    grid : cells of the ground.
+    other : the other night's cloud.
+    of_then : is that night the earlier one: is what it alone has, gone?
+    spacing : of the points.
+    least_area : a change has at least so much surface.
+    alike : places whose pictures correlate better, in the median, have not changed.
     """
     cells = np.where(side.changed, cells_of(grid, side.core), -1)
     covered = np.zeros(grid.rows * grid.columns, bool)

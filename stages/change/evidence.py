@@ -84,12 +84,9 @@ def gather(tonight: Epoch, then: Epoch, spacing: float, registration: float) -> 
 
     Parameters
     ----------
-    tonight, then
-        The nights.
-    spacing
-        Of the points of the coarser cloud.
-    registration
-        Standard deviation of the position of one night's world against the other's.
+    tonight, then : the nights.
+    spacing : of the points of the coarser cloud.
+    registration : standard deviation of the position of one night's world against the other's.
     """
     edge = 2.0 * RADIUS * spacing
     clouds = [MeasuredCloud(night.points, night.sigma, index_points(night.points, edge)) for night in (tonight, then)]
@@ -129,18 +126,12 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
 
     Parameters
     ----------
-    side
-        Of one night's surface.
-    own, other
-        That night, and the other.
-    spacing
-        Of the points.
-    noise
-        Factor on the standard deviations of distances between clouds.
-    sigmas
-        So many standard deviations make a change.
-    alike
-        Pictures that correlate better show the same.
+    side : of one night's surface.
+    own, other : that night, and the other.
+    spacing : of the points.
+    noise : factor on the standard deviations of distances between clouds.
+    sigmas : so many standard deviations make a change.
+    alike : pictures that correlate better show the same.
     """
     sight, sigma = side.sight, side.sigma * noise
     nearer = side.measured & (side.distance > sigmas * sigma)
@@ -191,14 +182,10 @@ def seen_by(X: Float64s, sigma: Float64s, epoch: Epoch, name: str) -> Bools:
 
     Parameters
     ----------
-    X : ndarray
-        (n, 3) points, metres.
-    sigma : ndarray
-        (n,) their standard deviations, metres.
-    epoch : Epoch
-        Cameras and depths of a night.
-    name : str
-        The camera.
+    X : (n, 3) points, metres.
+    sigma : (n,) their standard deviations, metres.
+    epoch : cameras and depths of a night.
+    name : the camera.
     """
     sight = look_at(X, sigma, epoch.cameras, [name], epoch.depth)
     return np.asarray(sight.agreeing > 0)

@@ -48,16 +48,11 @@ def look_at(
 
     Parameters
     ----------
-    X
-        (n, 3) points in the world.
-    sigma
-        (n,) their standard deviations.
-    cameras
-        By id.
-    names
-        Of those that have a depth map.
-    depth_of
-        Loads it; asked once for each.
+    X : (n, 3) points in the world.
+    sigma : (n,) their standard deviations.
+    cameras : by id.
+    names : of those that have a depth map.
+    depth_of : loads it; asked once for each.
     """
     n = len(X)
     counts = np.zeros((3, n), np.uint8)

@@ -39,12 +39,9 @@ def ncc(X: Float64s, seen: Bools, tonight: Photograph, then: Photograph) -> Floa
 
     Parameters
     ----------
-    X
-        (n, 3) points in the world.
-    seen
-        (n,) only these are looked at.
-    tonight, then
-        The same camera on both nights; sizes must be equal.
+    X : (n, 3) points in the world.
+    seen : (n,) only these are looked at.
+    tonight, then : the same camera on both nights; sizes must be equal.
     """
     found = np.full(len(X), np.nan, np.float32)
     if tonight.frame.image.shape != then.frame.image.shape:

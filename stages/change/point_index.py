@@ -65,14 +65,10 @@ def mean_normals(queries: Float64s, index: PointIndex, normals: Float32s, radius
 
     Parameters
     ----------
-    queries : ndarray
-        (m, 3) places.
-    index : PointIndex
-        Of the cloud.
-    normals : ndarray
-        (n, 3) of the cloud, as it was indexed.
-    radius : float
-        Metres.
+    queries : (m, 3) places.
+    index : of the cloud.
+    normals : (n, 3) of the cloud, as it was indexed.
+    radius : Metres.
     """
     out = np.full((len(queries), 3), np.nan)
     ordered = normals[index.order].astype(np.float64)

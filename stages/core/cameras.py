@@ -26,12 +26,9 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
 
     Parameters
     ----------
-    view
-        Its size and lens.
-    K, R
-        (3, 3) intrinsics in pixels, and rotation from world to camera axes.
-    C
-        (3,) centre in the world.
+    view : its size and lens.
+    K, R : (3, 3) intrinsics in pixels, and rotation from world to camera axes.
+    C : (3,) centre in the world.
     """
     captured = view.captured_width or view.width, view.captured_height or view.height
     return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion, view.lens)

@@ -35,12 +35,9 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
 
     Parameters
     ----------
-    points
-        (n, 3) in the world; not empty.
-    axes
-        See `ground_axes`.
-    cell
-        Edge of a cell, world lengths; corners lie at its multiples.
+    points : (n, 3) in the world; not empty.
+    axes : see `ground_axes`.
+    cell : edge of a cell, world lengths; corners lie at its multiples.
     """
     flat = points @ axes[:2].T
     low, high = np.percentile(flat, [1, 99], axis=0)
@@ -81,14 +78,10 @@ def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: floa
 
     Parameters
     ----------
-    cells : Int64s
-        (n,) number of each value's cell, or -1.
-    values : ndarray
-        (n,)
-    count : int
-        Cells.
-    quantile : float
-        0 to 1.
+    cells : (n,) number of each value's cell, or -1.
+    values : (n,)
+    count : Cells.
+    quantile : 0 to 1.
     """
     inside = cells >= 0
     cells, values = cells[inside], values[inside]

@@ -30,21 +30,14 @@ def levenberg_marquardt(
 
     Parameters
     ----------
-    state
-        Where to start.
-    equations
-        Cost of a state, normal matrix (k, k) and right side (k,) of the linear equations for a step from there.
-    moved
-        A state after a step (k,).
-    steps
-        Ends after so many, taken or not.
-    damping, least_damping, most_damping
-        Of the normal matrix's diagonal, as a share of it: a tenth after each step that lowers the cost, ten times as much after
-        each other.  Ends where it would be more than the most.
-    floor
-        Added to the diagonal that is damped, as a share of its sum: for directions of which the equations say nothing.
-    tolerance, relative_tolerance
-        Ends when a step lowers the cost by less than this, or than this share of it.
+    state : where to start.
+    equations : cost of a state, normal matrix (k, k) and right side (k,) of the linear equations for a step from there.
+    moved : a state after a step (k,).
+    steps : ends after so many, taken or not.
+    damping, least_damping, most_damping : of the normal matrix's diagonal, as a share of it: a tenth after each step that lowers
+        the cost, ten times as much after each other.  Ends where it would be more than the most.
+    floor : added to the diagonal that is damped, as a share of its sum: for directions of which the equations say nothing.
+    tolerance, relative_tolerance : ends when a step lowers the cost by less than this, or than this share of it.
 
     References
     ----------

@@ -41,14 +41,10 @@ def by_cell(points: Float64s, low: Float64s, size: float, columns: int, rows: in
 
     Parameters
     ----------
-    points
-        (n, 2) pixels.
-    low
-        (2,) the corner where the cells begin.
-    size
-        Side of a cell, pixels.
-    columns, rows
-        So many cells.
+    points : (n, 2) pixels.
+    low : (2,) the corner where the cells begin.
+    size : side of a cell, pixels.
+    columns, rows : so many cells.
     """
     order, starts = np.empty(len(points), np.int32), np.zeros(columns * rows + 1, np.int32)
     _put_in_cells(points, low, size, columns, rows, np.empty(len(points), np.int32), np.empty_like(starts), starts, order)

@@ -55,14 +55,10 @@ def with_rotation(
 
     Parameters
     ----------
-    R
-        (3, 3) float64, from the source's axes to the target's.
-    source, target
-        (n, 3) float64 points.
-    weight
-        (n,) float64, that sum to one.
-    scale
-        Where it is known otherwise; else at least two points are needed that differ.
+    R : (3, 3) float64, from the source's axes to the target's.
+    source, target : (n, 3) float64 points.
+    weight : (n,) float64, that sum to one.
+    scale : where it is known otherwise; else at least two points are needed that differ.
     """
     a_mean, b_mean = weight @ source, weight @ target
     a, b = source - a_mean, target - b_mean

@@ -33,14 +33,10 @@ def colmap_files(
 
     Parameters
     ----------
-    cameras : mapping
-        By id.
-    geometries : mapping
-        By "left--right": their inliers become tracks.
-    cloud : Cloud
-        Thinned evenly to `most_points` and added after the points of the tracks; these points name no image.
-    most_points : int
-        Of the cloud.
+    cameras : by id.
+    geometries : by "left--right": their inliers become tracks.
+    cloud : thinned evenly to `most_points` and added after the points of the tracks; these points name no image.
+    most_points : of the cloud.
     """
     names = list(cameras)
     tracks, X = _tracks(cameras, geometries)

@@ -70,16 +70,11 @@ def _scan(
 
     Parameters
     ----------
-    file
-        Open for writing.
-    columns
-        What each point has, by name.
-    points
-        (n, 3) where they are.
-    named
-        A name that no other cloud has.
-    where
-        The coordinate system; "" for a local one.
+    file : open for writing.
+    columns : what each point has, by name.
+    points : (n, 3) where they are.
+    named : a name that no other cloud has.
+    where : the coordinate system; "" for a local one.
     """
     file.extensionsAdd("", libe57.E57_V1_0_URI)
     file.extensionsAdd(*_NORMALS)

@@ -99,14 +99,10 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
 
     Parameters
     ----------
-    cloud : Cloud
-        Its points follow those that the cameras rest on.
-    poses : Poses
-        The cameras.
-    frames : mapping
-        Of each camera.
-    geometries : mapping
-        By "left--right": matches that become tracks.
+    cloud : its points follow those that the cameras rest on.
+    poses : the cameras.
+    frames : of each camera.
+    geometries : by "left--right": matches that become tracks.
     """
     from ..io.rasters import png
     from .colmap import colmap_files

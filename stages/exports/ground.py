@@ -65,14 +65,10 @@ def on_the_map(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float32
 
     Parameters
     ----------
-    grid
-        Of the layers, in the local frame.
-    heights
-        (rows, columns) of the surface along the grid's up: north on the map hardly depends on it.
-    layers
-        What the bands hold, and their description.
-    crs
-        The local frame's.
+    grid : of the layers, in the local frame.
+    heights : (rows, columns) of the surface along the grid's up: north on the map hardly depends on it.
+    layers : what the bands hold, and their description.
+    crs : the local frame's.
 
     Raises
     ------

@@ -36,10 +36,9 @@ def height_map(points: Float64s, cell: float | None = None) -> HeightMap:
 
     Parameters
     ----------
-    points
-        (n, 3) float64, z up.
-    cell
-        Edge of a cell, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of ten.
+    points : (n, 3) float64, z up.
+    cell : edge of a cell, in the points' unit; None: twice their median distance from each other, as 1, 2 or 5 times a power of
+        ten.
     """
     low, high = _box(points[:, :2])
     edge = cell or preferred_above(2 * spacing(points))

@@ -38,12 +38,9 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None, coarser: int = 0) -> Me
 
     Parameters
     ----------
-    cloud
-        With normals.
-    depth
-        Of the octree; None: so that its cells are about as wide as points are apart.
-    coarser
-        So many times its cells are twice as wide then: for a surface whose detail is in the photographs on it.
+    cloud : with normals.
+    depth : of the octree; None: so that its cells are about as wide as points are apart.
+    coarser : so many times its cells are twice as wide then: for a surface whose detail is in the photographs on it.
     """
     points = cloud.points.astype(np.float64)
     middle = points.mean(axis=0)

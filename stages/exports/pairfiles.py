@@ -31,12 +31,9 @@ def pair_files(
 
     Parameters
     ----------
-    left, right
-        The frames of the pair.
-    matches
-        What was matched.
-    geometry, rectification, disparity
-        What came of it; None where it did not come so far.
+    left, right : the frames of the pair.
+    matches : what was matched.
+    geometry, rectification, disparity : what came of it; None where it did not come so far.
     """
     files = matching_files(matches, geometry, left, right)
     summary: dict[str, Any] = {}
@@ -56,14 +53,10 @@ def matching_files(matches: Matches, geometry: Geometry | None, left: Frame, rig
 
     Parameters
     ----------
-    matches : Matches
-        Of the pair.
-    geometry : Geometry or None
-        None where none was found.
-    left : Frame
-        The frame that x1 lies in.
-    right : Frame
-        The frame that x2 lies in.
+    matches : of the pair.
+    geometry : None where none was found.
+    left : the frame that x1 lies in.
+    right : the frame that x2 lies in.
     """
     files = {"matches.csv": _table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
     if geometry is not None:
@@ -91,14 +84,10 @@ def disparity_files(
 
     Parameters
     ----------
-    disparity : Disparity
-        Of both rectified views.
-    rectification : Rectification
-        How the frames are resampled.
-    left : Frame
-        Frame of the left camera.
-    right : Frame
-        Frame of the right camera.
+    disparity : of both rectified views.
+    rectification : how the frames are resampled.
+    left : frame of the left camera.
+    right : frame of the right camera.
     """
     maps = {"left": disparity_px(disparity, 1), "right": disparity_px(disparity, 2)}
     known = np.concatenate([m[np.isfinite(m)] for m in maps.values()])

@@ -31,12 +31,9 @@ def write(value: Any, folder: Path, stem: str) -> Any:
 
     Parameters
     ----------
-    value : object
-        A dataclass, an array, a mapping or sequence of such, a number, a word, or None.
-    folder : Path
-        Where the files go; it is made.
-    stem : str
-        How their names begin: fields and entries are added with dots.
+    value : a dataclass, an array, a mapping or sequence of such, a number, a word, or None.
+    folder : where the files go; it is made.
+    stem : how their names begin: fields and entries are added with dots.
 
     Returns
     -------

@@ -56,12 +56,9 @@ def matches_preview(
 
     Parameters
     ----------
-    matches
-        Of the pair.
-    left, right
-        The views' `Frame`s; anything else, and the points stand on empty ground.
-    width
-        Of the picture, at most.
+    matches : of the pair.
+    left, right : the views' `Frame`s; anything else, and the points stand on empty ground.
+    width : of the picture, at most.
     """
     ground = [
         side.image if isinstance(side, Frame) else np.full((view.height, view.width, 3), 48, np.uint8)
@@ -83,12 +80,9 @@ def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *
 
     Parameters
     ----------
-    rectification
-        How the frames are resampled.
-    left, right
-        The frames of the pair.
-    width
-        Of the picture, at most.
+    rectification : how the frames are resampled.
+    left, right : the frames of the pair.
+    width : of the picture, at most.
     """
     return _jpeg(_rectified(rectification, left, right, width))
 
@@ -107,14 +101,10 @@ def disparity_preview(
 
     Parameters
     ----------
-    disparity
-        Of both rectified views.
-    left, right
-        The frames of the pair.
-    rectification
-        How they are resampled.
-    width
-        Of the picture, at most.
+    disparity : of both rectified views.
+    left, right : the frames of the pair.
+    rectification : how they are resampled.
+    width : of the picture, at most.
     """
     shown = _disparities(disparity, width)
     if left is None or right is None or rectification is None:

@@ -63,12 +63,9 @@ def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Fra
 
     Parameters
     ----------
-    mesh
-        In the cameras' world.
-    cameras
-        By name; those without a frame give nothing.
-    frames
-        Their clean frames: what is masked is not shown.
+    mesh : in the cameras' world.
+    cameras : by name; those without a frame give nothing.
+    frames : their clean frames: what is masked is not shown.
 
     Raises
     ------

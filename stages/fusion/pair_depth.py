@@ -49,12 +49,9 @@ def pair_depth(
 
     Parameters
     ----------
-    camera, other
-        The view asked for, and its partner.
-    rectification, disparity
-        Of the pair.
-    side
-        1 if `camera` is the pair's left view, 2 if it is its right one.
+    camera, other : the view asked for, and its partner.
+    rectification, disparity : of the pair.
+    side : 1 if `camera` is the pair's left view, 2 if it is its right one.
     """
     depth = np.full((camera.height, camera.width), np.nan, np.float32)
     gain = np.full_like(depth, np.nan)
@@ -178,10 +175,8 @@ def fuse_pairs(
 
     Parameters
     ----------
-    depths, gains
-        (h, w) float32 of each pair, as `pair_depth` gives them; at most 32.
-    partners
-        The other camera of each pair, in the same order.
+    depths, gains : (h, w) float32 of each pair, as `pair_depth` gives them; at most 32.
+    partners : the other camera of each pair, in the same order.
     """
     if len(depths) > MOST_PAIRS:
         raise ValueError(f"{len(depths)} pairs of one view, at most {MOST_PAIRS} can be fused")
@@ -298,10 +293,8 @@ def world_normals(camera: Camera, depth: DepthMap, rows: np.ndarray, columns: np
 
     Parameters
     ----------
-    camera, depth
-        Of the view.
-    rows, columns
-        (n,) int, pixels that have a depth.
+    camera, depth : of the view.
+    rows, columns : (n,) int, pixels that have a depth.
     """
     A, B = depth.slope_x[rows, columns].astype(np.float64), depth.slope_y[rows, columns].astype(np.float64)
     c = 1.0 / depth.depth[rows, columns].astype(np.float64) - A * columns - B * rows

@@ -45,12 +45,9 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, 
 
     Parameters
     ----------
-    name
-        The view.
-    cameras, small
-        Of all views, by id.
-    count
-        So many at most.
+    name : the view.
+    cameras, small : of all views, by id.
+    count : so many at most.
     """
     pixels, z = small[name].points(2)
     if not len(z):

@@ -46,10 +46,8 @@ def depth_variance(depth: DepthMap, check: CrossCheck, y: Int64s, x: Int64s) -> 
 
     Parameters
     ----------
-    depth, check
-        Of a view, and what the others say of it.
-    y, x
-        (n,) rows and columns of pixels that have a depth.
+    depth, check : of a view, and what the others say of it.
+    y, x : (n,) rows and columns of pixels that have a depth.
     """
     sigma, views = depth.sigma[y, x].astype(np.float64), check.agreeing[y, x].astype(np.float64)
     around = _AROUND * max(1, round(max(depth.depth.shape) / _PATCHES_PX))
@@ -68,14 +66,10 @@ def along_nearest_rays(
 
     Parameters
     ----------
-    variance, points, normals
-        (n,), (n, 3) and (n, 3), of points of a view's pixels.
-    camera
-        Of the view.
-    others
-        (k, 3) centres of the views that it was compared with.
-    nearest
-        (n,) which of them is the nearest, `ITSELF`: the view.
+    variance, points, normals : (n,), (n, 3) and (n, 3), of points of a view's pixels.
+    camera : of the view.
+    others : (k, 3) centres of the views that it was compared with.
+    nearest : (n,) which of them is the nearest, `ITSELF`: the view.
     """
     centres = np.concatenate([others, camera.C[None]])
     there = centres[np.where(nearest == ITSELF, len(others), nearest)] - points

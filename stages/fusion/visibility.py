@@ -65,14 +65,10 @@ def cross_check(
 
     Parameters
     ----------
-    name
-        The view.
-    others
-        Views to compare it with, in the order in which pairs are numbered.
-    cameras
-        Of all these views.
-    depth_of
-        Loads a view's depth; asked once for each.
+    name : the view.
+    others : views to compare it with, in the order in which pairs are numbered.
+    cameras : of all these views.
+    depth_of : loads a view's depth; asked once for each.
     """
     own = depth_of(name)
     h, w = own.depth.shape

@@ -43,18 +43,12 @@ def fit_affine_field(
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) pixels of the matches in either image; n >= 2.
-    affine
-        (n, 2, 2) from frame 1 to frame 2 of each match.
-    weight
-        (n,) of each match, 0 to 1.
-    queries
-        (m, 2) pixels of image 1.
-    neighbours
-        Matches that a query asks.
-    ridge
-        Pull toward the mean of the frame affines; no unit.
+    x1, x2 : (n, 2) pixels of the matches in either image; n >= 2.
+    affine : (n, 2, 2) from frame 1 to frame 2 of each match.
+    weight : (n,) of each match, 0 to 1.
+    queries : (m, 2) pixels of image 1.
+    neighbours : matches that a query asks.
+    ridge : pull toward the mean of the frame affines; no unit.
     """
     distance, index = nearest_points(x1, queries, min(neighbours, len(x1) - 1) + 1)
     m, k = distance.shape

@@ -26,12 +26,9 @@ def most_alike(descriptors: Sequence[Float32s], count: int, seed: int = 0) -> li
 
     Parameters
     ----------
-    descriptors : sequence of ndarray
-        (n, d) float32 of unit length, of each view.
-    count : int
-        Of each view.
-    seed : int
-        Of what the words are made from.
+    descriptors : (n, d) float32 of unit length, of each view.
+    count : of each view.
+    seed : of what the words are made from.
     """
     whole = _whole_views(descriptors, seed)
     likeness = whole @ whole.T

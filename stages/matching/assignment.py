@@ -17,14 +17,10 @@ def assign(i: Int32s, j: Int32s, log_odds: Float64s, n1: int, n2: int, iteration
 
     Parameters
     ----------
-    i, j
-        (c,) int32 row and column of each candidate.
-    log_odds
-        (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
-    n1, n2
-        Numbers of rows and columns.
-    iterations
-        Of scaling rows and columns in turn.
+    i, j : (c,) int32 row and column of each candidate.
+    log_odds : (c,) evidence for the candidate against "no partner", whose mass is 1 in every row and column.
+    n1, n2 : numbers of rows and columns.
+    iterations : of scaling rows and columns in turn.
     """
     probability = np.empty(len(i))
     if len(i):
@@ -37,12 +33,9 @@ def without_repeats(x1: Float64s, x2: Float64s, probability: Float64s, radius_px
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) pixels of the matches in either image.
-    probability
-        (n,) of each match.
-    radius_px
-        How near is too near.
+    x1, x2 : (n, 2) pixels of the matches in either image.
+    probability : (n,) of each match.
+    radius_px : how near is too near.
     """
     keep = np.zeros(len(x1), dtype=bool)
     if len(x1):

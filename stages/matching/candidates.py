@@ -129,14 +129,10 @@ def rival_distances(
 
     Parameters
     ----------
-    left, right
-        Keypoints of the pair, (n1,) and (n2,).
-    pairs
-        Each view of the left frame against each of the right.
-    i1, i2
-        (n,) int32 rows of the matches in `left` and `right`.
-    apart_px
-        What lies nearer to the match is no rival.
+    left, right : keypoints of the pair, (n1,) and (n2,).
+    pairs : each view of the left frame against each of the right.
+    i1, i2 : (n,) int32 rows of the matches in `left` and `right`.
+    apart_px : what lies nearer to the match is no rival.
     """
     rivals = np.full(len(i1), 2.0)
     for pair in pairs:
@@ -161,14 +157,10 @@ def near_predictions(pair: ViewPair, field: AffineField, sigma: Float64s, trust:
 
     Parameters
     ----------
-    pair : ViewPair
-        Keypoints and descriptors of both images.
-    field : AffineField
-        Where keypoints of image 1 are expected in image 2.
-    sigma : ndarray
-        (n,) standard deviation of that, pixels.
-    trust : ndarray
-        (n,) probability that the field holds there.
+    pair : keypoints and descriptors of both images.
+    field : where keypoints of image 1 are expected in image 2.
+    sigma : (n,) standard deviation of that, pixels.
+    trust : (n,) probability that the field holds there.
     """
     asking = np.flatnonzero((trust > TRUSTED) & (sigma < MAX_SIGMA_PX)).astype(np.int32)
     radius = np.minimum(3 * sigma[asking] + 2, MAX_RADIUS_PX)

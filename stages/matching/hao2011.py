@@ -30,10 +30,8 @@ def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) ->
 
     Parameters
     ----------
-    left, right
-        Keypoints of the pair; those of simulated views are left out.
-    dominance
-        An entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
+    left, right : keypoints of the pair; those of simulated views are left out.
+    dominance : an entry of P outweighs the rest of its row, and of its column, this many times at least; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2 = (found.astype(np.int32) for found in np.nonzero(published_dominance(P, dominance)))
@@ -45,10 +43,8 @@ def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0
 
     Parameters
     ----------
-    left, right
-        Keypoints of the pair; those of simulated views are left out.
-    ratio
-        Second largest over largest entry of a row and of a column of P, at most; no unit.
+    left, right : keypoints of the pair; those of simulated views are left out.
+    ratio : second largest over largest entry of a row and of a column of P, at most; no unit.
     """
     rows1, rows2, P = _permutation(left, right)
     i1, i2, distance_ratio = nearest_dominance(P, ratio)
@@ -92,12 +88,9 @@ def procrustes(X: Float64s, Y: Float64s, *, max_iterations: int = 20, tolerance:
 
     Parameters
     ----------
-    X, Y
-        (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
-    max_iterations
-        At most.
-    tolerance
-        Change of A, as a share of A, at which it stands.
+    X, Y : (m, d), (n, d) from `feature_matrix`; the first two columns are coordinates.
+    max_iterations : at most.
+    tolerance : change of A, as a share of A, at which it stands.
     """
     Qx, Rx = _orthonormal(X)
     Qy, Ry = _orthonormal(Y)

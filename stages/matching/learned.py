@@ -54,14 +54,11 @@ def match_onnx(
 
     Parameters
     ----------
-    left_frame, right_frame
-        The pair.
-    model
-        The ONNX file: `model: PATH` in the site file.  What is in it decides whether matches are found anew, not where it lies.
-    min_score
-        Matches that the model thinks less of are dropped, 0 to 1.
-    long_side_px
-        Long side that the pictures are brought to where the model takes any size, pixels.
+    left_frame, right_frame : the pair.
+    model : the ONNX file: `model: PATH` in the site file.  What is in it decides whether matches are found anew, not where it
+        lies.
+    min_score : matches that the model thinks less of are dropped, 0 to 1.
+    long_side_px : long side that the pictures are brought to where the model takes any size, pixels.
 
     Returns
     -------

@@ -15,10 +15,8 @@ def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matc
 
     Parameters
     ----------
-    left, right
-        Keypoints of the pair; those of simulated views are left out.
-    ratio
-        First over second descriptor distance, at most, both ways; no unit.
+    left, right : keypoints of the pair; those of simulated views are left out.
+    ratio : first over second descriptor distance, at most, both ways; no unit.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
     i1, i2, distance_ratio = mutual_matches(left.descriptors[rows1], right.descriptors[rows2], ratio)
@@ -49,12 +47,9 @@ def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: i
 
     Parameters
     ----------
-    left, right
-        Keypoints of the pair; those of simulated views are left out.
-    ratio
-        First over second descriptor distance, at most; no unit.
-    seed
-        Of the trees' random splits.
+    left, right : keypoints of the pair; those of simulated views are left out.
+    ratio : first over second descriptor distance, at most; no unit.
+    seed : of the trees' random splits.
     """
     rows1, rows2 = plain_rows(left), plain_rows(right)
     i1, i2, distance_ratio = kdtree_matches(left.descriptors[rows1], right.descriptors[rows2], ratio, seed)
@@ -66,12 +61,9 @@ def kdtree_matches(descriptors1: Float32s, descriptors2: Float32s, ratio: float,
 
     Parameters
     ----------
-    descriptors1, descriptors2
-        (n1, d) and (n2, d) float32.
-    ratio
-        First over second distance, at most.
-    seed
-        Of the trees' random splits.
+    descriptors1, descriptors2 : (n1, d) and (n2, d) float32.
+    ratio : first over second distance, at most.
+    seed : of the trees' random splits.
     """
     if len(descriptors1) == 0 or len(descriptors2) < 2:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32)

@@ -43,16 +43,11 @@ def nearest_elsewhere(descriptors: Float32s, xy: Float64s, others: int, begin: i
 
     Parameters
     ----------
-    descriptors
-        (n, d) float32.
-    xy
-        (n, 2) pixels.
-    others
-        How many of them, from the first, are asked.
-    begin
-        The first that asks: 0, or `others`.
-    apart_px
-        What lies nearer is the same thing.
+    descriptors : (n, d) float32.
+    xy : (n, 2) pixels.
+    others : how many of them, from the first, are asked.
+    begin : the first that asks: 0, or `others`.
+    apart_px : what lies nearer is the same thing.
     """
     best = np.full(len(descriptors), -2, np.float32)
     transposed = np.ascontiguousarray(descriptors[:others].T)

@@ -151,14 +151,10 @@ def solve_rounds(
 
     Parameters
     ----------
-    left, right
-        Keypoints of the two frames.
-    pairs
-        Their views with the candidates.
-    first
-        Matches to begin with.
-    dominance, rounds, F
-        As in `match_guided`; F None where none is known.
+    left, right : keypoints of the two frames.
+    pairs : their views with the candidates.
+    first : matches to begin with.
+    dominance, rounds, F : as in `match_guided`; F None where none is known.
     """
     matches = first
     for step in range(rounds):

@@ -57,10 +57,8 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
 
     Parameters
     ----------
-    images
-        (h, w) float32 grey frame of each camera.
-    cameras
-        The same cameras, in one world.
+    images : (h, w) float32 grey frame of each camera.
+    cameras : the same cameras, in one world.
     """
     names = [name for name in cameras if name in images]
     views = [halved(images[name], cameras[name]) for name in names]

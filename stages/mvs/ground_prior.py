@@ -41,14 +41,10 @@ def ground_matches(
 
     Parameters
     ----------
-    images : tuple
-        (h, w) float32 grey of both views.
-    cameras : tuple
-        As well as they are known.
-    plane : ndarray
-        (4,) the ground.
-    reach_px : float
-        How far patches may be from where cameras and ground put them.
+    images : (h, w) float32 grey of both views.
+    cameras : as well as they are known.
+    plane : (4,) the ground.
+    reach_px : how far patches may be from where cameras and ground put them.
     """
     camera1, camera2 = cameras
     if any(plane[:3] @ camera.C + plane[3] <= 0 for camera in cameras):

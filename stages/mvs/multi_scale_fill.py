@@ -32,10 +32,8 @@ def reduced_view(frame: Frame, camera: Camera, depth: DepthMap, times: float) ->
 
     Parameters
     ----------
-    frame, camera, depth
-        Of a view.  Of the larger pixels those may be used in which all may be; depth is that of their middles.
-    times
-        How large, in pixels of the view.
+    frame, camera, depth : of a view.  Of the larger pixels those may be used in which all may be; depth is that of their middles.
+    times : how large, in pixels of the view.
     """
     image, small = reduced(frame.image, camera, times)
     usable = reduced(np.where(frame.mask, np.uint8(255), np.uint8(0)), camera, times)[0] == 255

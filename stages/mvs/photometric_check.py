@@ -53,12 +53,9 @@ def checked_planes(
 
     Parameters
     ----------
-    regions, found
-        Of the picture, and the planes that its depths tell.
-    propagation, support, sure, scale, max_cost
-        See `mvs.plane_prior.apply_plane_priors`.
-    spacing
-        Pixels for each of an image 768 wide.
+    regions, found : of the picture, and the planes that its depths tell.
+    propagation, support, sure, scale, max_cost : see `mvs.plane_prior.apply_plane_priors`.
+    spacing : pixels for each of an image 768 wide.
     """
     shape = regions.number.shape
     doubtful = np.ones(len(regions.thick), bool)

@@ -93,16 +93,11 @@ def apply_plane_priors(
 
     Parameters
     ----------
-    frame, grey
-        The view, and its (h, w) grey levels.
-    propagation, planes, support
-        Of the view: (3, h, w) planes, and what the sources show of them.
-    sure
-        (h, w): depths to be believed.
-    scale
-        Pixels in a source for a unit of inverse depth.
-    max_cost
-        A source sees a plane that costs less.
+    frame, grey : the view, and its (h, w) grey levels.
+    propagation, planes, support : of the view: (3, h, w) planes, and what the sources show of them.
+    sure : (h, w): depths to be believed.
+    scale : pixels in a source for a unit of inverse depth.
+    max_cost : a source sees a plane that costs less.
     """
     spacing = max(1, round(max(grey.shape) / 768))
     regions = textureless_regions(frame.image, frame.mask, spacing)

@@ -39,14 +39,10 @@ class Propagation:
 
     Parameters
     ----------
-    image, usable
-        (h, w) float32, grey, and (h, w) bool, what may be matched.
-    sources
-        (s, h', w') float32, grey.
-    M, b
-        (s, 3, 3) and (s, 3) float64: source s sees pixel p with inverse depth q at M_s p + b_s q.
-    taps
-        (n, 2) int32, offsets (x, y) of a patch's pixels, its centre first.
+    image, usable : (h, w) float32, grey, and (h, w) bool, what may be matched.
+    sources : (s, h', w') float32, grey.
+    M, b : (s, 3, 3) and (s, 3) float64: source s sees pixel p with inverse depth q at M_s p + b_s q.
+    taps : (n, 2) int32, offsets (x, y) of a patch's pixels, its centre first.
     """
 
     def __init__(self, image: Float32s, usable: Bools, sources: Float32s, M: Float64s, b: Float64s, taps: Int32s) -> None:
@@ -64,16 +60,11 @@ class Propagation:
 
         Parameters
         ----------
-        planes
-            (3, h, w) float32: q, A, B.
-        sweeps
-            Passes over the image, alternately down and up.
-        far
-            Distance of the second ring of neighbours, pixels.
-        low, high
-            Limits of q.
-        again
-            The planes are nearly right, and little is left to be found: in one pass, fewer are tried.
+        planes : (3, h, w) float32: q, A, B.
+        sweeps : passes over the image, alternately down and up.
+        far : distance of the second ring of neighbours, pixels.
+        low, high : limits of q.
+        again : the planes are nearly right, and little is left to be found: in one pass, fewer are tried.
 
         Returns
         -------
@@ -96,12 +87,9 @@ class Propagation:
 
         Parameters
         ----------
-        planes
-            As `improve` leaves them.
-        radius, spacing
-            Of the patch, in steps of `spacing` pixels; both together no more than `taps` reach.
-        steps
-            Of Gauss and Newton's.
+        planes : as `improve` leaves them.
+        radius, spacing : of the patch, in steps of `spacing` pixels; both together no more than `taps` reach.
+        steps : of Gauss and Newton's.
         """
         near = range(-radius, radius + 1)
         offsets = np.array(sorted(((i, j) for j in near for i in near), key=lambda at: at != (0, 0)), np.int32)

@@ -85,10 +85,8 @@ def textureless_regions(image: Uint8s, usable: Bools, spacing: int) -> Texturele
 
     Parameters
     ----------
-    image, usable
-        (h, w, 3) uint8, and (h, w) bool, what may be matched.
-    spacing
-        Pixels for each of an image 768 wide.
+    image, usable : (h, w, 3) uint8, and (h, w) bool, what may be matched.
+    spacing : pixels for each of an image 768 wide.
     """
     square = np.ones((3, 3), np.uint8)
     differ = (cv2.dilate(image, square) - cv2.erode(image, square)).max(axis=2)
@@ -118,12 +116,9 @@ def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int
 
     Parameters
     ----------
-    regions
-        Of the picture.
-    known
-        (h, w) inverse depths in pixels of a source, nan where there is none to be believed.
-    spacing
-        Pixels for each of an image 768 wide.
+    regions : of the picture.
+    known : (h, w) inverse depths in pixels of a source, nan where there is none to be believed.
+    spacing : pixels for each of an image 768 wide.
     """
     alike = CORRELATED / _EVERY
     rng = np.random.default_rng(1)

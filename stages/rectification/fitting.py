@@ -52,14 +52,10 @@ def placed(
 
     Parameters
     ----------
-    pair : MatchedPair
-        Frames' sizes, F, and matches.
-    method : str
-        Its name, for the result.
-    rectifier : function
-        The method, with all that it needs.
-    fallback : bool
-        May Hartley's homographies, or rows, stand in?
+    pair : Frames' sizes, F, and matches.
+    method : its name, for the result.
+    rectifier : function The method, with all that it needs.
+    fallback : may Hartley's homographies, or rows, stand in?
     """
     reason = "as asked"
     attempts = {method: rectifier}
@@ -135,19 +131,13 @@ def finished(
 
     Parameters
     ----------
-    found : Rectification
-        As the method has it.
-    footprints : list of Footprint
-        Where the frames' pixels come to lie.
-    pair : MatchedPair
-        Frames' sizes, F, and matches.
-    geometry : Geometry or None
-        Of the pair; None where cameras give the rows and points at many depths stand for matches: their order along the rows is
-        then no test.
-    max_row_error_px : float
-        A larger error of the rows is refused.
-    range_margin : float
-        Share of the disparity range that is added at either end.
+    found : as the method has it.
+    footprints : where the frames' pixels come to lie.
+    pair : Frames' sizes, F, and matches.
+    geometry : of the pair; None where cameras give the rows and points at many depths stand for matches: their order along the
+        rows is then no test.
+    max_row_error_px : a larger error of the rows is refused.
+    range_margin : share of the disparity range that is added at either end.
     """
     y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
     vertical = np.abs(y1[:, 1] - y2[:, 1])

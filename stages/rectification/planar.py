@@ -73,14 +73,10 @@ def fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) -
 
     Parameters
     ----------
-    design : ndarray
-        (n, 2) values at the points.
-    target : ndarray
-        (n,) values that they are to follow.
-    edges : ndarray
-        (m, 2) pairs of points whose differences count.
-    robust : bool
-        Weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
+    design : (n, 2) values at the points.
+    target : (n,) values that they are to follow.
+    edges : (m, 2) pairs of points whose differences count.
+    robust : weights 1 / (1 + (r / 2s)^2) on squared residuals r, s their median absolute deviation, found by iteration.
     """
     return _reweighted(design, target, edges, _ITERATIONS if robust else 1)
 

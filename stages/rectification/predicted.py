@@ -56,10 +56,8 @@ def predict(camera1: Camera, camera2: Camera, scene: Scene | None = None) -> Pre
 
     Parameters
     ----------
-    camera1, camera2
-        The two cameras, in one world.
-    scene
-        What is known of where things are.  Without a box, the optical axes tell the distance.
+    camera1, camera2 : the two cameras, in one world.
+    scene : what is known of where things are.  Without a box, the optical axes tell the distance.
     """
     first = _seen_from(camera1, camera2, scene)
     second = _seen_from(camera2, camera1, scene)

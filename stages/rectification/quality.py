@@ -63,22 +63,14 @@ def line_uncertainty(
 
     Parameters
     ----------
-    F : ndarray
-        (3, 3) fundamental matrix.
-    x1 : ndarray
-        (n, 2) matches that F was fitted to, pixels.
-    x2 : ndarray
-        (n, 2) matches that F was fitted to, pixels.
-    at1 : ndarray
-        (m, 2) points of image 1 whose lines are asked for.
-    at2 : ndarray
-        (m, 2) points of image 2 beside which they are judged.
-    essential : tuple of Float64s
-        (K1, K2) where F = K2^-T E K1^-1: five degrees of freedom are left.
-    noise : ndarray or None
-        (n,) standard deviation of each match, pixels; as measured and alike where None.
-    freedoms : tuple of Float64s
-        Directions (9, k) in which F may change instead of those, and the information (k, k) there is on them besides the
+    F : (3, 3) fundamental matrix.
+    x1 : (n, 2) matches that F was fitted to, pixels.
+    x2 : (n, 2) matches that F was fitted to, pixels.
+    at1 : (m, 2) points of image 1 whose lines are asked for.
+    at2 : (m, 2) points of image 2 beside which they are judged.
+    essential : (K1, K2) where F = K2^-T E K1^-1: five degrees of freedom are left.
+    noise : (n,) standard deviation of each match, pixels; as measured and alike where None.
+    freedoms : directions (9, k) in which F may change instead of those, and the information (k, k) there is on them besides the
         matches.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)

@@ -66,14 +66,10 @@ def warp_with_mask(
 
     Parameters
     ----------
-    rectification : Rectification
-        How the frames are resampled.
-    side : Side
-        Left or right.
-    image : ndarray
-        (h, w) or (h, w, 3) of that side.
-    mask : ndarray
-        (h, w) pixels that may be used.
+    rectification : how the frames are resampled.
+    side : left or right.
+    image : (h, w) or (h, w, 3) of that side.
+    mask : (h, w) pixels that may be used.
     """
     source = _source_of_pixels(rectification, side)
     return _looked_up(image, source), _resampled_mask(mask, source)

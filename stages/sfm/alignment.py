@@ -56,14 +56,10 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
 
     Parameters
     ----------
-    landmarks
-        At least two; one is enough where `scale` is given.
-    up
-        (3,) the direction in the model that is +z in the world as far as nothing else says so.
-    depth
-        Median distance of the scene from its cameras, in the model.
-    scale
-        Where it is known otherwise.
+    landmarks : at least two; one is enough where `scale` is given.
+    up : (3,) the direction in the model that is +z in the world as far as nothing else says so.
+    depth : median distance of the scene from its cameras, in the model.
+    scale : where it is known otherwise.
 
     Returns
     -------

@@ -24,16 +24,11 @@ def without_baseline(
 
     Parameters
     ----------
-    names
-        All cameras.
-    known
-        Those whose poses are known.
-    geometries
-        Of the pairs.  As long as a camera is in no pair of matches that agree and whose angle is known, nothing is said.
-    min_angle_deg
-        A pair has a baseline if the rays of its matches meet at this or more (median), in degrees.
-    metric
-        Known positions are in metres.
+    names : all cameras.
+    known : those whose poses are known.
+    geometries : of the pairs.  As long as a camera is in no pair of matches that agree and whose angle is known, nothing is said.
+    min_angle_deg : a pair has a baseline if the rays of its matches meet at this or more (median), in degrees.
+    metric : known positions are in metres.
     """
     angles = {}
     for pair, geometry in geometries.items():

@@ -33,25 +33,17 @@ def adjust(
 
     Parameters
     ----------
-    cameras
-        By number of the view.
-    tracks, X, use
-        Observations as they are in the frames, (count, 3) their points, and (n,) which observations to look at: all of them need
-        a camera and a point.
-    held
-        Cameras that stay where they are.  Where there are none, one stays, and its distance to another.
-    focals
-        Views whose focal length and radial distortion are solved too, each with the number of its lens: views of one lens share
-        them.
-    positions
-        Views whose centre is known, (3,) with its standard deviation in standard deviations of the pixels' noise; three or more,
-        or none.  The cameras must stand in the world already.
-    loss_px
-        Scale of the Cauchy loss.
-    tolerance
-        Ends when a step lowers the cost by no more than this share...
-    iterations
-        ...or after so many steps.
+    cameras : by number of the view.
+    tracks, X, use : observations as they are in the frames, (count, 3) their points, and (n,) which observations to look at: all
+        of them need a camera and a point.
+    held : cameras that stay where they are.  Where there are none, one stays, and its distance to another.
+    focals : views whose focal length and radial distortion are solved too, each with the number of its lens: views of one lens
+        share them.
+    positions : views whose centre is known, (3,) with its standard deviation in standard deviations of the pixels' noise; three
+        or more, or none.  The cameras must stand in the world already.
+    loss_px : scale of the Cauchy loss.
+    tolerance : ends when a step lowers the cost by no more than this share...
+    iterations : ...or after so many steps.
     """
     focals = focals or {}
     rows = np.flatnonzero(use)

@@ -23,12 +23,9 @@ def control_landmarks(
 
     Parameters
     ----------
-    cameras
-        Solved cameras by number.
-    names, views
-        Of all cameras, by number.
-    survey
-        Positions of the points, and the pixels at which cameras see them.
+    cameras : solved cameras by number.
+    names, views : of all cameras, by number.
+    survey : positions of the points, and the pixels at which cameras see them.
     """
     numbers: dict[str, list[int]] = {}
     for view, name in enumerate(names):

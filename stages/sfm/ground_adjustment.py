@@ -57,14 +57,10 @@ def adjust_to_ground(
 
     Parameters
     ----------
-    images
-        (h, w) float32 grey frame of each camera.
-    known
-        The same cameras as they are stated.
-    sigmas
-        How well.
-    pairs
-        Their pairs, with what keypoints say.
+    images : (h, w) float32 grey frame of each camera.
+    known : the same cameras as they are stated.
+    sigmas : how well.
+    pairs : their pairs, with what keypoints say.
     """
     site = _Site({name: images[name] for name in known if name in images}, known, sigmas, pairs)
     rough = [fit for plane in _planes(site) if (fit := _roughly(site, plane)) is not None]

@@ -96,16 +96,12 @@ def grow(
 
     Parameters
     ----------
-    cameras
-        Intrinsics of every view, known or guessed; R and C don't count.
-    tracks
-        Observations.
-    geometries
-        The pairs that are believed, with relative poses.
-    lenses
-        See `Model`.
-    known
-        Cameras whose poses are known: where two of them or more see the same points, the model begins with them, in their world.
+    cameras : intrinsics of every view, known or guessed; R and C don't count.
+    tracks : Observations.
+    geometries : the pairs that are believed, with relative poses.
+    lenses : see `Model`.
+    known : cameras whose poses are known: where two of them or more see the same points, the model begins with them, in their
+        world.
 
     Returns
     -------
@@ -204,16 +200,11 @@ def refine(
 
     Parameters
     ----------
-    model
-        Where to start.
-    known
-        Views whose cameras stay.
-    rounds
-        At most so many.
-    rough
-        With the loss and the tolerance of a model that still grows.
-    positions
-        Centres (3,) of three views or more, with standard deviations, in the world where the model already stands.
+    model : where to start.
+    known : views whose cameras stay.
+    rounds : at most so many.
+    rough : with the loss and the tolerance of a model that still grows.
+    positions : centres (3,) of three views or more, with standard deviations, in the world where the model already stands.
     """
     free = _lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
     held = [view for view in model.cameras if view in known or view in model.held]

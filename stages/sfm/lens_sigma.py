@@ -46,10 +46,8 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
 
     Parameters
     ----------
-    model
-        Adjusted: its residuals are the noise.
-    centre_sigma
-        Of principal points, of the width.
+    model : adjusted: its residuals are the noise.
+    centre_sigma : of principal points, of the width.
     """
     if not any(view in model.lenses for view in model.cameras) or not model.use.any() or len(model.cameras) > MOST_VIEWS:
         return {}

@@ -168,18 +168,12 @@ def closes(posed: Mapping[Pair, Geometry], a: str, b: str, c: str, usual: Habits
 
     Parameters
     ----------
-    posed : mapping
-        Geometries by pair.
-    a : str
-        Camera.
-    b : str
-        Camera.
-    c : str
-        Camera.
-    usual : Habits
-        How well triangles close where all is right.
-    slack_deg : float
-        More than that, for what else is uncertain.
+    posed : geometries by pair.
+    a : Camera.
+    b : Camera.
+    c : Camera.
+    usual : how well triangles close where all is right.
+    slack_deg : more than that, for what else is uncertain.
     """
     (R_ab, t_ab), (R_bc, t_bc), (R_ac, t_ac) = (_pose(posed[pair]) for pair in ((a, b), (b, c), (a, c)))
     if angle_between_deg(R_ac, R_bc @ R_ab) > usual.rotation_deg + slack_deg:

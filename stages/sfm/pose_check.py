@@ -119,14 +119,10 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
 
     Parameters
     ----------
-    cameras : mapping
-        By id.
-    sigmas : mapping
-        Standard deviations of stated poses, by id.
-    pair : Pair
-        Ids of its two cameras.
-    geometry : Geometry
-        Its matches say where the slack is asked for.
+    cameras : by id.
+    sigmas : standard deviations of stated poses, by id.
+    pair : ids of its two cameras.
+    geometry : its matches say where the slack is asked for.
     """
     if all(sigmas.get(name, Sigma()).exact for name in pair):
         return 0.0

@@ -46,15 +46,11 @@ def adjust_within_priors(
 
     Parameters
     ----------
-    cameras
-        As they are stated.
-    sigmas
-        How well these are known; a camera that is not named is exact, and stays.
-    geometries
-        Matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the epipolar
-        lines than the standard deviations allow.
-    trusted
-        Whether they show no look-alikes: then each pair has the weight of a confirmed one.
+    cameras : as they are stated.
+    sigmas : how well these are known; a camera that is not named is exact, and stays.
+    geometries : matches of the pairs.  Those of pairs that are not believed don't count, nor those that are farther from the
+        epipolar lines than the standard deviations allow.
+    trusted : whether they show no look-alikes: then each pair has the weight of a confirmed one.
     """
     names = tuple(cameras)
     number = {name: k for k, name in enumerate(names)}

@@ -36,10 +36,8 @@ def beside(bare: Camera, cameras: Mapping[int, Camera]) -> Camera | None:
 
     Parameters
     ----------
-    bare
-        Its intrinsics.
-    cameras
-        Placed views.
+    bare : its intrinsics.
+    cameras : placed views.
     """
     for placed in cameras.values():
         if same_camera(bare, placed):

@@ -42,12 +42,9 @@ def solve_from_pairs(
 
     Parameters
     ----------
-    views, placements, geometries, survey, max_rotation_error_deg, max_epipolar_px
-        See `poses.solve_poses`.
-    stated
-        Cameras whose intrinsics and poses are both known, by id.
-    usual
-        What the check of the site's loops goes by.
+    views, placements, geometries, survey, max_rotation_error_deg, max_epipolar_px : see `poses.solve_poses`.
+    stated : cameras whose intrinsics and poses are both known, by id.
+    usual : what the check of the site's loops goes by.
     """
     exact = {name: camera for name, camera in stated.items() if _exact(placements[name])}
     graph = ViewGraph.of(views, _obeying(exact, geometries, max_epipolar_px))
@@ -254,12 +251,9 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
 
     Parameters
     ----------
-    model
-        All its views adjusted.
-    geometries
-        The pairs that are believed.
-    max_epipolar_px
-        A pair agrees up to this median distance to the epipolar lines of its cameras.
+    model : all its views adjusted.
+    geometries : the pairs that are believed.
+    max_epipolar_px : a pair agrees up to this median distance to the epipolar lines of its cameras.
     """
     out: list[int] = []
     first_of = {view: first for first, views in rigs_of(model.cameras).items() for view in views}  # these go together

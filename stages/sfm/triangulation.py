@@ -24,12 +24,9 @@ def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale
 
     Parameters
     ----------
-    cameras
-        By number of the view; views without one are passed over.
-    tracks, use
-        The observations, and (n,) bool, which of them to look at.
-    scale_px
-        An observation off by so many pixels counts half.
+    cameras : by number of the view; views without one are passed over.
+    tracks, use : the observations, and (n,) bool, which of them to look at.
+    scale_px : an observation off by so many pixels counts half.
     """
     KR, C = _stacked(cameras, tracks)
     first = np.searchsorted(tracks.track, np.arange(tracks.count + 1))
@@ -52,14 +49,10 @@ def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bool
 
     Parameters
     ----------
-    cameras
-        By number of the view.
-    tracks
-        n observations of `count` points.
-    X
-        (count, 3) points.
-    use
-        (n,) bool: which observations count.
+    cameras : by number of the view.
+    tracks : n observations of `count` points.
+    X : (count, 3) points.
+    use : (n,) bool: which observations count.
     """
     rows = np.flatnonzero(use & posed(cameras, tracks))
     track = tracks.track[rows]

@@ -47,10 +47,8 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
 
     Parameters
     ----------
-    model
-        As it was solved from all matches.
-    geometries
-        The pairs that were believed.
+    model : as it was solved from all matches.
+    geometries : the pairs that were believed.
     """
     mine = {edge: geometry for edge, geometry in geometries.items() if edge[0] in model.cameras and edge[1] in model.cameras}
     tracks = build_tracks(consistent_matches(mine), 1 + max(model.cameras))

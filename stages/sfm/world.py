@@ -42,14 +42,10 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
 
     Parameters
     ----------
-    graph
-        Views and their names.
-    model
-        Cameras and points in a frame of their own.
-    placements
-        What is known of the poses, by id.
-    survey
-        Distances and control points that are known.
+    graph : views and their names.
+    model : cameras and points in a frame of their own.
+    placements : what is known of the poses, by id.
+    survey : distances and control points that are known.
     """
     cameras = model.cameras
     beside = {view for views in rigs_of(cameras).values() for view in views[1:]}  # where they are says nothing more

@@ -35,16 +35,11 @@ def agreeing(one: Float32s, other: Float32s, sign: int, tolerance_px: float, ste
 
     Parameters
     ----------
-    one : ndarray
-        (h, w) disparity of the view, nan where unknown.
-    other : ndarray
-        (h, w) disparity of the other view.
-    sign : int
-        -1 for the left view, 1 for the right one.
-    tolerance_px : float
-        On flat surfaces, pixels.
-    steep : float
-        How fast the tolerance falls where disparity is steep or torn.
+    one : (h, w) disparity of the view, nan where unknown.
+    other : (h, w) disparity of the other view.
+    sign : -1 for the left view, 1 for the right one.
+    tolerance_px : on flat surfaces, pixels.
+    steep : how fast the tolerance falls where disparity is steep or torn.
     """
     difference = disagreement(one, other, sign)
     known = difference <= tolerance_px
@@ -71,14 +66,10 @@ def without_speckles(disparity: Float32s, smallest_px: int, step_x: float = 1.5,
 
     Parameters
     ----------
-    disparity : ndarray
-        (h, w), nan where unknown.
-    smallest_px : int
-        Pixels of a piece that stays.
-    step_x : float
-        Between neighbours in a row, pixels of disparity.
-    step_y : float
-        Between neighbours in a column, pixels of disparity.
+    disparity : (h, w), nan where unknown.
+    smallest_px : pixels of a piece that stays.
+    step_x : between neighbours in a row, pixels of disparity.
+    step_y : between neighbours in a column, pixels of disparity.
     """
     kept = disparity.copy()
     _drop_speckles(kept, smallest_px, step_x, step_y)
@@ -122,16 +113,11 @@ def within_reach(valid: Bools, valid_other: Bools, disparity_min: int, disparity
 
     Parameters
     ----------
-    valid : ndarray
-        (h, w) of the view.
-    valid_other : ndarray
-        (h, w) of the other view.
-    disparity_min : int
-        Pixels.
-    disparity_max : int
-        Pixels.
-    sign : int
-        -1 for the left view, 1 for the right one.
+    valid : (h, w) of the view.
+    valid_other : (h, w) of the other view.
+    disparity_min : Pixels.
+    disparity_max : Pixels.
+    sign : -1 for the left view, 1 for the right one.
     """
     height, width = valid.shape
     count = np.zeros((height, width + 1), dtype=np.int32)

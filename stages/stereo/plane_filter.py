@@ -38,18 +38,12 @@ def smoothed(image: Float32s, planes: Float32s, cost: Float32s, dearest: float, 
 
     Parameters
     ----------
-    image : ndarray
-        (h, w) grey levels of the view.
-    planes : ndarray
-        (3, h, w) disparity and its slopes along x and y.
-    cost : ndarray
-        (h, w) of the planes.
-    dearest : float
-        A plane that costs more has no say.
-    spacing : int
-        Of the pixels that were compared: so far apart are the neighbours that are asked.
-    rounds : int
-        A further round starts from what the one before said, with slopes fitted to those.
+    image : (h, w) grey levels of the view.
+    planes : (3, h, w) disparity and its slopes along x and y.
+    cost : (h, w) of the planes.
+    dearest : a plane that costs more has no say.
+    spacing : of the pixels that were compared: so far apart are the neighbours that are asked.
+    rounds : a further round starts from what the one before said, with slopes fitted to those.
     """
     border = _BORDER * spacing
     inner = slice(border, -border)

@@ -48,16 +48,11 @@ def _plane_disparity(
 
     Parameters
     ----------
-    rectification
-        Of the pair.
-    ground
-        Where the ground is.
-    plane
-        (3, 3) homography of the plane, frame 1 to frame 2.
-    side
-        1 or 2: which image.
-    shape
-        Of the rectified images.
+    rectification : of the pair.
+    ground : where the ground is.
+    plane : (3, 3) homography of the plane, frame 1 to frame 2.
+    side : 1 or 2: which image.
+    shape : of the rectified images.
     """
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
     at = np.column_stack([x, y]).astype(np.float64)

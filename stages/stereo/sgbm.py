@@ -48,14 +48,10 @@ def cross_checked(one: Float32s, other: Float32s, valid: Bools, sign: int) -> Fl
 
     Parameters
     ----------
-    one : ndarray
-        (h, w) disparity of the view, nan where unknown.
-    other : ndarray
-        (h, w) disparity of the other view.
-    valid : ndarray
-        (h, w) pixels of the view that may be used.
-    sign : int
-        -1 for the left view, 1 for the right one.
+    one : (h, w) disparity of the view, nan where unknown.
+    other : (h, w) disparity of the other view.
+    valid : (h, w) pixels of the view that may be used.
+    sign : -1 for the left view, 1 for the right one.
     """
     agreed = valid & (disagreement(one, other, sign) <= 1)
     return without_speckles(np.where(agreed, one, np.float32(np.nan)), max(agreed.size // 2000, 4))

@@ -75,16 +75,11 @@ def find_ambiguity(
 
     Parameters
     ----------
-    left, right
-        Keypoints of the two frames.
-    pairs
-        Their views, as `matching.candidates.view_pairs` gives them.
-    i1, i2
-        (n,) int32, the accepted matches: rows of the features.
-    accepted
-        Their geometry, with its pose.
-    seed
-        Of the random samples.
+    left, right : keypoints of the two frames.
+    pairs : their views, as `matching.candidates.view_pairs` gives them.
+    i1, i2 : (n,) int32, the accepted matches: rows of the features.
+    accepted : their geometry, with its pose.
+    seed : of the random samples.
     """
     assert accepted.R is not None and accepted.t is not None
     others = (_without(pairs[0], left, right, i1, i2),) if pairs else ()

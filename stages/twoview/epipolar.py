@@ -25,10 +25,8 @@ def essential_to_fundamental(R: Float64s, t: Float64s, K1: Float64s, K2: Float64
 
     Parameters
     ----------
-    R, t
-        (3, 3) `cam2_R_cam1` and (3,) `cam2_t_cam1`, of any length.
-    K1, K2
-        (3, 3) intrinsics in pixels.
+    R, t : (3, 3) `cam2_R_cam1` and (3,) `cam2_t_cam1`, of any length.
+    K1, K2 : (3, 3) intrinsics in pixels.
     """
     F = np.linalg.inv(K2).T @ skew(t) @ R @ np.linalg.inv(K1)
     return np.asarray(F / np.linalg.norm(F), dtype=np.float64)
@@ -70,10 +68,8 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
 
     Parameters
     ----------
-    camera1, camera2
-        In one world.
-    x1, x2
-        (n, 2) pixels of the matches, without distortion.
+    camera1, camera2 : in one world.
+    x1, x2 : (n, 2) pixels of the matches, without distortion.
     """
     A = (camera2.K @ camera2.R @ rays(camera1, x1)).T
     b = camera2.K @ camera2.R @ (camera1.C - camera2.C)

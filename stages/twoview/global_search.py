@@ -49,12 +49,9 @@ def search_globally(grey1: Uint8s, grey2: Uint8s, mask1: Bools, mask2: Bools, K:
 
     Parameters
     ----------
-    grey1, grey2
-        (h, w) uint8, of one size.
-    mask1, mask2
-        (h, w), True where a pixel may be used.
-    K
-        (3, 3) intrinsics of both, pixels.
+    grey1, grey2 : (h, w) uint8, of one size.
+    mask1, mask2 : (h, w), True where a pixel may be used.
+    K : (3, 3) intrinsics of both, pixels.
     """
     scale = min(1.0, _LONG_SIDE / max(grey1.shape))
     sides = [_keypoints(grey, mask, scale) for grey, mask in ((grey1, mask1), (grey2, mask2))]

@@ -14,12 +14,9 @@ def places(x: Float64s, size: tuple[int, int], more: float = 1.0) -> int:
 
     Parameters
     ----------
-    x : ndarray
-        (n, 2) pixels.
-    size : tuple of int
-        Width and height of the image, pixels.
-    more : float
-        The grid has so many times the cells of `GRID_COLUMNS` x `GRID_ROWS`.
+    x : (n, 2) pixels.
+    size : width and height of the image, pixels.
+    more : the grid has so many times the cells of `GRID_COLUMNS` x `GRID_ROWS`.
     """
     finer = np.sqrt(more)
     column = (x[:, 0] * GRID_COLUMNS * finer / size[0]).astype(np.int64)

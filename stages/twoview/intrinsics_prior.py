@@ -85,14 +85,10 @@ def refine_with_plausible_intrinsics(
 
     Parameters
     ----------
-    candidates
-        (3, 3) each, from which to start.
-    x1, x2
-        (n, 2) pixels of the matches.
-    noise
-        (n,) standard deviation of each, pixels.
-    view1, view2
-        Sizes of the frames, and what is known of the lenses.
+    candidates : (3, 3) each, from which to start.
+    x1, x2 : (n, 2) pixels of the matches.
+    noise : (n,) standard deviation of each, pixels.
+    view1, view2 : sizes of the frames, and what is known of the lenses.
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))
@@ -121,12 +117,9 @@ def freedoms(F: Float64s, K1: Float64s, K2: Float64s, view1: View, view2: View) 
 
     Parameters
     ----------
-    F
-        (3, 3).
-    K1, K2
-        (3, 3) intrinsics in pixels.
-    view1, view2
-        Sizes of the frames, and what is known of the lenses.
+    F : (3, 3).
+    K1, K2 : (3, 3) intrinsics in pixels.
+    view1, view2 : sizes of the frames, and what is known of the lenses.
     """
     unit = float(max(view1.width, view1.height))
     T1, T2 = (_frame_of(view, unit) for view in (view1, view2))

@@ -102,16 +102,11 @@ def pair_evidence(
 
     Parameters
     ----------
-    left, right
-        Keypoints of the two frames.
-    pairs
-        Their views, as `matching.candidates.view_pairs` gives them.
-    i1, i2
-        (n,) int32, the inliers: rows of the features.
-    found
-        The geometry.
-    seed
-        Of the random samples for the halves' poses.
+    left, right : keypoints of the two frames.
+    pairs : their views, as `matching.candidates.view_pairs` gives them.
+    i1, i2 : (n,) int32, the inliers: rows of the features.
+    found : the geometry.
+    seed : of the random samples for the halves' poses.
     """
     x1, x2 = left.xy[i1], right.xy[i2]
     dots = np.einsum("nd,nd->n", left.descriptors[i1], right.descriptors[i2]).astype(np.float64)
@@ -138,14 +133,10 @@ def point_evidence(before: Matches, inliers: Matches, found: TwoView, seed: int 
 
     Parameters
     ----------
-    before : Matches
-        All matches that the geometry was estimated from.
-    inliers : Matches
-        Those that agree with it.
-    found : TwoView
-        The geometry.
-    seed : int
-        Of the samples.
+    before : all matches that the geometry was estimated from.
+    inliers : those that agree with it.
+    found : the geometry.
+    seed : of the samples.
     """
     x1, x2 = inliers.x1, inliers.x2
     distinct = inliers.probability >= LIKELY
@@ -276,16 +267,11 @@ def ray_angle_deg(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float
 
     Parameters
     ----------
-    x1 : ndarray
-        (n, 2) pixels.
-    x2 : ndarray
-        (n, 2) pixels.
-    view1 : View
-        Size and intrinsics of image 1.
-    view2 : View
-        Size and intrinsics of image 2.
-    R : ndarray or None
-        (3, 3) relative rotation; None where it is not known.
+    x1 : (n, 2) pixels.
+    x2 : (n, 2) pixels.
+    view1 : size and intrinsics of image 1.
+    view2 : size and intrinsics of image 2.
+    R : (3, 3) relative rotation; None where it is not known.
     """
     if R is None or view1.K is None or view2.K is None:
         return float("nan")

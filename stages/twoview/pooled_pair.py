@@ -34,12 +34,9 @@ def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Featu
 
     Parameters
     ----------
-    inliers
-        The pooled matches that agree with it.
-    F
-        (3, 3) the geometry.
-    left, right
-        Keypoints of the two cameras in that night.
+    inliers : the pooled matches that agree with it.
+    F : (3, 3) the geometry.
+    left, right : keypoints of the two cameras in that night.
     """
     i1, i2 = _keypoint_at(left, inliers.x1), _keypoint_at(right, inliers.x2)
     known = (i1 >= 0) & (i2 >= 0)
@@ -69,18 +66,12 @@ def pooled_evidence(
 
     Parameters
     ----------
-    own
-        What the pooled matches say of it by themselves.
-    night
-        What the keypoints match around it.
-    found
-        The geometry.
-    left, right
-        The keypoints.
-    threshold_px
-        Noise of a correct match, pixels.
-    seed
-        Of the random samples.
+    own : what the pooled matches say of it by themselves.
+    night : what the keypoints match around it.
+    found : the geometry.
+    left, right : the keypoints.
+    threshold_px : noise of a correct match, pixels.
+    seed : of the random samples.
     """
     keep = supporters(found.F, night.x1, night.x2, threshold_px)
     if night.i1 is None or night.i2 is None or keep.sum() < FEWEST:

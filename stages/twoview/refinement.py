@@ -31,12 +31,9 @@ def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64
 
     Parameters
     ----------
-    F
-        (3, 3).
-    x1, x2
-        (n, 2) pixels of the matches.
-    size
-        (n,) of the coarser of the two keypoints, in any unit.
+    F : (3, 3).
+    x1, x2 : (n, 2) pixels of the matches.
+    size : (n,) of the coarser of the two keypoints, in any unit.
     """
     measured = 1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)) / size))
     return np.asarray(size * max(measured, LEAST_NOISE_PX / float(np.median(size))), dtype=np.float64)
@@ -52,14 +49,10 @@ def refine_two_view(
 
     Parameters
     ----------
-    F
-        (3, 3), from which to start.
-    x1, x2
-        (n, 2) pixels of the matches.
-    size
-        (n,) of the coarser of the two keypoints, in any unit.
-    intrinsics
-        K1, K2; then F = K2^-T E K1^-1 throughout.
+    F : (3, 3), from which to start.
+    x1, x2 : (n, 2) pixels of the matches.
+    size : (n,) of the coarser of the two keypoints, in any unit.
+    intrinsics : K1, K2; then F = K2^-T E K1^-1 throughout.
     """
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
@@ -126,14 +119,10 @@ def normal_equations(
 
     Parameters
     ----------
-    F
-        (3, 3).
-    x1, x2
-        (n, 2) of the matches.
-    scale
-        (n,) what makes a distance one unit of the loss.
-    directions
-        (9, k) in which F may change.
+    F : (3, 3).
+    x1, x2 : (n, 2) of the matches.
+    scale : (n,) what makes a distance one unit of the loss.
+    directions : (9, k) in which F may change.
     """
     k = directions.shape[1]
     cost, normal, right = 0.0, np.zeros((k, k)), np.zeros(k)

@@ -115,12 +115,9 @@ def find_again(image1: Uint8s, image2: Uint8s, points: Float64s, reach_px: int =
 
     Parameters
     ----------
-    image1, image2
-        (h, w) uint8, of one size.
-    points
-        (n, 2) middles of the patches, pixels of the first.
-    reach_px
-        They are searched so far from there.
+    image1, image2 : (h, w) uint8, of one size.
+    points : (n, 2) middles of the patches, pixels of the first.
+    reach_px : they are searched so far from there.
     """
     radius = patch_radius(image1.shape[1])
     reach = reach_px // 2
@@ -181,14 +178,10 @@ def fit_turn(found: Found, K: Float64s, width: int, height: int, agree_px: float
 
     Parameters
     ----------
-    found
-        Patches and where they are now.
-    K
-        (3, 3) intrinsics, pixels.
-    width, height
-        Size of the pictures.
-    agree_px
-        So far a patch may lie from where the turn puts it.
+    found : patches and where they are now.
+    K : (3, 3) intrinsics, pixels.
+    width, height : size of the pictures.
+    agree_px : so far a patch may lie from where the turn puts it.
     """
     if len(found.x1) < _FEWEST:
         return None

@@ -44,12 +44,9 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) pixels of the correspondences.
-    threshold_px
-        Sampson distance of an inlier, at most.
-    seed
-        Of the samples.
+    x1, x2 : (n, 2) pixels of the correspondences.
+    threshold_px : sampson distance of an inlier, at most.
+    seed : of the samples.
     """
     if len(x1) < 8:
         return None
@@ -70,12 +67,9 @@ def refine_fundamental(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: fl
 
     Parameters
     ----------
-    F
-        (3, 3), from which to start.
-    x1, x2
-        (n, 2) pixels of the correspondences.
-    threshold_px
-        Scale of the loss.
+    F : (3, 3), from which to start.
+    x1, x2 : (n, 2) pixels of the correspondences.
+    threshold_px : scale of the loss.
     """
     loss = {"loss_type": "CAUCHY", "loss_scale": 0.5 * threshold_px}
     return _unit(poselib.refine_fundamental(x1, x2, F, loss)[0])
@@ -88,16 +82,11 @@ def estimate_essential(
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) float64, pixels in images 1 and 2.
-    view1, view2
-        Whose K are known.
-    threshold_px
-        Noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
-    seed
-        Of the random samples.
-    max_iterations
-        Random samples, at most.
+    x1, x2 : (n, 2) float64, pixels in images 1 and 2.
+    view1, view2 : whose K are known.
+    threshold_px : noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
+    seed : of the random samples.
+    max_iterations : random samples, at most.
     """
     if len(x1) < 8 or view1.K is None or view2.K is None:
         return None
@@ -125,14 +114,10 @@ def estimate_with_one_lens(
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) float64, pixels in images 1 and 2.
-    view1, view2
-        Only their sizes are used.
-    threshold_px
-        Noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
-    seed
-        Of the random samples.
+    x1, x2 : (n, 2) float64, pixels in images 1 and 2.
+    view1, view2 : only their sizes are used.
+    threshold_px : noise of a correct match; inliers lie within `INLIER_FACTOR` times this.
+    seed : of the random samples.
     """
     if len(x1) < 8:
         return None
@@ -163,12 +148,9 @@ def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, vi
 
     Parameters
     ----------
-    F
-        (3, 3).
-    x1, x2
-        (n, 2) pixels of the correspondences.
-    view1, view2
-        Views with intrinsics.
+    F : (3, 3).
+    x1, x2 : (n, 2) pixels of the correspondences.
+    view1, view2 : views with intrinsics.
     """
     if view1.K is None or view2.K is None:
         return None
@@ -183,14 +165,10 @@ def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Fl
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) float64, pixels in images 1 and 2.
-    view1, view2
-        Whose K are known; 0 is given back where they are not.
-    R
-        (3, 3) float64, where the search for the turn starts.
-    threshold_px
-        A match is explained within so many pixels of image 2.
+    x1, x2 : (n, 2) float64, pixels in images 1 and 2.
+    view1, view2 : whose K are known; 0 is given back where they are not.
+    R : (3, 3) float64, where the search for the turn starts.
+    threshold_px : a match is explained within so many pixels of image 2.
     """
     if view1.K is None or view2.K is None:
         return 0.0
@@ -211,12 +189,9 @@ def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: in
 
     Parameters
     ----------
-    x1, x2
-        (n, 2) pixels of the correspondences.
-    threshold_px
-        Of a hypothesis, pixels.
-    seed
-        Of the samples.
+    x1, x2 : (n, 2) pixels of the correspondences.
+    threshold_px : of a hypothesis, pixels.
+    seed : of the samples.
     """
     none = np.zeros(len(x1), dtype=bool)
     if len(x1) < 8:
@@ -272,12 +247,9 @@ def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> 
 
     Parameters
     ----------
-    F
-        (3, 3).
-    x1, x2
-        (n, 2) pixels of the correspondences.
-    threshold_px
-        Pixels.
+    F : (3, 3).
+    x1, x2 : (n, 2) pixels of the correspondences.
+    threshold_px : Pixels.
     """
     return np.asarray(np.abs(sampson_distance(F, x1, x2)) < INLIER_FACTOR * threshold_px)
 

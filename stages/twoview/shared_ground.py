@@ -88,12 +88,9 @@ def _median_angles(rays: Float32s, apart: Float32s, visible: Bools) -> Float32s:
 
     Parameters
     ----------
-    rays
-        (p, 3) points.
-    apart
-        (m, 3) the other places.
-    visible
-        (m, p) at least one in each row.
+    rays : (p, 3) points.
+    apart : (m, 3) the other places.
+    visible : (m, p) at least one in each row.
     """
     along = apart @ rays.T
     square = np.einsum("pk,pk->p", rays, rays)
