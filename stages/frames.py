@@ -114,9 +114,9 @@ def _one_frame(
 
     Parameters
     ----------
-    clean : sequence of _Clean One or more.
+    clean : one or more.
     mask : as of `clean_frame`.
-    asked : _Asked What is done about them.
+    asked : what is done about them.
     captures : the files that they are from.
     notes : what is to be said so far.
     """

@@ -169,7 +169,7 @@ def _equations(
 
     Parameters
     ----------
-    guess : _Guess Where.
+    guess : where the boards are, and the lens.
     boards, corners, model : as of `fit_lens`.
     """
     count = len(guess.intrinsics)

@@ -60,17 +60,31 @@ def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None
 
 
 def test_old_names_and_values_are_understood_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    renamed = {"range": Renamed("range_margin"), "method": Renamed("method", {"seed": "literal"})}
+    renamed = {"range": Renamed("range_margin"), "method": Renamed("method", {"seed": "hao2011"})}
     rows = tuple(dataclasses.replace(row, renamed=renamed) if row.name == "rectify" else row for row in pipeline.STAGES)
     monkeypatch.setattr("wbflow.site.stages.STAGES", rows)
     site = loaded(tmp_path, "rectify: {range: 0.2, method: seed}")
-    assert site.stages["rectify"].parameters == {"range_margin": 0.2, "method": "literal"}
+    assert site.stages["rectify"].parameters == {"range_margin": 0.2, "method": "hao2011"}
     first, second = map(str, site.notes)
     assert "site.yaml:6:20: stages.rectify.range: 'range' is written 'range_margin' now" in first
-    assert "'method: seed' is written 'method: literal' now" in second
-    assert loaded(tmp_path, "rectify: {method: literal}").notes == ()
+    assert "'method: seed' is written 'method: hao2011' now" in second
+    assert loaded(tmp_path, "rectify: {method: hao2011}").notes == ()
     assert "stands here too" in problem(tmp_path, "rectify: {range: 0.2, range_margin: 0.1}")
     assert "'far' is not of type float" in problem(tmp_path, "rectify: {range: far}")
+
+
+@pytest.mark.parametrize(
+    ("section", "stage", "option", "value"),
+    [
+        ("matches: {matcher: literal}", "matches", "matcher", "hao2011"),
+        ("matches: {matcher: dominant}", "matches", "matcher", "hao2011-dominance"),
+        ("rectify: {method: literal}", "rectify", "method", "hao2011"),
+    ],
+)
+def test_methods_keep_their_old_names_as_aliases(tmp_path: Path, section: str, stage: str, option: str, value: str) -> None:
+    site = loaded(tmp_path, section)
+    assert site.stages[stage].parameters[option] == value
+    assert len(site.notes) == 1
 
 
 def test_a_function_of_one_s_own_keeps_its_names(tmp_path: Path) -> None:
