@@ -31,7 +31,7 @@ from rectified_pairs import SWEEP, dense_errors, true_pairs
 from wbflow_stages import disparity
 from wbflow_stages.rectification.warping import disparity_px
 from wbflow_stages.rectify import rectify
-from wbflow_stages.stereo.census_sgm import semi_global
+from wbflow_stages.stereo.census import semi_global
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, mirrored
 from wbflow_stages.types import Disparity, Float32s, Float64s, Frame, Rectification, Uint8s, View
 

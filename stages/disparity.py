@@ -9,17 +9,16 @@ import numpy as np
 from .core.methods import bind
 from .reasons import Reason, Rejected
 from .rectification.warping import Side
-from .stereo.coarse_range import with_coarse_range
 from .stereo.consistency import agreeing, disagreement, lands_on, within_reach, without_speckles
 from .stereo.matcher import DenseMatches, RectifiedPair
-from .stereo.rectified import rectified_pair
+from .stereo.rectified import rectified_pair, with_coarse_range
 from .types import INVALID, Disparity, Float32s, Frame, Int16s, Rectification, Uint8s
 
 MATCHERS = {
     "patchmatch": "wbflow_stages.stereo.patchmatch:match_patchmatch",
     "sgbm": "wbflow_stages.stereo.sgbm:match_sgbm",
-    "census-sgm": "wbflow_stages.stereo.census_sgm:match_census_sgm",
-    "graphcut": "wbflow_stages.stereo.graphcut:match_graphcut",
+    "census-sgm": "wbflow_stages.stereo.census:match_census_sgm",
+    "graphcut": "wbflow_stages.stereo.census:match_graphcut",
 }
 """Dense matchers (see `DenseMatcher`) by name."""
 

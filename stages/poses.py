@@ -19,7 +19,6 @@ from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
 from .reasons import Reason, Rejected
 from .rectification.predicted import predict
-from .sfm.baseline import without_baseline
 from .sfm.calibration_check import check_calibration
 from .sfm.moved_cameras import NewPose, find_moved_cameras
 from .sfm.pose_check import (
@@ -32,6 +31,7 @@ from .sfm.pose_check import (
     confirmed,
     epipolar_error_px,
     turned_deg,
+    without_baseline,
 )
 from .sfm.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .sfm.rigs import beside

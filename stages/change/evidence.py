@@ -16,10 +16,9 @@ import numpy as np
 from ..core.cameras import project
 from ..core.jit import kernel
 from ..types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Int64s, Uint8s
-from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances
+from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances, index_points, mean_normals, one_of_each_cell
 from .free_space import Sight, look_at
 from .ncc import Photograph, ncc
-from .point_index import index_points, mean_normals, one_of_each_cell
 
 RADIUS, REACH, CORE = 3.0, 15.0, 2.0
 """Of the cylinders, half their length, and the distance of core points, in spacings of the cloud."""

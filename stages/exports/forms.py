@@ -70,8 +70,7 @@ def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
 
 def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
     """mesh.ply: the surface through the cloud, in its colours; mesh/mesh.obj: a coarser one with the photographs on it."""
-    from .mesh import mesh_bytes, poisson_mesh
-    from .texture import object_files, textured
+    from .mesh import mesh_bytes, object_files, poisson_mesh, textured
 
     yield "mesh.ply", mesh_bytes(poisson_mesh(cloud))
     shown = textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames)
@@ -81,10 +80,9 @@ def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
 
 def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
     """orthophoto.tif where the site is georeferenced, else orthophoto.png with its world file."""
-    from .mesh import poisson_mesh
+    from .mesh import poisson_mesh, textured
     from .orthophoto import geotiff, plain_files
     from .orthophoto import orthophoto as seen_from_above
-    from .texture import textured
 
     georeference = _georeference(poses)
     photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), _main_cameras(poses), frames), georeference)

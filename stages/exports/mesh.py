@@ -1,18 +1,26 @@
-"""A closed surface through the cloud, cut where no points carry it.
+"""Meshes of the cloud: a closed surface, cut where no points carry it, and the same with the photographs on it.
+
+On the textured mesh each triangle shows the camera that sees it largest and best.
 
 References
 ----------
 Kazhdan, Hoppe, Screened Poisson Surface Reconstruction, ACM Transactions on Graphics 32(3), 2013.
-"""
+Lempitsky, Ivanov, Seamless Mosaicing of Image-Based Texture Maps, CVPR 2007: one view for each triangle, neighbours alike.
+Waechter, Moehrle, Goesele, Let There Be Color!, ECCV 2014: projected area tells distance, obliquity and resolution at once."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 import open3d
 
-from ..types import Cloud, Float64s, Int32s, Uint8s
+from ..core.cameras import project, rays
+from ..core.luminance import with_gain
+from ..types import Bools, Camera, Cloud, Float32s, Float64s, Frame, Int32s, Int64s, Uint8s
 from .heights import spacing
 
 DEEPEST = 11
@@ -68,3 +76,248 @@ def mesh_bytes(mesh: Mesh) -> bytes:
     head += [f"property double {axis}" for axis in "xyz"] + [f"property uchar {color}" for color in ("red", "green", "blue")]
     head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
     return "\n".join(head).encode() + vertices.tobytes() + faces.tobytes()
+
+
+NONE = -1
+"""In the place of a view: no camera sees the triangle."""
+_BEHIND = 0.01
+"""A triangle is hidden that lies this share of its depth behind the surface that a camera sees."""
+_ALIKE_ROUNDS = 8
+"""So many times a triangle hears from its neighbours which views are good."""
+_GREY_COUNTS = 0.05
+"""How much views without colour count beside others: they are shown where nothing else sees."""
+_COLOURLESS = 0.05
+_DARKEST, _BRIGHTEST = 10, 245
+"""Levels between which a pixel tells of a camera's exposure."""
+_BALANCED, _BALANCE_ROUNDS = 50_000, 20
+"""Exposures are made equal on so many triangles, in so many rounds."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What a camera gives to the mesh."""
+
+    name: str
+    camera: Camera
+    image: Uint8s
+    """(h, w, 3) RGB, brought to one exposure with the others."""
+
+
+@dataclass(frozen=True)
+class Textured:
+    """A mesh and what its triangles show."""
+
+    mesh: Mesh
+    views: tuple[View, ...]
+    chosen: Int32s
+    """(m,) of each triangle: which view, or `NONE`."""
+    pixel: float
+    """How wide a pixel of a triangle's view is on it, median; 0 where no camera sees any."""
+
+
+def textured(mesh: Mesh, cameras: Mapping[str, Camera], frames: Mapping[str, Frame]) -> Textured:
+    """Choose a view for each triangle, and bring the views to one exposure.
+
+    Parameters
+    ----------
+    mesh : in the cameras' world.
+    cameras : by name; those without a frame give nothing.
+    frames : their clean frames: what is masked is not shown.
+
+    Raises
+    ------
+    ValueError
+        No camera has a frame.
+    """
+    names = [name for name in sorted(cameras) if name in frames]
+    if not names:
+        raise ValueError("no camera has a frame to show")
+    scene = scene_of(mesh.vertices, mesh.triangles)
+    seen = [_seen(mesh, scene, cameras[name], frames[name].mask) for name in names]
+    gains = _gains(mesh, seen, [cameras[name] for name in names], [frames[name].image for name in names])
+    weights = _weights([frames[name] for name in names])
+    chosen = _chosen(mesh, [_Seen(each.triangles, each.area * w) for each, w in zip(seen, weights, strict=True)])
+    views = (View(name, cameras[name], with_gain(frames[name].image, gain)) for name, gain in zip(names, gains, strict=True))
+    return Textured(mesh, tuple(views), chosen, _pixel(mesh, seen, chosen))
+
+
+def scene_of(vertices: Float64s, triangles: Int32s) -> open3d.t.geometry.RaycastingScene:
+    """The surface for rays.  vertices (n, 3) near the origin, since rays are of single precision."""
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(_tensor(vertices.astype(np.float32)), _tensor(triangles.astype(np.uint32)))
+    return scene
+
+
+def cast(scene: open3d.t.geometry.RaycastingScene, origins: Float64s, directions: Float64s) -> dict[str, Any]:
+    """What rays (n, 3) meet first: `t_hit`, `primitive_ids`, `primitive_uvs`."""
+    rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=1)
+    return {name: value.numpy() for name, value in scene.cast_rays(_tensor(rays.astype(np.float32)), nthreads=1).items()}
+
+
+def _tensor(values: Any) -> open3d.core.Tensor:
+    made: open3d.core.Tensor = open3d.core.Tensor.from_numpy(np.ascontiguousarray(values))
+    return made
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The triangles that a view sees."""
+
+    triangles: Int64s
+    """(k,) ascending."""
+    area: Float32s
+    """(k,) how large it sees them, pixels."""
+
+
+def _seen(mesh: Mesh, scene: open3d.t.geometry.RaycastingScene, camera: Camera, mask: Bools) -> _Seen:
+    """The triangles that are wholly in the picture, where it may be used, from the front, with nothing before them."""
+    x, z = project(camera, mesh.vertices)
+    column, row = np.rint(np.where(z[:, None] > 0, x, -1.0)).clip(-1, 1e6).astype(np.int64).T
+    inside = (z > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    at = np.where(inside, row, 0), np.where(inside, column, 0)
+    visible = inside & mask[at] & (z < (1 + _BEHIND) * _surface_depth(scene, camera)[at])
+    triangles = np.flatnonzero(visible[mesh.triangles].all(axis=1))
+    a, b, c = (x[mesh.triangles[triangles, k]] for k in range(3))
+    area = 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+    facing = area < 0  # counterclockwise from outside is clockwise where y points down
+    return _Seen(triangles[facing], -area[facing].astype(np.float32))
+
+
+def _surface_depth(scene: open3d.t.geometry.RaycastingScene, camera: Camera) -> Float32s:
+    """(h, w) depth of the mesh along the axis; inf where there is none."""
+    y, x = np.mgrid[0 : camera.height, 0 : camera.width].reshape(2, -1)
+    directions = rays(camera, np.column_stack([x, y]).astype(np.float64)).T
+    found = cast(scene, camera.C, directions)["t_hit"]
+    return np.asarray(found.reshape(camera.height, camera.width), np.float32)
+
+
+def _weights(frames: list[Frame]) -> Float64s:
+    """What the area counts in each view: less in those that are blurred beside the others, burnt out, or without colour."""
+    sharpness = np.array([frame.sharpness if np.isfinite(frame.sharpness) else 1.0 for frame in frames])
+    sharp = np.clip(sharpness / max(float(np.median(sharpness)), 1e-6), 0.25, 1.0)
+    exposed = np.array([1 - frame.saturated if np.isfinite(frame.saturated) else 1.0 for frame in frames])
+    coloured = np.array([frame.colour > _COLOURLESS for frame in frames])
+    return np.asarray(sharp * exposed * np.where(coloured | ~coloured.any(), 1.0, _GREY_COUNTS), np.float64)
+
+
+def _chosen(mesh: Mesh, seen: list[_Seen]) -> Int32s:
+    """(m,) the view of each triangle.  Its share of the best is averaged over neighbours first, so that patches are large."""
+    count = len(mesh.triangles)
+    best = np.zeros(count, np.float32)
+    for each in seen:
+        best[each.triangles] = np.maximum(best[each.triangles], each.area)
+    corners, most, chosen = len(mesh.vertices), np.zeros(count, np.float32), np.full(count, NONE, np.int32)
+    met = np.maximum(np.bincount(mesh.triangles.ravel(), minlength=corners), 1)
+    for number, each in enumerate(seen):
+        share = np.zeros(count)
+        share[each.triangles] = each.area / best[each.triangles]
+        for _ in range(_ALIKE_ROUNDS):
+            at_vertices = np.bincount(mesh.triangles.ravel(), np.repeat(share, 3), corners) / met
+            share = at_vertices[mesh.triangles].mean(axis=1)
+        better = each.triangles[share[each.triangles] > most[each.triangles]]
+        most[better], chosen[better] = share[better], number
+    return chosen
+
+
+def _pixel(mesh: Mesh, seen: list[_Seen], chosen: Int32s) -> float:
+    """`Textured.pixel`."""
+    widths = [np.zeros(0)]
+    for number, each in enumerate(seen):
+        mine = chosen[each.triangles] == number
+        a, b, c = (mesh.vertices[mesh.triangles[each.triangles[mine], k]] for k in range(3))
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        widths.append(np.sqrt(area / np.maximum(each.area[mine], 1e-9)))
+    known = np.concatenate(widths)
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _gains(mesh: Mesh, seen: list[_Seen], cameras: list[Camera], images: list[Uint8s]) -> Float64s:
+    """(views, 3) factors that bring views to one exposure: medians over what several see, in turn with its colours."""
+    views_of = np.bincount(np.concatenate([each.triangles for each in seen]), minlength=len(mesh.triangles))
+    several = np.flatnonzero(views_of >= 2)
+    several = several[:: max(1, len(several) // _BALANCED)]
+    logs = np.full((len(seen), len(several), 3), np.nan, np.float32)
+    middles = mesh.vertices[mesh.triangles[several]].mean(axis=1)
+    for number, (each, camera, image) in enumerate(zip(seen, cameras, images, strict=True)):
+        here = np.flatnonzero(np.isin(several, each.triangles))
+        levels = sampled(image, project(camera, middles[here])[0])
+        usable = ((levels > _DARKEST) & (levels < _BRIGHTEST)).all(axis=1)
+        logs[number, here[usable]] = np.log(levels[usable])
+    logs, gains = logs[:, np.isfinite(logs[..., 0]).any(axis=0)], np.zeros((len(seen), 3))
+    meeting = np.isfinite(logs[..., 0]).any(axis=1)
+    if not meeting.any():
+        return np.asarray(np.exp(gains))
+    for _ in range(_BALANCE_ROUNDS):
+        colours = np.nanmedian(logs + gains[:, None].astype(np.float32), axis=0)
+        gains[meeting] = np.nanmedian(colours[None] - logs[meeting], axis=1)
+        gains[meeting] -= gains[meeting].mean(axis=0)
+    return np.asarray(np.exp(gains), np.float64)
+
+
+def sampled(image: Uint8s, x: Float64s) -> Float32s:
+    """(n, 3) colours of an image at pixels (n, 2), bilinear."""
+    column, row = (np.ascontiguousarray(x[:, k : k + 1], np.float32) for k in (0, 1))
+    parts = [slice(k, k + 30_000) for k in range(0, len(x), 30_000)]  # OpenCV remaps into fewer than 32,768 rows
+    out = [cv2.remap(image, column[part], row[part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for part in parts]
+    return np.concatenate(out).reshape(-1, 3).astype(np.float32) if out else np.zeros((0, 3), np.float32)
+
+
+def object_files(found: Textured, name: str) -> Iterator[tuple[str, bytes]]:
+    """Wavefront OBJ with its materials: `name`.obj, `name`.mtl, and a JPEG of every view that is shown.
+
+    What no camera sees has the colours of the cloud, a pixel a triangle in a picture of its own.
+    """
+    shown = [number for number in range(len(found.views)) if (found.chosen == number).any()]
+    for number in shown:
+        view = found.views[number]
+        picture = cv2.cvtColor(view.image, cv2.COLOR_RGB2BGR)
+        yield f"{name}_{view.name}.jpg", cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
+    unseen = np.flatnonzero(found.chosen == NONE)
+    materials = [found.views[number].name for number in shown] + (["unseen"] if len(unseen) else [])
+    if len(unseen):
+        yield f"{name}_unseen.png", _palette(found.mesh, unseen)
+    yield f"{name}.mtl", "".join(_material(name, material) for material in materials).encode()
+    yield f"{name}.obj", b"".join(_object(found, name, shown, unseen))
+
+
+def _material(name: str, material: str) -> str:
+    ending = "png" if material == "unseen" else "jpg"
+    return f"newmtl {material}\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {name}_{material}.{ending}\n"
+
+
+def _object(found: Textured, name: str, shown: list[int], unseen: Int64s) -> Iterator[bytes]:
+    mesh, given = found.mesh, 0
+    yield f"# made by wbflow\nmtllib {name}.mtl\n".encode()
+    yield _lines("v %.4f %.4f %.4f", mesh.vertices)
+    for number in shown:
+        view, triangles = found.views[number], mesh.triangles[found.chosen == number]
+        corners, place = np.unique(triangles, return_inverse=True)
+        uv = (project(view.camera, mesh.vertices[corners])[0] + 0.5) / (view.camera.width, view.camera.height)
+        yield _lines("vt %.6f %.6f", np.column_stack([uv[:, 0], 1 - uv[:, 1]]))
+        yield f"usemtl {view.name}\n".encode() + _faces(triangles, place.reshape(-1, 3) + given)
+        given += len(corners)
+    if len(unseen):
+        side, place = _side(len(unseen)), np.arange(len(unseen))
+        yield _lines("vt %.6f %.6f", np.column_stack([place % side + 0.5, side - place // side - 0.5]) / side)
+        yield b"usemtl unseen\n" + _faces(mesh.triangles[unseen], np.repeat(place[:, None], 3, axis=1) + given)
+
+
+def _lines(form: str, rows: Float64s) -> bytes:
+    """Each row of numbers as a line."""
+    return "".join(map(f"{form}\n".__mod__, map(tuple, rows.tolist()))).encode()
+
+
+def _faces(triangles: Int32s, place: Int64s) -> bytes:
+    rows = np.stack([triangles + 1, place + 1], axis=2).reshape(-1, 6)
+    return _lines("f %d/%d %d/%d %d/%d", rows)
+
+
+def _side(count: int) -> int:
+    return int(np.ceil(np.sqrt(count)))
+
+
+def _palette(mesh: Mesh, unseen: Int64s) -> bytes:
+    side = _side(len(unseen))
+    pixels = np.zeros((side * side, 3), np.uint8)
+    pixels[: len(unseen)] = mesh.colors[mesh.triangles[unseen]].mean(axis=1)
+    return cv2.imencode(".png", pixels.reshape(side, side, 3)[..., ::-1])[1].tobytes()

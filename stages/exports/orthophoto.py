@@ -12,7 +12,7 @@ from ..core.ground_grid import preferred_above
 from ..io.rasters import png, world_file
 from ..types import Float64s, Int64s, Uint8s
 from .heights import MOST_CELLS, spacing
-from .texture import NONE, Textured, cast, sampled, scene_of
+from .mesh import NONE, Textured, cast, sampled, scene_of
 
 if TYPE_CHECKING:
     from .world import Georeference

@@ -1,15 +1,21 @@
-"""The view graph: all views of a site by number, what is known of their lenses, and the geometries of their pairs."""
+"""The view graph: all views of a site by number, the geometries of their pairs, and which focal lengths are to be solved.
+
+With the right focal lengths `K2^T F K1` is an essential matrix, whose two singular values are equal (Mendonca & Cipolla, CVPR
+1999).  One pair tells little, and nothing where the two axes meet; the pairs of a site together tell a lot."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
+from ..core.cameras import camera_of
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
+from ..twoview.robust import pose_of_fundamental
 from ..types import Camera, Float64s, Geometry, Pair, View
-from .focal import Lenses, guess_lenses, relative_rotations, unsure_deg
 from .incremental import Model, grow
 from .loops import USUAL, Habits, check_loops
 from .rigs import between, rigs_of
@@ -111,3 +117,141 @@ class ViewGraph:
 
 def _views(edges: list[Edge]) -> list[int]:
     return sorted({view for edge in edges for view in edge})
+
+
+NARROW, WIDE, GRID = 0.35, 6.0, 143
+"""Focal lengths tried, in image widths (fields of view from 110 to 9.5 degrees), 2 % apart."""
+FIRST = 1.0
+GUESS_SIGMA = 0.2
+"""A guess (a field of view, EXIF) is off by so much, as a share."""
+GUESS_WEIGHT = 0.05
+"""How much a guess counts against the pairs, of which each counts for the root of its inliers times at most `MOST_UNEQUAL`."""
+MOST_UNEQUAL = 0.1
+SWEEPS = 5
+ONE_LENS = 0.1
+"""Views whose own pairs tell focal lengths within this share of each other (median) are taken to share a lens."""
+
+
+@dataclass(frozen=True)
+class Lenses:
+    """What is known of the lenses."""
+
+    views: tuple[View, ...]
+    """All views by number."""
+    K: Mapping[int, Float64s]
+    """Intrinsics of those that have some, known or guessed."""
+    solved: Mapping[int, int]
+    """Views whose focal length is to be solved, with the number of the lens they share."""
+
+    def camera(self, view: int) -> Camera:
+        """A camera with these intrinsics, at the origin."""
+        return camera_of(self.views[view], self.K[view], np.eye(3), np.zeros(3))
+
+
+def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -> Lenses:
+    """Intrinsics of all views: as known, or with the focal length that the fundamental matrices agree on best.
+
+    Views of one size and one guess are taken to share a lens, unless their own pairs tell clearly different focal lengths.
+    Principal point: the centre of the image.
+    """
+    K = {k: view.K for k, view in enumerate(views) if view.K is not None and view.focal_known}
+    groups: dict[tuple[int, int, float], list[int]] = {}
+    for k, view in enumerate(views):
+        if k not in K and any(k in edge for edge in geometries):
+            start = 0.0 if view.K is None else round(float(np.log(view.K[0, 0])), 2)
+            groups.setdefault((view.width, view.height, start), []).append(k)
+    shared = {k: members[0] for members in groups.values() for k in members}
+    focal = _vote(views, geometries, K, shared)
+    alone = _vote(views, geometries, K, {k: k for k in shared}, focal)
+    lenses: dict[int, int] = {}
+    for members in groups.values():
+        off = np.abs(np.log([alone[k] / focal[k] for k in members]))
+        lenses |= dict.fromkeys(members, members[0]) if np.median(off) < ONE_LENS else {k: k for k in members}
+    for k, lens in lenses.items():
+        K[k] = _centred(views[k], focal[k] if lenses[lens] == shared[k] else alone[k])
+    return Lenses(views, dict(sorted(K.items())), lenses)
+
+
+def _vote(
+    views: tuple[View, ...],
+    geometries: Mapping[Edge, Geometry],
+    known: Mapping[int, Float64s],
+    lenses: Mapping[int, int],
+    start: Mapping[int, float] | None = None,
+) -> dict[int, float]:
+    """Focal length (pixels) of each view in `lenses`: the value on a grid that its pairs, each with a bounded vote, like best.
+
+    A pair likes focal lengths that give its essential matrix two equal singular values.  Tried in turn until none changes.
+    """
+    focal = {k: (start or {}).get(k) or _first_guess(views[k]) for k in lenses}
+    for _ in range(SWEEPS):
+        before = dict(focal)
+        for lens in sorted(set(lenses.values())):
+            members = [k for k in lenses if lenses[k] == lens]
+            guess = views[lens].K
+            grid = np.geomspace(NARROW, WIDE, GRID) * views[lens].width
+            cost = np.zeros(GRID) if guess is None else GUESS_WEIGHT * (np.log(grid / guess[0, 0]) / GUESS_SIGMA) ** 2
+            for (i, j), geometry in geometries.items():
+                if i not in members and j not in members:
+                    continue
+                K1 = _candidates(views[i], grid if i in members else None, known.get(i), focal.get(i))
+                K2 = _candidates(views[j], grid if j in members else None, known.get(j), focal.get(j))
+                singular = np.linalg.svd(np.swapaxes(K2, 1, 2) @ geometry.F @ K1, compute_uv=False)
+                unequal = 1 - singular[:, 1] / singular[:, 0]
+                cost = cost + np.sqrt(geometry.inliers) * np.minimum(unequal, MOST_UNEQUAL)
+            focal |= dict.fromkeys(members, float(grid[np.argmin(cost)]))
+        if focal == before:
+            break
+    return focal
+
+
+def _candidates(view: View, grid: Float64s | None, known: Float64s | None, focal: float | None) -> Float64s:
+    """(n, 3, 3) intrinsics for each focal length of the grid, or (1, 3, 3) as they are."""
+    if grid is not None:
+        return np.array([_centred(view, f) for f in grid])
+    if known is not None:
+        return known[None]
+    assert focal is not None
+    return _centred(view, focal)[None]
+
+
+def _first_guess(view: View) -> float:
+    return FIRST * view.width if view.K is None else float(view.K[0, 0])
+
+
+def _centred(view: View, focal: float) -> Float64s:
+    K = view.K
+    cx, cy = (0.5 * (view.width - 1), 0.5 * (view.height - 1)) if K is None else (K[0, 2], K[1, 2])
+    return np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
+
+
+def relative_rotations(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, Geometry]:
+    """The geometries of pairs whose lenses are known or guessed, with relative poses that go with these lenses."""
+    found = {}
+    for (i, j), geometry in geometries.items():
+        if i not in lenses.K or j not in lenses.K:
+            continue
+        if i in lenses.solved or j in lenses.solved:
+            view1, view2 = replace(geometry.view1, K=lenses.K[i]), replace(geometry.view2, K=lenses.K[j])
+            pose = pose_of_fundamental(geometry.F, geometry.x1, geometry.x2, view1, view2)
+            if pose is None:
+                continue
+            geometry = replace(geometry, cam2_R_cam1=pose[0], cam2_t_cam1=pose[1])
+        found[i, j] = geometry
+    return found
+
+
+def unsure_deg(geometries: Mapping[Edge, Geometry], lenses: Lenses) -> dict[Edge, float]:
+    """How far the rotation of each pair turns where the focal lengths that are only guessed are longer by `GUESS_SIGMA`."""
+    longer = replace(lenses, K={k: _longer(K) if k in lenses.solved else K for k, K in lenses.K.items()})
+    guessed = {edge: g for edge, g in geometries.items() if (edge[0] in lenses.solved or edge[1] in lenses.solved)}
+    found = {}
+    for edge, other in relative_rotations(guessed, longer).items():
+        R = geometries[edge].cam2_R_cam1
+        if R is not None and other.cam2_R_cam1 is not None:
+            found[edge] = angle_between_deg(other.cam2_R_cam1, R)
+    return found
+
+
+def _longer(K: Float64s) -> Float64s:
+    return K @ np.diag([1 + GUESS_SIGMA, 1 + GUESS_SIGMA, 1.0])

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.jit import kernel
 from ..types import Bools, Float32s
-from .census_sgm import match_census_sgm
+from .census import match_census_sgm
 from .consistency import disagreement, fill_along_rows, without_speckles
 from .matcher import DenseMatches, RectifiedPair, halved, mirrored
 from .plane_filter import doubt, smoothed

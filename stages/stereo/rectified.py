@@ -1,4 +1,7 @@
-"""The two rectified images of a pair, made ready for dense matching."""
+"""Prepare the two rectified images of a pair for dense matching: grey, denoised, of one exposure, with a disparity range.
+
+Matches of keypoints are sparse: on real pairs up to a fifth of what both images see, the foreground above all, lies beyond the
+range of the matches.  A coarse dense match at a quarter of the size, over a wider range, costs little and finds it."""
 
 from __future__ import annotations
 
@@ -10,7 +13,9 @@ import numpy as np
 from ..core.luminance import noise_level
 from ..rectification.warping import Side, from_rectified, to_rectified, warp_with_mask
 from ..types import Bools, Float32s, Float64s, Frame, GroundOfPair, Rectification, Uint8s
+from .consistency import within_reach
 from .matcher import RectifiedPair
+from .sgbm import cross_checked, match_in_one_piece
 
 _SIDES: tuple[Side, ...] = (1, 2)
 _WHOLE_PX = 32
@@ -88,3 +93,93 @@ def quietened(image: Float32s, valid: Bools) -> Float32s:
     if noise_level(image, valid) < NOISY:
         return image
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.float32)
+
+
+_SHRINK = 4
+
+_WIDER = 1.0
+"""The coarse match reaches beyond the matches by this share of their range on both sides."""
+
+_LEAST_SHARE = 0.002
+"""Disparities count as found from this share of the agreeing pixels on."""
+
+_PAYS = 0.02
+"""Share of the agreeing pixels that a search farther by the matches' range must find: small pieces of look-alikes agree, too."""
+
+_ENOUGH = 0.1
+"""Share of the common area that must agree for the coarse match to be believed."""
+
+_COARSE_PX, _FINE_CONTRAST = 10.0, 8.0
+
+
+def with_coarse_range(pair: RectifiedPair) -> RectifiedPair:
+    """The pair with the disparity range that a coarse match finds, and both images of one brightness and contrast."""
+    small = _shrunk(pair)
+    found = match_in_one_piece(_flattened(small))
+    agreed = ~np.isnan(cross_checked(found.left, found.right, small.valid_left, -1))
+    common = within_reach(small.valid_left, small.valid_right, small.disparity_min, small.disparity_max, -1)
+    if agreed.sum() < max(_ENOUGH * common.sum(), 50):
+        return _flattened(pair)
+    near = _reach(found.left[agreed], small.disparity_min, small.disparity_max)
+    far = -_reach(-found.left[agreed], -small.disparity_max, -small.disparity_min)
+    margin = 2 * _SHRINK + 0.05 * (pair.disparity_max - pair.disparity_min)
+    low, high = int(np.floor(_SHRINK * near - margin)), int(np.ceil(_SHRINK * far + margin))
+    return replace(_exposed_alike(pair, small, found.left, agreed), disparity_min=low, disparity_max=high)
+
+
+def _reach(disparity: Float32s, lowest: int, highest: int) -> float:
+    """The least of the disparities (n,) that enough others lie below, of a search from `lowest` to `highest`."""
+    ordered = np.sort(disparity)
+    matches = (highest - lowest) / (1 + 2 * _WIDER)
+    beyond = (lowest + _WIDER * matches - ordered) / matches  # the range of the matches
+    share = np.arange(1, len(ordered) + 1) / len(ordered)
+    return float(ordered[np.argmax(share >= np.maximum(_LEAST_SHARE, _PAYS * beyond))])
+
+
+def _shrunk(pair: RectifiedPair) -> RectifiedPair:
+    reach = _WIDER * (pair.disparity_max - pair.disparity_min)
+    return RectifiedPair(
+        left=_quarter(pair.left),
+        right=_quarter(pair.right),
+        valid_left=_quarter(pair.valid_left.astype(np.float32)) > 0.99,
+        valid_right=_quarter(pair.valid_right.astype(np.float32)) > 0.99,
+        disparity_min=int(np.floor((pair.disparity_min - reach) / _SHRINK)),
+        disparity_max=int(np.ceil((pair.disparity_max + reach) / _SHRINK)),
+    )
+
+
+def _quarter(image: Float32s) -> Float32s:
+    """(h / 4, w / 4) means of 4x4 pixels; the image is filled up with zeros to whole blocks."""
+    height, width = image.shape
+    whole = np.pad(image, ((0, -height % _SHRINK), (0, -width % _SHRINK)))
+    small = cv2.resize(whole, (whole.shape[1] // _SHRINK, whole.shape[0] // _SHRINK), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)
+
+
+def _flattened(pair: RectifiedPair) -> RectifiedPair:
+    """Both images without their coarse brightness and with one fine contrast: what can be done before anything is matched."""
+    images = [_fine_part(image, valid) for image, valid in ((pair.left, pair.valid_left), (pair.right, pair.valid_right))]
+    return replace(pair, left=images[0], right=images[1])
+
+
+def _fine_part(image: Float32s, valid: Bools) -> Float32s:
+    if not valid.any():
+        return image
+    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _COARSE_PX)
+    coarse = cv2.GaussianBlur(np.where(valid, image, 0).astype(np.float32), (0, 0), _COARSE_PX) / np.maximum(weight, 1e-3)
+    fine = image - coarse
+    gain = _FINE_CONTRAST / max(float(np.median(np.abs(fine[valid]))), 0.5)
+    return np.where(valid, 128 + gain * fine, 128).astype(np.float32)
+
+
+def _exposed_alike(pair: RectifiedPair, small: RectifiedPair, disparity: Float32s, agreed: Bools) -> RectifiedPair:
+    """The image of less contrast is stretched to the other, by what pixels that agree show in both."""
+    rows, columns = np.nonzero(agreed)
+    partner = np.clip(np.rint(columns - disparity[agreed]).astype(np.int64), 0, small.right.shape[1] - 1)
+    left, right = small.left[agreed], small.right[rows, partner]
+    spread_left, spread_right = (float(np.subtract(*np.percentile(v, [90, 10]))) for v in (left, right))
+    gain = max(spread_left, 1.0) / max(spread_right, 1.0)
+    offset = float(np.median(left - gain * right))
+    if gain >= 1:
+        return replace(pair, right=(gain * pair.right + offset).astype(np.float32))
+    return replace(pair, left=((pair.left - offset) / gain).astype(np.float32))

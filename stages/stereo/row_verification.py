@@ -16,11 +16,10 @@ import numpy as np
 
 from ..rectification.warping import from_rectified
 from ..types import Float32s, Float64s, Frame, Rectification
-from .coarse_range import with_coarse_range
 from .consistency import disagreement, within_reach, without_speckles
 from .matcher import RectifiedPair, halved
 from .patchmatch import match_patchmatch
-from .rectified import rectified_pair
+from .rectified import rectified_pair, with_coarse_range
 
 _BESIDE, _AWAY = 1, 4
 """Rows of the halved images: an error that can be lived with, and one with which nothing should match."""

@@ -14,7 +14,7 @@ import pytest
 
 from tests.helpers.changed_yard import CRATE, Box, BoxNight, box_night
 from wbflow_stages.changes import find_changes
-from wbflow_stages.exports.changed import changes_files, changes_preview
+from wbflow_stages.exports.ground import changes_files, changes_preview
 from wbflow_stages.types import NEW, UNKNOWN, VANISHED, Change, Changes, DepthMap
 
 NEW_BOX: Box = ((2.2, -2.4, 0.0), (3.6, -1.2, 0.9))

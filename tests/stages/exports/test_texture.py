@@ -11,9 +11,8 @@ import open3d
 import pytest
 
 from wbflow_stages.core.cameras import project
-from wbflow_stages.exports.mesh import Mesh
+from wbflow_stages.exports.mesh import NONE, Mesh, object_files, textured
 from wbflow_stages.exports.orthophoto import orthophoto
-from wbflow_stages.exports.texture import NONE, object_files, textured
 from wbflow_stages.types import Camera, Float64s, Frame, View
 
 K = np.array([[300.0, 0, 159.5], [0, 300.0, 119.5], [0, 0, 1]])

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from wbflow_stages.reasons import Reason
-from wbflow_stages.sfm.loops import USUAL
-from wbflow_stages.sfm.repeats import AmbiguityKind, ambiguity_kind, why_ambiguous
+from wbflow_stages.sfm.loops import USUAL, AmbiguityKind, ambiguity_kind, why_ambiguous
 from wbflow_stages.types import Geometry, View
 
 NOTHING = np.zeros((0, 2))

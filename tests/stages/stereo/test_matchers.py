@@ -11,12 +11,11 @@ import pytest
 
 from tests.helpers.dots import stereo_pair, texture, true_disparity
 from wbflow_stages.core.luminance import noise_level
-from wbflow_stages.stereo.census_sgm import match_census_sgm
-from wbflow_stages.stereo.coarse_range import with_coarse_range
+from wbflow_stages.stereo.census import match_census_sgm
 from wbflow_stages.stereo.matcher import DenseMatches, RectifiedPair, halved, mirrored
 from wbflow_stages.stereo.patchmatch import match_patchmatch
 from wbflow_stages.stereo.plane_filter import doubt, smoothed
-from wbflow_stages.stereo.rectified import quietened
+from wbflow_stages.stereo.rectified import quietened, with_coarse_range
 from wbflow_stages.stereo.sgbm import blocks, match_in_one_piece, match_sgbm
 
 Matcher = Callable[[RectifiedPair], DenseMatches]
