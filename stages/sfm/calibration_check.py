@@ -26,7 +26,7 @@ from ..core.rotations import rotation_matrix
 from ..twoview.epipolar import fundamental_from_cameras, sampson_distance, triangulate_depth
 from ..types import CalibrationCheck, Camera, Float64s, Geometry, Pair
 from .pose_check import BELIEVED, MIN_SHARED
-from .triplet_consistency import confirmed_matches
+from .triplet_consistency import consistent_matches
 
 FEWEST_CONFIRMED = 15
 """A pair with fewer confirmed matches says nothing."""
@@ -151,7 +151,7 @@ def _confirmed(names: tuple[str, ...], believed: Mapping[Pair, Geometry]) -> lis
     number = {name: k for k, name in enumerate(names)}
     edges = {(number[a], number[b]): geometry for (a, b), geometry in believed.items()}
     found = []
-    for (i, j), some in confirmed_matches(edges).items():
+    for (i, j), some in consistent_matches(edges).items():
         if len(some.x1) >= FEWEST_CONFIRMED:
             found.append(_matches((names[i], names[j]), some, edges[i, j]))
     return found
