@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import datetime
 import functools
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from ..cache.digests import Digests
 from ..errors import UsageError, WbflowError, printable
@@ -27,6 +30,32 @@ class CaptureFile:
     """Why it cannot."""
 
 
+ANSWER_SECONDS = 120.0
+"""A camera's folder that takes longer to list and read does not answer: its mount is dead."""
+LATER_SECONDS = 5.0
+"""The same once another camera's folder has not answered: most cameras share one mount."""
+T = TypeVar("T")
+
+
+def answered(read: Callable[[], T], seconds: float) -> T:
+    """Return what a function reads from a disk that may hang.  Raises TimeoutError if it does, and what the function raises."""
+    result: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            result.set_result(read())
+        except (OSError, ValueError, WbflowError) as error:
+            result.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()  # not a pool: its threads would be waited for when the program ends
+    try:
+        return result.result(seconds)
+    except TimeoutError:
+        if result.done():
+            raise
+        raise TimeoutError(f"does not answer within {seconds:.0f} s: is its disk, or the network, there?") from None
+
+
 def pattern_of(site: Site) -> Pattern:
     """How a site's captures are called."""
     return _pattern(site.root, site.pattern)
@@ -42,7 +71,14 @@ def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date
     pattern = pattern_of(site)
     if not pattern.dated:
         return []
-    found = {date for camera in site.cameras if camera.images is None for date in pattern.dates(camera.id)}
+    found: set[datetime.date] = set()
+    seconds = ANSWER_SECONDS
+    for camera in site.cameras:
+        if camera.images is None:
+            try:
+                found |= answered(functools.partial(lambda name: set(pattern.dates(name)), camera.id), seconds)
+            except TimeoutError:  # `find_captures` names the camera
+                seconds = LATER_SECONDS
     return sorted(date for date in found if since is None or date >= since)
 
 
@@ -100,9 +136,14 @@ def find_captures(
     tell : callable, optional
         Is told how many cameras have been looked at, after each.
     """
-    found = {}
+    found, seconds = {}, ANSWER_SECONDS
     for camera in site.cameras:
-        found[camera.id] = captures_of(site, camera, date, digests)
+        try:
+            found[camera.id] = answered(functools.partial(captures_of, site, camera, date, digests), seconds)
+        except TimeoutError as error:
+            name = expected(site, camera, date)
+            found[camera.id] = [CaptureFile(printable(name), Path(name), "", str(error))]
+            seconds = LATER_SECONDS
         if tell:
             tell(len(found))
     return found

@@ -64,7 +64,7 @@ def look_at(
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
         files = delivered.captures[camera.id]
-        earlier = _earlier(site, camera, date, digests, seen) if files else {}
+        earlier = _earlier(site, camera, date, digests, seen) if any(file.digest for file in files) else {}
         seen.note(camera.id, str(date), [file.digest for file in files])
         health = _repeats(camera.id, files, earlier, delivered)
         if health:

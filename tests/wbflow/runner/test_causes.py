@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
+from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.helpers.toy_site import ToySite
+from wbflow.cache.digests import Digests
+from wbflow.runner import captures
 from wbflow.runner.state import Cause
 
 
@@ -70,3 +76,65 @@ def test_no_reason_stands_without_its_code(toy: ToySite) -> None:
     rows = [record, *record["cameras"], *record["pairs"], *(event for event in told(toy) if event["event"] == "task")]
     assert len([row for row in rows if row["reason"]]) > 5
     assert [row for row in rows if (row["reason"] is None) != (row["code"] is None)] == []
+
+
+RAISES = """
+import numpy as np
+from toy_stages import detect as well
+
+class Unpicklable(Exception):
+    def __init__(self, a, b):
+        super().__init__("of two arguments")
+        self.lock = __import__("threading").Lock()
+
+def detect(frame, *, raises: str = ""):
+    raise {
+        "interrupt": KeyboardInterrupt("on its own"),
+        "generator": GeneratorExit("on its own"),
+        "unpicklable": Unpicklable(1, 2),
+        "value": ValueError("shapes differ"),
+        "linalg": np.linalg.LinAlgError("Singular matrix"),
+    }[raises]
+"""
+
+
+@pytest.mark.parametrize(
+    ("raises", "words"),
+    [
+        ("interrupt", "KeyboardInterrupt: on its own"),
+        ("generator", "GeneratorExit: on its own"),
+        ("unpicklable", "Unpicklable: of two arguments"),
+        ("value", "ValueError: shapes differ"),
+        ("linalg", "LinAlgError: Singular matrix"),
+    ],
+)
+def test_whatever_a_stage_raises_is_its_fault_with_class_stage_and_remedy(toy: ToySite, raises: str, words: str) -> None:
+    (toy.folder / "raising.py").write_text(RAISES)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "raising:detect", "raises": raises}
+    toy.file.write_text(json.dumps(site))
+    toy.run("--until", "features", code=None)
+    (event,) = (event for event in told(toy) if event.get("task") == "features roof")
+    assert (event["outcome"], event["code"]) == ("failed", Cause.FAULT)
+    assert words in event["reason"] and "the function of features" in event["reason"]
+    assert "wbflow debug SITE.yaml 'features roof' --out DIR" in event["reason"]
+
+
+def test_a_camera_whose_folder_does_not_answer_is_named_and_costs_no_other(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(captures, "ANSWER_SECONDS", 0.5)
+    read = Digests.of
+    dead = threading.Event()
+
+    def hangs(self: Digests, path: Path) -> str:
+        if path == toy.capture("roof"):
+            dead.wait()
+        return read(self, path)
+
+    monkeypatch.setattr(Digests, "of", hangs)
+    try:
+        record = toy.run(code=3)
+    finally:
+        dead.set()
+    reasons = {camera["id"]: camera["reason"] for camera in record["cameras"]}
+    assert "roof" in reasons["roof"] and "does not answer" in reasons["roof"]
+    assert [reason for camera, reason in reasons.items() if camera != "roof" and reason] == []
