@@ -283,7 +283,7 @@ def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
     from .outcome.notify import NotTold, notify  # here: few sites have a command, and it takes modules that nothing else needs
 
     try:
-        notify(site.notify, run.work, run.folder.paths, run.record)
+        notify(site.notify, site.folder, run.work, run.folder.paths, run.record)
     except (NotTold, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])

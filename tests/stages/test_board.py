@@ -47,7 +47,7 @@ def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(
     said = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
     result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *said, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    found = read_calibration(tmp_path / "gate.json")["gate"]
+    found = read_calibration(tmp_path / "gate.json")["gate"].lens
     lens = Lens(np.array(found.K), np.array(found.distortion), None, found.width, found.height, found.model)
     assert lens.K is not None and LENS.K is not None
     assert lens.K[[0, 1], [0, 1]] == pytest.approx(LENS.K[[0, 1], [0, 1]], rel=0.01)

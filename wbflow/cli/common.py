@@ -110,7 +110,7 @@ def load(path: Path, work: str | None, notes: bool = True, pull: bool = True) ->
         count = len(error.problems)
         what = f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done"
         raise UsageError(what, remedy=f"then: wbflow check {path}") from None
-    if site.store and pull:
+    if site.work_folder.store and pull:
         _pull(site.work_folder)
     for note in site.notes if notes else ():
         echo(f"note: {note}", err=True)

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from ..cache.layout import RunPaths, WorkFolder
@@ -51,13 +52,15 @@ class Known:
         return Known(verdict.level, tuple(sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})))
 
 
-def notify(how: Notify, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
+def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
     """Tell of a run that is published; returns what for, or None where there was nothing to tell.
 
     Parameters
     ----------
     how : Notify
         As the site file says.
+    folder : Path
+        Where the command runs: the site file's.
     work : WorkFolder
         Where it stands what was told last.
     run : RunPaths
@@ -74,7 +77,7 @@ def notify(how: Notify, work: WorkFolder, run: RunPaths, record: RunRecord) -> O
     state = Known.of(record.verdict)
     occasion = _occasion(state, _last(work), how.heartbeat)
     if occasion:
-        _tell(how, occasion, run, record)
+        _tell(how, folder, occasion, run, record)
         write_signed(work.notified, _OF, {"level": state.level, "findings": state.findings})
     return occasion
 
@@ -110,7 +113,7 @@ def _message(occasion: Occasion, run: RunPaths, record: RunRecord) -> dict[str, 
     return {**head, **told, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
 
 
-def _tell(how: Notify, occasion: Occasion, run: RunPaths, record: RunRecord) -> None:
+def _tell(how: Notify, folder: Path, occasion: Occasion, run: RunPaths, record: RunRecord) -> None:
     message = _message(occasion, run, record)
     plain = {name: value for name, value in message.items() if isinstance(value, str | int)}
     environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in plain.items()}
@@ -125,7 +128,7 @@ def _tell(how: Notify, occasion: Occasion, run: RunPaths, record: RunRecord) -> 
                 stdout=said,
                 stderr=said,
                 env=environment,
-                cwd=how.folder,
+                cwd=folder,
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:

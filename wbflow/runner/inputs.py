@@ -178,7 +178,7 @@ class Inputs:
                 items[upstream.subject] = self._found(upstream, need.part, state.receipt)
             else:
                 faults.append(because(upstream, state))
-        if not items and not need.optional and not (need.empty_if_stated and self.site.some_stated):
+        if not items and not need.optional and not (need.empty_if_stated and self.site.some_given):
             raise self._nothing(origin, faults)
         return Joined(items)
 

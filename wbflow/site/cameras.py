@@ -1,48 +1,29 @@
-"""The cameras of a site file, with what its calibration knows of them."""
+"""The cameras of a site file, merged with what calibrations give for them; and the views of those too wide for one pinhole."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import os
 import re
 from pathlib import Path
 from typing import Any
 
+from ..cache.plugins import load
 from ..cache.untrusted import is_file
 from ..errors import printable
+from ..pipeline.exports import VIEWS_OF_LENS
+from ..task import view_name
 from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
 from .geodesy import LocalFrame
-from .locations import Document, Location, SiteProblem
-from .models import Camera, Lens, Placement, Privacy
-from .schema import CameraSection, SiteSection
+from .locations import Location, Problems
+from .models import Camera, CameraEntry, Lens, Placement, Privacy, SiteFile
+from .rotations import turned
 
 ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """What a camera, and a site, may be called."""
-
-
-def beside(path: str, location: Location, document: Document, problems: list[SiteProblem]) -> Path:
-    """A path as a site file states it: relative to the file.
-
-    Parameters
-    ----------
-    path : str
-        As it is written.
-    location : Location
-        Where that stands in the site file.
-    document : Document
-        The site file.
-    problems : list of SiteProblem
-        To which is added what is wrong: then the path is taken as it is written.
-    """
-    try:
-        if "\0" in path:
-            raise ValueError("a path holds no zero byte")
-        stated = Path(path).expanduser()
-    except (RuntimeError, ValueError) as error:
-        remedy = "write a path relative to the site file, or from the root: /srv/captures"
-        problems.append(document.problem(location, f"{path!r} is no path: {printable(error)}", remedy))
-        stated = Path(path.replace("\0", ""))
-    return Path(os.path.normpath(document.path.resolve().parent / stated))
+_OWN_PINHOLE = frozenset({"pinhole", "brown"})
+"""Frames of these keep the K of their lens, however wide it is: the vision has no say."""
 
 
 def is_name(name: str) -> bool:
@@ -50,112 +31,111 @@ def is_name(name: str) -> bool:
     return bool(ID.fullmatch(name) and name.strip("."))
 
 
-def read_cameras(model: SiteSection, frame: LocalFrame | None, document: Document, problems: list[SiteProblem]) -> list[Camera]:
+def beside(path: str, location: Location, problems: Problems) -> Path:
+    """A path that a site file gives at a location: relative to the file."""
+    try:
+        given = Path(path).expanduser()
+    except (RuntimeError, ValueError) as error:
+        remedy = "write a path relative to the site file, or from the root: /srv/captures"
+        problems.add(location, f"{path!r} is no path: {printable(error)}", remedy)
+        given = Path(path)
+    return Path(os.path.normpath(problems.document.path.resolve().parent / given))
+
+
+def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> list[Camera]:
     """The cameras of the site; what is wrong with them is added to `problems`.
 
-    Parameters
-    ----------
-    model : SiteSection
-        The validated site file.
-    frame : LocalFrame or None
-        Where positions by latitude and longitude are counted from; None without such.
-    document : Document
-        For the places of problems.
-    problems : list of SiteProblem
-        What is wrong is added here.
+    frame: the origin of positions by latitude and longitude; None without such.
     """
-    calibrated = _calibrated(model.calibration, ("calibration",), document, problems)
-    seen: dict[str, int] = {}
+    calibrated = _calibrated(file.calibration, ("calibration",), problems)
+    _check_ids([camera.id for camera in file.cameras], problems)
     found = []
-    for i, camera in enumerate(model.cameras):
+    for i, camera in enumerate(file.cameras):
         location: Location = ("cameras", i)
-        if not is_name(camera.id):
-            what, remedy = f"{camera.id!r} is not a camera id", "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
-            problems.append(document.problem(location, what, remedy))
-        if camera.id in seen:
-            first = document.marks.get(("cameras", seen[camera.id]), (0, 0))[0]
-            what, remedy = f"camera {camera.id!r} is named twice, first on line {first}", "give each camera its own id"
-            problems.append(document.problem(location, what, remedy))
-        seen.setdefault(camera.id, i)
-        entry = _own_entry(camera, location, document, problems) or find_camera(calibrated, camera.id)
+        entry = _own_entry(camera, location, problems) or find_camera(calibrated, camera.id)
         if calibrated and entry is None and camera.intrinsics is None:
-            what = f"{model.calibration} has no camera {camera.id!r}; it has {_shown(calibrated)}"
-            problems.append(
-                document.problem(location, what, "correct the id, add the camera to that file, or give its intrinsics here")
-            )
-        mask = beside(camera.mask, (*location, "mask"), document, problems) if camera.mask else None
+            what = f"{file.calibration} has no camera {camera.id!r}; it has {_shown(calibrated)}"
+            problems.add(location, what, "correct the id, add the camera to that file, or give its intrinsics here")
+        mask = beside(camera.mask, (*location, "mask"), problems) if camera.mask else None
         if mask and not is_file(mask):
             remedy = "give the path of an image of the capture's size, white where pixels may be used"
-            problems.append(document.problem((*location, "mask"), f"there is no file {printable(mask)}", remedy))
+            problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
         lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
         privacy = Privacy([c for p in camera.privacy for c in p], [float(len(p)) for p in camera.privacy])
         found.append(Camera(camera.id, lens, placement, mask, privacy, images, location))
-    _refuse_ambiguous([camera.id for camera in model.cameras], document, problems)
     return found
 
 
-def _calibrated(stated: str | None, location: Location, document: Document, problems: list[SiteProblem]) -> dict[str, Calibrated]:
-    """The cameras of a calibration that the site file names; none where that has problems.
+def views_of(camera: Camera) -> tuple[Camera, ...]:
+    """The camera itself, or, of one that is too wide for one pinhole, its views, which share its captures and mask.
 
-    Parameters
-    ----------
-    stated : str or None
-        Its path as it is written.
-    location : Location
-        Where that stands in the site file.
-    document, problems
-        As of `read_cameras`.
+    They follow from the lens that the site file gives alone, so that a camera has the same views in all nights.
     """
-    if not stated:
+    lens = camera.lens
+    if lens.K is None or lens.model in _OWN_PINHOLE or not (lens.width and lens.height):
+        return (camera,)
+    try:
+        found = load(VIEWS_OF_LENS)(lens.K, lens.distortion, lens.width, lens.height, lens.model)
+    except (ValueError, ArithmeticError):  # no lens has such numbers: the camera's frame says what is wrong
+        found = []
+    R = camera.placement.R
+    return tuple(
+        dataclasses.replace(
+            camera,
+            id=view_name(camera.id, number),
+            lens=dataclasses.replace(lens, camera=camera.id, turn=turn, window=window),
+            placement=dataclasses.replace(camera.placement, R=R and turned(R, turn)),
+        )
+        for number, (turn, window) in enumerate(found, 1)
+    ) or (camera,)
+
+
+def _calibrated(given: str | None, location: Location, problems: Problems) -> dict[str, Calibrated]:
+    """The cameras of a calibration that the site file names at a location; none where that has problems."""
+    if not given:
         return {}
     try:
-        file = beside(stated, location, document, problems)
+        file = beside(given, location, problems)
         found = read_calibration(file)
         if not found:
             raise CalibrationError("holds no camera", where=str(file), remedy="add the cameras, or leave calibration out")
     except CalibrationError as error:
         remedy = error.remedy or "give the path of cameras.json, of a COLMAP model, or of what OpenCV, ROS or Kalibr wrote"
-        problems.append(document.problem(location, f"{error.where}: {error.what}", remedy))
+        problems.add(location, f"{error.where}: {error.what}", remedy)
         return {}
     return found
 
 
-def _own_entry(camera: CameraSection, location: Location, document: Document, problems: list[SiteProblem]) -> Calibrated | None:
-    """What a camera's own calibration file says of it: the only camera in there, or the one of its name.
-
-    Parameters
-    ----------
-    camera : CameraSection
-        Whose.
-    location : Location
-        Where it stands in the site file.
-    document, problems
-        As of `read_cameras`.
-    """
-    found = _calibrated(camera.calibration, (*location, "calibration"), document, problems)
+def _own_entry(camera: CameraEntry, location: Location, problems: Problems) -> Calibrated | None:
+    """What a camera's own calibration file gives for it: the only camera in there, or the one of its name."""
+    location = (*location, "calibration")
+    found = _calibrated(camera.calibration, location, problems)
     if not found:
         return None
     entry = next(iter(found.values())) if len(found) == 1 else find_camera(found, camera.id)
     if entry is None:
         what = f"{camera.calibration} has no camera {camera.id!r}; it has {_shown(found)}"
-        problems.append(
-            document.problem((*location, "calibration"), what, "call the camera as that file does, or name another file")
-        )
+        problems.add(location, what, "call the camera as that file does, or name another file")
     return entry
 
 
-def _refuse_ambiguous(ids: list[str], document: Document, problems: list[SiteProblem]) -> None:
-    """Pairs are called left--right: of ids with dashes in the wrong places, two pairs can have one name, and one folder."""
+def _check_ids(ids: list[str], problems: Problems) -> None:
+    for i, name in enumerate(ids):
+        if not is_name(name):
+            remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
+            problems.add(("cameras", i), f"{name!r} is not a camera id", remedy)
+        if (first := ids.index(name)) < i:
+            line = problems.document.marks.get(("cameras", first), (0, 0))[0]
+            problems.add(("cameras", i), f"camera {name!r} is named twice, first on line {line}", "give each camera its own id")
+    # pairs are called left--right: of ids with dashes in the wrong places, two pairs can have one name, and one folder
     dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
-    if not dashed:
-        return
     pairs: dict[str, tuple[str, str]] = {}
-    for left, right in itertools.combinations(dict.fromkeys(ids), 2):
+    for left, right in itertools.combinations(dict.fromkeys(ids), 2) if dashed else ():
         other = pairs.setdefault(f"{left}--{right}", (left, right))
         if other != (left, right):
             what = f"the pairs {other[0]!r}, {other[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
-            problems.append(document.problem(("cameras", dashed[0]), what, "use ids without '--', and without '-' at their ends"))
+            problems.add(("cameras", dashed[0]), what, "use ids without '--', and without '-' at their ends")
             return
 
 
@@ -164,28 +144,24 @@ def _shown(names: dict[str, Any], most: int = 5) -> str:
     return ", ".join(listed) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _lens(camera: CameraSection, entry: Calibrated | None) -> Lens:
-    K, width, height, distortion, hfov, model = None, 0, 0, [0.0] * 5, None, "brown"
-    if entry:
-        K, width, height, distortion = entry.K, entry.width, entry.height, entry.distortion or distortion
-        model = entry.model
-    if (own := camera.intrinsics) and not (entry and own.hfov is not None):  # a calibration knows better than a field of view
-        hfov, width, height = own.hfov, own.width or 0, own.height or 0
-        K = None
-        if own.fx is not None and own.fy is not None and own.cx is not None and own.cy is not None:
-            K = [[own.fx, 0.0, own.cx], [0.0, own.fy, own.cy], [0.0, 0.0, 1.0]]
+def _lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
+    """The site file's intrinsics and distortion replace those of a calibration; but a calibration beats a field of view."""
+    lens = entry.lens if entry else Lens()
+    if (own := camera.intrinsics) and not (entry and own.hfov is not None):
+        lens = dataclasses.replace(lens, K=own.K, hfov_deg=own.hfov, width=own.width or 0, height=own.height or 0)
     if camera.distortion is not None or camera.model is not None:
         given = camera.distortion or []
-        distortion, model = given + [0.0] * (5 - len(given)), camera.model or "brown"
-    return Lens(K, distortion, hfov, width, height, model)
+        distortion = given + [0.0] * (5 - len(given))
+        lens = dataclasses.replace(lens, distortion=distortion, model=camera.model or "brown")
+    return lens
 
 
-def _placement(camera: CameraSection, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
-    rough = camera.pose is not None and (camera.pose.matrix() is None or max(camera.pose.sigma_m, camera.pose.sigma_deg) > 0)
-    if (pose := camera.pose) and not (rough and entry and entry.R and entry.C):  # what was solved from it knows better
-        geodetic = pose.geodetic
-        C = frame.metres(*geodetic) if frame and geodetic else pose.position
-        return Placement(pose.matrix(), C, pose.sigma_m, pose.sigma_deg)
-    if entry is None:
-        return Placement()
-    return Placement(entry.R, entry.C, entry.sigma_m, entry.sigma_deg, entry.metric)
+def _placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
+    """The site file's pose replaces a calibration's; but a whole pose that was solved from a rough one beats it."""
+    pose, solved = camera.pose, entry.placement if entry else Placement()
+    if pose is None:
+        return solved
+    if solved.R and solved.C and (pose.R is None or pose.sigma_m > 0 or pose.sigma_deg > 0):
+        return solved
+    C = frame.metres(*pose.geodetic) if frame and pose.geodetic else pose.position
+    return Placement(pose.R, C, pose.sigma_m, pose.sigma_deg)

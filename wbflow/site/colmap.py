@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from ..cache.untrusted import Unreadable, is_file, open_outside
-from .calibrated import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, CalibrationError, Matrix, text_of
-
-_Intrinsics = tuple[Matrix, int, int, list[float] | None, str]
+from .locations import CalibrationError, SiteError, read_text
+from .models import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, Lens, Matrix, Placement
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
     "SIMPLE_PINHOLE": ("pinhole", 1, 0),
@@ -61,8 +60,8 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             return _read_binary(*binary)
         what = "must hold cameras.txt and images.txt, or cameras.bin and images.bin (COLMAP's text or binary model)"
         raise CalibrationError(what, where=str(folder), remedy="in COLMAP: model_converter --output_type TXT")
-    cameras: dict[str, _Intrinsics] = {}
-    for number, line in enumerate(text_of(files[0]).splitlines(), 1):
+    cameras: dict[str, Lens] = {}
+    for number, line in enumerate(_lines(files[0]), 1):
         if words := _words(line):
             try:
                 size = _pixels(words[2]), _pixels(words[3])
@@ -72,7 +71,7 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
                 raise CalibrationError(why, where=f"{files[0]}:{number}", remedy=_REMEDY) from None
     found: dict[str, Calibrated] = {}
     # each image takes two lines, the second being its 2-D points (possibly empty): only the first is of interest
-    lines = [(n, line) for n, line in enumerate(text_of(files[1]).splitlines(), 1) if not line.startswith("#")]
+    lines = [(n, line) for n, line in enumerate(_lines(files[1]), 1) if not line.startswith("#")]
     for number, line in lines[::2]:
         words = line.split(maxsplit=9)
         if not words:
@@ -87,7 +86,7 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
 
 
 def _read_binary(cameras_file: Path, images_file: Path) -> dict[str, Calibrated]:
-    cameras: dict[int, _Intrinsics] = {}
+    cameras: dict[int, Lens] = {}
     with _Binary(cameras_file) as file:
         for _ in range(file.count()):
             number, model, width, height = file.values("<IiQQ")
@@ -182,6 +181,13 @@ def _pixels(word: str) -> int:
     return value
 
 
+def _lines(path: Path) -> list[str]:
+    try:
+        return read_text(path).splitlines()
+    except SiteError as error:
+        raise CalibrationError.from_site_error(error) from None
+
+
 def _words(line: str) -> list[str]:
     return [] if line.startswith("#") else line.split()
 
@@ -192,15 +198,14 @@ def _parameters(name: str) -> int:
     return 2 if model == "equirectangular" else focals + 2 + count
 
 
-def _posed(intrinsics: _Intrinsics, pose: list[float]) -> Calibrated:
+def _posed(lens: Lens, pose: list[float]) -> Calibrated:
     """A camera with its pose: qw qx qy qz, and t of x = R X + t."""
-    K, width, height, distortion, model = intrinsics
     R = _quaternion_to_rotation(*pose[:4])
     C = [-sum(R[j][i] * pose[4 + j] for j in range(3)) for i in range(3)]
-    return Calibrated(K, width, height, distortion, R, C, model=model)
+    return Calibrated(lens, Placement(R, C))
 
 
-def _intrinsics(name: str, width: int, height: int, p: list[float]) -> _Intrinsics:
+def _intrinsics(name: str, width: int, height: int, p: list[float]) -> Lens:
     """COLMAP puts the origin at the top-left *corner* of the first pixel: half a pixel is taken off the principal point."""
     if name not in _LAYOUTS:
         raise ValueError(f"camera model {name} is not supported; use one of {', '.join(_LAYOUTS)}")
@@ -213,10 +218,8 @@ def _intrinsics(name: str, width: int, height: int, p: list[float]) -> _Intrinsi
         raise ValueError("a focal length must be positive")
     coefficients = [p[focals + 2 + i] for i in range(count)]
     K = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
-    if model == "pinhole":
-        return K, width, height, None, "brown"
-    padded = coefficients + [0.0] * (_PADDED.get(model, 0) - count)
-    return K, width, height, padded or None, model
+    padded = coefficients + [0.0] * (_PADDED.get(model, 0 if count else 5) - count)
+    return Lens(K=K, distortion=padded, width=width, height=height, model="brown" if model == "pinhole" else model)
 
 
 def _quaternion_to_rotation(w: float, x: float, y: float, z: float) -> Matrix:

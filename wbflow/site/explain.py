@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import difflib
+import typing
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from ..errors import printable
 from ..pipeline.choice import MOST_AT_A_CAMERA
-from .calibrated import COEFFICIENTS
-from .geodesy import PLACE_REMEDY, ControlPoint
+from .geodesy import POSITION_REMEDY
 from .locations import Document, Location, SiteProblem
-from .schema import (
-    CameraSection,
-    CapturesSection,
-    ExpectSection,
-    IntrinsicsSection,
-    KeepSection,
-    NotifySection,
-    PairsSection,
-    PoseSection,
-    SiteSection,
-    ZoneSection,
-)
+from .models import CUSTOM, LENS_MODELS, SiteFile
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
-    "pose": f"{PLACE_REMEDY}; where known too, one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3, "
+    "pose": f"{POSITION_REMEDY}; where known too, one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3, "
     "and how well: position_sigma_m, rotation_sigma_deg",
     "distances": "write [camera, camera, metres], e.g. distances: [[gate, roof, 12.4]]",
     "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
-    "model": f"name one of {', '.join(COEFFICIENTS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
+    "model": f"name one of {', '.join(LENS_MODELS)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
     "site": "give the site a name: site: harbour",
     "resolution": "give the long side in pixels that stages work at, e.g. resolution: 1600, or null for as captured",
     "bounds": "give two corners of the box that matters, in metres: bounds: [[-20, -30, 0], [20, 30, 12]]",
@@ -55,41 +45,48 @@ _REMEDIES = {
 def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
     """pydantic's findings in the words of a site file."""
     found = []
-    for item in error.errors():
+    errors = error.errors()
+    misspelt = {(*e["loc"][:-1], _close(str(e["loc"][-1]), e["loc"][:-1])) for e in errors if e["type"] == "extra_forbidden"}
+    for item in errors:
         location: Location = tuple(item["loc"])
-        kind, last = item["type"], str(item["loc"][-1]) if item["loc"] else ""
+        kind, last = item["type"], str(location[-1]) if location else ""
         section = next((str(step) for step in reversed(location) if step in _REMEDIES), "")
         remedy = _REMEDIES.get(section, "see sites/template.yaml")
         if kind == "extra_forbidden":
-            allowed = _fields_at(location[:-1])
-            close = difflib.get_close_matches(last, allowed, 1)
-            remedy = f"did you mean {close[0]!r}?" if close else f"known here: {', '.join(allowed)}"
+            close = _close(last, location[:-1])
+            remedy = f"did you mean {close!r}?" if close else f"known here: {', '.join(_keys_at(location[:-1]))}"
             found.append(document.problem(location, f"unknown key {last!r}", remedy, key=True))
         elif kind == "missing":
-            found.append(document.problem(location[:-1], f"{last!r} is missing", remedy))
+            if location not in misspelt:  # else it is there, under another name
+                found.append(document.problem(location[:-1], f"{last!r} is missing", remedy))
         elif last == "pattern" and isinstance(item["input"], dict):
             what = "is no text: YAML takes {camera} for a mapping where no quotes are around it"
             found.append(document.problem(location, what, "put it in quotes: pattern: '{camera}.jpg'"))
         else:
             what = item["msg"]
-            if kind not in {"intrinsics", "lens", "pose", "location", "pattern", "notify", "keep"}:
+            if kind != CUSTOM:
                 shown = f", not {item['input']!r}" if not isinstance(item["input"], dict | list) else ""
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(location, what, remedy))
-    return sorted(found, key=lambda p: (p.line, p.column))
+    return found
+
+
+def did_you_mean(word: str, known: Iterable[str], otherwise: str) -> str:
+    """A remedy that names the nearest of what is known, where one is near."""
+    close = difflib.get_close_matches(word, known, 1)
+    return f"did you mean {printable(close[0])!r}?" if close else otherwise
 
 
 def similar(path: Path) -> str:
-    """A remedy that names what lies beside a path that is not there, and is called nearly the same; "" where nothing is."""
+    """A remedy that names what lies beside a path that does not exist, and has nearly the same name; "" where nothing does."""
     try:
         names = [entry.name for entry in path.parent.iterdir()]
     except OSError:
         return ""
-    close = difflib.get_close_matches(path.name, names, 1)
-    return f"did you mean {printable(close[0])!r}?" if close else ""
+    return did_you_mean(path.name, names, "")
 
 
-def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection | None:
+def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:
     """What is left of a site file without its faulty values, to be examined in the same go; None when too little is."""
     cameras = data.get("cameras")
     data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
@@ -103,25 +100,27 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteSection 
         else:
             data.pop(str(section), None)
     try:
-        return SiteSection.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **data})
+        return SiteFile.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **data})
     except ValidationError:
         return None
 
 
-def _fields_at(location: Location) -> list[str]:
-    model: Any = SiteSection
-    sections = {
-        "captures": CapturesSection,
-        "cameras": CameraSection,
-        "intrinsics": IntrinsicsSection,
-        "pose": PoseSection,
-        "pairs": PairsSection,
-        "control_points": ControlPoint,
-        "keep": KeepSection,
-        "expect": ExpectSection,
-        "notify": NotifySection,
-        "zones": ZoneSection,
-    }
+def _close(key: str, location: Location) -> str:
+    """The key that is meant by a misspelt one; "" where none is near."""
+    return next(iter(difflib.get_close_matches(key, _keys_at(location), 1)), "")
+
+
+def _keys_at(location: Location) -> list[str]:
+    """The keys that a section may have."""
+    model: type[BaseModel] = SiteFile
     for step in location:
-        model = sections.get(str(step), model)
+        if isinstance(step, str) and step in model.model_fields:
+            model = _model_in(model.model_fields[step].annotation) or model
     return list(model.model_fields)
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model that an annotation such as `list[CameraEntry]` or `Pose | None` is about."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((model for inner in typing.get_args(annotation) if (model := _model_in(inner))), None)

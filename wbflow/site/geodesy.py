@@ -1,64 +1,19 @@
-"""Positions in a site file, by x, y, z or by latitude and longitude.
+"""Positions by latitude and longitude, and what a site file gives besides the cameras: known distances and control points.
 
-Geodetic positions become metres east, north and up of the first one that the file states (z up, so poses mean the same as ever).
+Geodetic positions become metres east, north and up of the first one in the file (z up, as in every world).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Any
+import math
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-from pydantic_core import PydanticCustomError
+from .locations import Location, Problems
+from .models import SiteFile, Survey
 
-from .locations import Document, Location, SiteProblem
-
-Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
-GEODETIC = ("latitude", "longitude", "height")
-
-PLACE_REMEDY = (
+POSITION_REMEDY = (
     "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
 )
-
-
-class Position(BaseModel):
-    """A place: x, y, z in metres, or latitude, longitude, height."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-    position: Vector3 | None = None
-    latitude: float | None = Field(None, ge=-90, le=90)
-    longitude: float | None = Field(None, ge=-180, le=360)
-    height: float | None = None
-
-    @model_validator(mode="after")
-    def _one_place(self) -> Position:
-        given = [name for name in GEODETIC if getattr(self, name) is not None]
-        if self.position is not None and given:
-            raise PydanticCustomError("place", f"'position' and '{given[0]}' say the same thing twice")
-        if self.position is None and not given:
-            raise PydanticCustomError("place", "'position' is missing")
-        if given and len(given) < 3:
-            missing = next(name for name in GEODETIC if name not in given)
-            raise PydanticCustomError("place", f"'{missing}' is missing")
-        return self
-
-    @property
-    def geodetic(self) -> tuple[float, float, float] | None:
-        """latitude, longitude, height; None where x, y, z are given."""
-        if self.latitude is None or self.longitude is None or self.height is None:
-            return None
-        return self.latitude, self.longitude, self.height
-
-
-class ControlPoint(Position):
-    """A place of the scene, and where it is in captures: pixels by camera, of a capture as it is."""
-
-    id: str | None = None
-    pixels: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]]
-
-
-Distance = Annotated[list[Any], Field(min_length=3, max_length=3)]
 
 
 class LocalFrame:
@@ -76,23 +31,49 @@ class LocalFrame:
         return [float(v) for v in self._transformer.transform(longitude, latitude, height)]
 
 
-def local_frame(
-    positions: Iterator[tuple[Location, Position]], document: Document, problems: list[SiteProblem]
-) -> LocalFrame | None:
-    """The frame of all geodetic positions of a site; None where there are none.  Says where both kinds are mixed."""
-    listed = list(positions)
-    geodetic = [(place, p.geodetic) for place, p in listed if p.geodetic is not None]
+def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
+    """The frame of all geodetic positions of a site; None where there are none."""
+    positions = list(file.positions())
+    geodetic = [(location, p.geodetic) for location, p in positions if p.geodetic is not None]
     if not geodetic:
         return None
-    mixed = next((place for place, p in listed if p.geodetic is None), None)
+    mixed = next((location for location, p in positions if p.geodetic is None), None)
     if mixed is not None:
         what = "x, y, z here, but latitude and longitude elsewhere: how they lie to each other is unknown"
-        problems.append(document.problem(mixed, what, PLACE_REMEDY))
-    first = geodetic[0][1]
-    assert first is not None
+        problems.add(mixed, what, POSITION_REMEDY)
+    location, origin = geodetic[0]
     try:
-        return LocalFrame(*first)
+        return LocalFrame(*origin)
     except ImportError:
-        what, remedy = "latitude and longitude need the package pyproj", "pip install pyproj"
-        problems.append(document.problem(geodetic[0][0], what, remedy))
+        problems.add(location, "latitude and longitude need the package pyproj", "pip install pyproj")
         return None
+
+
+def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:
+    """Distances and control points, with cameras by number; what is wrong with them is added to `problems`."""
+    number = {camera.id: k for k, camera in reversed(list(enumerate(file.cameras)))}
+
+    def camera_at(location: Location, camera: Any) -> int:
+        if not isinstance(camera, str) or camera not in number:
+            problems.add(location, f"there is no camera {camera!r}", "use ids from 'cameras'")
+            return 0
+        return number[camera]
+
+    rows = []
+    for k, (left, right, metres) in enumerate(file.distances):
+        i, j = camera_at(("distances", k, 0), left), camera_at(("distances", k, 1), right)
+        if not isinstance(metres, int | float) or isinstance(metres, bool) or not 0 < metres < math.inf:
+            problems.add(("distances", k, 2), f"{metres!r} is no distance in metres", "write [camera, camera, metres]")
+        elif i == j:
+            problems.add(("distances", k), "a camera has no distance from itself", "name two cameras")
+        else:
+            rows.append([float(i), float(j), float(metres)])
+    observations = []
+    for k, point in enumerate(file.control_points):
+        if len(point.pixels) < 2:
+            remedy = "point at it in the captures of two cameras or more, better three"
+            problems.add(("control_points", k), "fewer than two cameras see it", remedy)
+        for camera, (x, y) in point.pixels.items():
+            observations.append([float(k), float(camera_at(("control_points", k, "pixels", camera), camera)), x, y])
+    points = [frame.metres(*p.geodetic) if frame and p.geodetic else p.position or [0.0] * 3 for p in file.control_points]
+    return Survey(tuple(camera.id for camera in file.cameras), rows, points, observations, frame.crs if frame else "")

@@ -1,8 +1,7 @@
-"""The site description: one YAML file, typed and validated; every error at once, each with its line and what to write instead."""
+"""The site file: one YAML file, typed and validated; every error at once, each with its line and what to write instead."""
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from pathlib import Path
@@ -16,91 +15,67 @@ from ..cache.untrusted import is_folder
 from ..errors import printable
 from ..pipeline.choice import MOST_AT_A_CAMERA
 from ..remote.objects import is_url
-from .cameras import beside, is_name, read_cameras
-from .explain import explained, similar, without_faults
-from .geodesy import Position, local_frame
-from .locations import Document, Location, SiteError, SiteProblem, load_yaml
-from .models import Camera, Expected, Notify, Site, StageSettings
-from .schema import SiteSection
+from .cameras import beside, is_name, read_cameras, views_of
+from .explain import did_you_mean, explained, similar, without_faults
+from .geodesy import local_frame, read_survey
+from .locations import Document, Location, Problems, SiteError, SiteProblem, load_yaml
+from .models import Camera, Site, SiteFile, StageSettings
 from .stages import read_stages
-from .survey import read_survey
-from .views import views_of
 
 __all__ = ["Camera", "Site", "StageSettings", "load_site"]
 
 
 def load_site(path: Path, work: str | Path | None = None) -> Site:
-    """Read and validate a site file (or the `site.yaml` in a folder).  work: overrides what the file says of it.
+    """Read and validate a site file (or the `site.yaml` in a folder).  work: overrides the file's own key.
 
     Raises
     ------
     SiteError
         With every problem that was found.
     """
-    path = _file_of(path)
-    document = load_yaml(path)
-    if not isinstance(document.data, dict):
-        raise SiteError(
-            [SiteProblem(path, 1, 1, "", "a site file is a mapping", "start with 'site: NAME'; see sites/template.yaml")]
-        )
-    problems: list[SiteProblem] = []
-    data = _expanded(_with_texts(document), document, problems)
-    try:
-        model = SiteSection.model_validate(data)
-    except ValidationError as error:
-        problems += explained(error, document)
-        salvaged = without_faults(data, error)
-        if salvaged is None:
-            raise SiteError(problems) from None
-        model = salvaged
-    places: list[tuple[Location, Position]] = [
-        (("cameras", i, "pose"), camera.pose) for i, camera in enumerate(model.cameras) if camera.pose
-    ]
-    places += [(("control_points", i), point) for i, point in enumerate(model.control_points)]
-    frame = local_frame(iter(places), document, problems)
-    cameras = read_cameras(model, frame, document, problems)
-    ids = [camera.id for camera in model.cameras]
-    survey = read_survey(ids, model.distances, model.control_points, frame, document, problems)
-    place = _work_folder(str(work or ""), model, document, problems)
-    reader = FunctionReader(place.functions_memo, path.resolve().parent)
-    stages, notes = read_stages(model.stages, document, reader, problems)
-    _check_pairs(model, document, problems)
-    notes += _crowded(model, document)
-    captures = _captures(model.captures.root, document, problems)
-    if not is_name(model.site):
+    document = load_yaml(_file_of(path))
+    problems = Problems(document)
+    file = _validated(document, problems)
+    frame = local_frame(file, problems)
+    cameras = read_cameras(file, frame, problems)
+    survey = read_survey(file, frame, problems)
+    work_folder = _work_folder(str(work or ""), file, problems)
+    reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
+    stages, notes = read_stages(file.stages, document, reader, problems.found)
+    _check_pairs(file, problems)
+    captures = _captures(file.captures.root, problems)
+    if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
-        problems.append(document.problem(("site",), f"{model.site!r} is not a name", remedy))
-    if problems:
-        raise SiteError(sorted(problems, key=lambda p: (str(p.file), p.line, p.column)))
-    pairs = {name: getattr(model.pairs, name) for name in ("degree", "min_angle", "max_angle", "include", "exclude")}
+        problems.add(("site",), f"{file.site!r} is not a name", remedy)
+    if problems.found:
+        raise SiteError(sorted(problems.found, key=lambda p: (str(p.file), p.line, p.column)))
     return Site(
-        model.site,
-        document,
-        captures.root,
-        model.captures.pattern,
-        tuple(cameras),
-        tuple(view for camera in cameras for view in views_of(camera)),
-        model.resolution,
-        model.bounds,
-        pairs,
-        stages,
-        place.root,
-        reader,
-        survey,
-        Expected(model.expect.stated, str(model.expect.since or "")),
-        _notify(model, path),
-        model.keep.kept(),
-        tuple(notes),
-        model.pin,
-        model.health.model_dump(),
-        [zone.model_dump() for zone in model.zones] or None,
-        place.store,
-        captures.store,
+        name=file.site,
+        document=document,
+        root=captures.root,
+        captures_store=captures.store,
+        pattern=file.captures.pattern,
+        cameras=tuple(cameras),
+        views=tuple(view for camera in cameras for view in views_of(camera)),
+        survey=survey,
+        resolution=file.resolution,
+        bounds=file.bounds,
+        pairs=file.pairs,
+        stages=stages,
+        work_folder=work_folder,
+        reader=reader,
+        expected=file.expect,
+        notify=file.notify,
+        keep=file.keep.limits(),
+        pin=file.pin,
+        health=file.health,
+        zones=[zone.model_dump() for zone in file.zones] or None,
+        notes=(*notes, *_crowded(file, document)),
     )
 
 
 def _file_of(path: Path) -> Path:
-    """The site file that a path means: of a folder, the one in there."""
+    """The site file at a path: of a folder, the `site.yaml` in it."""
     if not is_folder(path):
         return path
     file = path / "site.yaml"
@@ -110,113 +85,115 @@ def _file_of(path: Path) -> Path:
     return file
 
 
-def _work_folder(asked: str, model: SiteSection, document: Document, problems: list[SiteProblem]) -> WorkFolder:
-    """asked: what the file's own word gives way to."""
-    stated, name = asked or model.work or "", model.site if is_name(model.site) else "site"
-    if is_url(stated):
-        return WorkFolder.mirroring(stated, name)
+def _validated(document: Document, problems: Problems) -> SiteFile:
+    """The file's sections; what is wrong is added to `problems`, and left out so that the rest is examined too.
+
+    Raises
+    ------
+    SiteError
+        Too little is right for that.
+    """
+    if not isinstance(document.data, dict):
+        remedy = "start with 'site: NAME'; see sites/template.yaml"
+        raise SiteError([SiteProblem(document.path, 1, 1, "", "a site file is a mapping", remedy)])
+    data = _expanded(_with_texts(document), problems)
+    try:
+        return SiteFile.model_validate(data)
+    except ValidationError as error:
+        problems.found.extend(explained(error, document))
+        rest = without_faults(data, error)
+        if rest is None:
+            raise SiteError(sorted(problems.found, key=lambda p: (p.line, p.column))) from None
+        return rest
+
+
+def _work_folder(asked: str, file: SiteFile, problems: Problems) -> WorkFolder:
+    """asked: replaces what the file says."""
+    given, name = asked or file.work or "", file.site if is_name(file.site) else "site"
+    if is_url(given):
+        return WorkFolder.mirroring(given, name)
     if asked:
         return WorkFolder(Path(asked).resolve())
-    return WorkFolder(beside(stated, ("work",), document, problems)) if stated else WorkFolder.beside(document.path, name)
+    return WorkFolder(beside(given, ("work",), problems)) if given else WorkFolder.beside(problems.document.path, name)
 
 
-def _captures(stated: str, document: Document, problems: list[SiteProblem]) -> WorkFolder:
+def _captures(given: str, problems: Problems) -> WorkFolder:
     """Where the captures lie: a folder, or one that shows what is in an object store."""
-    if is_url(stated):
-        return WorkFolder.mirroring(stated, "captures")
-    root = beside(stated, ("captures", "root"), document, problems)
+    if is_url(given):
+        return WorkFolder.mirroring(given, "captures")
+    root = beside(given, ("captures", "root"), problems)
     if not is_folder(root):
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
-        problems.append(document.problem(("captures", "root"), f"there is no folder {printable(root)}", remedy))
+        problems.add(("captures", "root"), f"there is no folder {printable(root)}", remedy)
     return WorkFolder(root)
 
 
-def _notify(model: SiteSection, path: Path) -> Notify | None:
-    if model.notify is None:
-        return None
-    command = model.notify.command
-    folder = path.resolve().parent
-    return Notify(command if isinstance(command, str) else tuple(command), folder, model.notify.heartbeat, model.notify.seconds)
+_IDS = re.compile(r"site|cameras\.\d+(\.id)?|pairs\.(include|exclude)\.\d+\.\d+|distances\.\d+\.[01]")
+"""Locations of names of the site and of cameras."""
 
 
-def _with_texts(document: Document) -> Any:
-    """The data with ids as they are written: an unquoted `0000` stays '0000' and does not become a number."""
-    data = dict(document.data)
-    texts = document.texts
-    data["site"] = texts.get(("site",), data.get("site"))
-    if data["site"] is None:
-        del data["site"]
+def _with_texts(document: Document) -> dict[str, Any]:
+    """The data with ids as they are written: an unquoted `0000` stays '0000' instead of becoming a number."""
+
+    def read(value: Any, location: Location) -> Any:
+        if isinstance(value, dict):
+            return {key: read(item, (*location, str(key))) for key, item in value.items()}
+        if isinstance(value, list):
+            return [read(item, (*location, k)) for k, item in enumerate(value)]
+        if location in document.texts and _IDS.fullmatch(".".join(map(str, location))):
+            return document.texts[location]
+        return value
+
+    data: dict[str, Any] = read(document.data, ())
+    if document.data.get("site") is None:
+        data.pop("site", None)
     if isinstance(data.get("cameras"), list):
-        entries = []
-        for i, entry in enumerate(data["cameras"]):
-            if isinstance(entry, dict):
-                entries.append({**entry, **({"id": texts[("cameras", i, "id")]} if ("cameras", i, "id") in texts else {})})
-            else:
-                entries.append({"id": texts[("cameras", i)]} if ("cameras", i) in texts else entry)
-        data["cameras"] = entries
-    pairs = data.get("pairs")
-    if isinstance(pairs, dict):
-        data["pairs"] = dict(pairs)
-        for name in ("include", "exclude"):
-            if isinstance(pairs.get(name), list):
-                rows = enumerate(pairs[name])
-                data["pairs"][name] = [
-                    [texts.get(("pairs", name, i, j), item) for j, item in enumerate(row)] if isinstance(row, list) else row
-                    for i, row in rows
-                ]
-    if isinstance(data.get("distances"), list):
-        data["distances"] = [
-            [texts.get(("distances", i, j), item) if j < 2 else item for j, item in enumerate(row)]
-            if isinstance(row, list)
-            else row
-            for i, row in enumerate(data["distances"])
-        ]
+        data["cameras"] = [{"id": entry} if isinstance(entry, str) else entry for entry in data["cameras"]]
     return data
 
 
-def _expanded(data: Any, document: Document, problems: list[SiteProblem], location: Location = ()) -> Any:
-    """Replace ${VAR} and ${VAR:-default} in every string."""
+def _expanded(data: Any, problems: Problems, location: Location = ()) -> Any:
+    """Replace ${VAR} and ${VAR:-default} in every string; refuse zero bytes, which no path and no command may have."""
     if isinstance(data, dict):
-        return {key: _expanded(value, document, problems, (*location, str(key))) for key, value in data.items()}
+        return {key: _expanded(value, problems, (*location, str(key))) for key, value in data.items()}
     if isinstance(data, list):
-        return [_expanded(value, document, problems, (*location, i)) for i, value in enumerate(data)]
-    if not isinstance(data, str) or "${" not in data:
+        return [_expanded(value, problems, (*location, i)) for i, value in enumerate(data)]
+    if not isinstance(data, str):
         return data
+    if "\0" in data:
+        problems.add(location, f"{printable(repr(data), 80)} holds a zero byte", "write the text without \\0")
+        data = data.replace("\0", "")
 
     def value(match: re.Match[str]) -> str:
         name, default = match.group(1), match.group(2)
         found = os.environ.get(name) or default
         if found is None:
             remedy = f"set it, or write a default: ${{{name}:-/path}}"
-            problems.append(document.problem(location, f"the environment variable {name} is not set", remedy))
+            problems.add(location, f"the environment variable {name} is not set", remedy)
             return ""
         return found
 
     return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", value, data)
 
 
-def _crowded(model: SiteSection, document: Document) -> list[SiteProblem]:
-    """What is to be said of a site that asks for more pairs than a view takes."""
-    degree = model.pairs.degree
-    if degree <= MOST_AT_A_CAMERA:
+def _crowded(file: SiteFile, document: Document) -> list[SiteProblem]:
+    """A note where the site asks for more pairs than a view takes."""
+    if file.pairs.degree <= MOST_AT_A_CAMERA:
         return []
-    what = f"a view takes {MOST_AT_A_CAMERA} pairs at most, its best, not {degree}"
+    what = f"a view takes {MOST_AT_A_CAMERA} pairs at most, its best, not {file.pairs.degree}"
     return [document.problem(("pairs", "degree"), what, f"write {MOST_AT_A_CAMERA} or less, e.g. degree: 6")]
 
 
-def _check_pairs(model: SiteSection, document: Document, problems: list[SiteProblem]) -> None:
-    ids = [camera.id for camera in model.cameras]
-    if model.pairs.min_angle >= model.pairs.max_angle:
+def _check_pairs(file: SiteFile, problems: Problems) -> None:
+    ids, pairs = [camera.id for camera in file.cameras], file.pairs
+    if pairs.min_angle >= pairs.max_angle:
         remedy = "min_angle must be below max_angle, both in degrees"
-        problems.append(
-            document.problem(("pairs",), f"no angle is between {model.pairs.min_angle} and {model.pairs.max_angle}", remedy)
-        )
-    for name in ("include", "exclude"):
-        for i, row in enumerate(getattr(model.pairs, name)):
+        problems.add(("pairs",), f"no angle is between {pairs.min_angle} and {pairs.max_angle}", remedy)
+    for name, rows in (("include", pairs.include), ("exclude", pairs.exclude)):
+        for i, row in enumerate(rows):
             for j, camera in enumerate(row):
                 if camera not in ids:
-                    close = difflib.get_close_matches(camera, ids, 1)
-                    remedy = f"did you mean {close[0]!r}?" if close else "use ids from 'cameras'"
-                    problems.append(document.problem(("pairs", name, i, j), f"there is no camera {camera!r}", remedy))
+                    remedy = did_you_mean(camera, ids, "use ids from 'cameras'")
+                    problems.add(("pairs", name, i, j), f"there is no camera {camera!r}", remedy)
             if row[0] == row[1]:
-                problems.append(document.problem(("pairs", name, i), "a camera makes no pair with itself", "name two cameras"))
+                problems.add(("pairs", name, i), "a camera makes no pair with itself", "name two cameras")

@@ -65,6 +65,18 @@ class SiteError(WbflowError, ValueError):
         self.problems = problems
 
 
+class CalibrationError(WbflowError, ValueError):
+    """A calibration file cannot be used; the message says what and where."""
+
+    exit_code = ExitCode.USAGE
+
+    @classmethod
+    def from_site_error(cls, error: SiteError, remedy: str = "") -> CalibrationError:
+        """The first problem of a file that could not be read."""
+        problem = error.problems[0]
+        return cls(problem.what, where=problem.mark, remedy=remedy)
+
+
 @dataclass(frozen=True)
 class Document:
     """A YAML file, and where everything stands in it."""
@@ -86,10 +98,8 @@ class Document:
         ----------
         location : Location
             Keys and indices that lead there.
-        what : str
-            What is wrong.
-        remedy : str
-            What to do.
+        what, remedy : str
+            What is wrong, and what to do.
         key : bool
             Point at the key instead of its value.
         """
@@ -99,6 +109,18 @@ class Document:
             at = at[:-1]
         line, column = marks.get(at, (1, 1))
         return SiteProblem(self.path, line, column, _spelled(location), what, remedy)
+
+
+@dataclass(frozen=True)
+class Problems:
+    """What is wrong with a document, collected so that all of it is reported at once."""
+
+    document: Document
+    found: list[SiteProblem] = field(default_factory=list)
+
+    def add(self, location: Location, what: str, remedy: str) -> None:
+        """Add a problem (see `Document.problem`)."""
+        self.found.append(self.document.problem(location, what, remedy))
 
 
 def _spelled(location: Location) -> str:

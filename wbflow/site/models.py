@@ -1,125 +1,295 @@
-"""A valid site description, in plain values."""
+"""A site: the sections of its file as validation models, and what they become once calibrations are read and paths resolved.
+
+`SiteFile` is what stands in the YAML; `Site` is what everything else reads.  Sections that need nothing but validation (`Pairs`,
+`Health`, `Expected`, `Notify`) are the same objects in both.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import datetime
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from ..cache.keep import Keep
 from ..cache.layout import WorkFolder
+from ..cache.sizes import bytes_of
 from ..task import camera_of
 from .locations import Document, Location, SiteProblem
+from .rotations import look_at, rotation_fault, yaw_pitch_roll
 
 if TYPE_CHECKING:
     from ..cache.functions import FunctionReader
 
+Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
+CameraPair = Annotated[list[str], Field(min_length=2, max_length=2)]
 Matrix = list[list[float]]
 
+GEODETIC_SIGMA_M = 3.0
+"""Standard deviation of a position by latitude and longitude that comes without one: a plain satellite receiver's, metres."""
+_GEODETIC = ("latitude", "longitude", "height")
 
-@dataclass(frozen=True)
-class Lens:
-    """Intrinsics of a camera as the site states them."""
+LENS_MODELS: Mapping[str, tuple[tuple[int, ...], str]] = {
+    "pinhole": ((0,), ""),
+    "brown": ((0, 1, 2, 3, 4, 5, 8, 12, 14), "k1 k2 p1 p2 k3, and further ones as OpenCV orders them"),
+    "rational": ((8, 12, 14), "k1 k2 p1 p2 k3 k4 k5 k6"),
+    "fisheye": ((1, 2, 3, 4), "k1 k2 k3 k4"),
+    "division": ((1,), "k"),
+    "fov": ((1,), "omega"),
+    "eucm": ((2,), "alpha beta"),
+    "omni": ((1, 3, 5, 6), "xi k1 k2 p1 p2"),
+    "double-sphere": ((2,), "xi alpha"),
+    "thin-prism-fisheye": ((8,), "k1 k2 p1 p2 k3 k4 sx1 sy1"),
+    "rad-tan-thin-prism-fisheye": ((12,), "k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
+    "equirectangular": ((0,), ""),
+}
+"""How many coefficients each lens model has (`wbflow_stages.core.lenses`), and in which order."""
 
-    K: Matrix | None = None
-    """3x3, pixels; None where unknown."""
-    distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
-    """Coefficients of `model`; of "brown" k1 k2 p1 p2 k3."""
-    hfov_deg: float | None = None
-    """Horizontal field of view, used where K is None."""
-    width: int = 0
-    """Of the image that this is for, pixels; 0: unstated."""
-    height: int = 0
-    model: str = "brown"
-    """How the lens bends light: a key of `calibrated.COEFFICIENTS`."""
-    camera: str = ""
-    """Of one view among several: the id of the camera that has them."""
-    turn: Matrix | None = None
-    """3x3, from the camera's axes to those of this view; None where it has the one view."""
-    window: list[float] | None = None
-    """How far this view reaches: slopes to the left, right, up and down, as the vision defines them."""
+LARGEST = 1e12
+"""Of any number in a calibration: metres, pixels."""
+MOST_PIXELS_A_SIDE = 1_000_000
+"""Of an image in a calibration."""
 
-
-@dataclass(frozen=True)
-class Privacy:
-    """Polygons of a capture that nobody may see."""
-
-    corners: Matrix = field(default_factory=list)
-    """x and y of the corners of all polygons one after the other: pixels of a capture, or shares of width and height."""
-    counts: list[float] = field(default_factory=list)
-    """How many corners each has."""
+CUSTOM = "site"
+"""The type of validation errors whose message is complete."""
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Where a camera is said to be: x ~ K R (X - C)."""
-
-    R: Matrix | None = None
-    """3x3; None where unknown."""
-    C: list[float] | None = None
-    """Metres."""
-    sigma_m: float = 0.0
-    """Standard deviation of C; 0 where it is to be held."""
-    sigma_deg: float = 0.0
-    """Standard deviation of R, degrees; 0 where it is to be held."""
-    metric: bool = True
-    """C is in metres."""
+def _error(what: str) -> PydanticCustomError:
+    return PydanticCustomError(CUSTOM, "{what}", {"what": what})
 
 
-@dataclass(frozen=True)
-class Survey:
-    """What is known of the ground besides the cameras.  Cameras count by their position in the site file."""
-
-    cameras: tuple[str, ...] = ()
-    distances: Matrix = field(default_factory=list)
-    """Rows of camera, camera, metres."""
-    points: Matrix = field(default_factory=list)
-    """Control points, metres."""
-    observations: Matrix = field(default_factory=list)
-    """Rows of control point, camera, x, y in pixels of the capture."""
-    crs: str = ""
-    """Coordinate system of the world; "" where it is local."""
+def lens_fault(model: str, distortion: list[float] | None) -> tuple[str, str]:
+    """What is wrong with the coefficients of a lens, and what to do; both empty where nothing is."""
+    if model not in LENS_MODELS:
+        return f"{model!r} is no lens model that is known", f"use one of {', '.join(LENS_MODELS)}"
+    counts, order = LENS_MODELS[model]
+    count = len(distortion or [])
+    if count in counts or (counts == (0,) and not any(distortion or [])):
+        return "", ""
+    wanted = f"{' or '.join(map(str, counts))} coefficients" + (f" ({order})" if order else "")
+    return f"a {model} lens has {wanted}, not {count}", "give them in that order, or another model"
 
 
-def plain(stated: Lens | Privacy | Placement | Survey) -> dict[str, Any]:
-    """The fields that say something, by name."""
-    nothing = type(stated)()
-    values = {f.name: getattr(stated, f.name) for f in dataclasses.fields(stated)}
-    return {name: value for name, value in values.items() if value != getattr(nothing, name)}
+class Section(BaseModel):
+    """A mapping of a site file: unknown keys are refused, and nothing is converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-@dataclass(frozen=True)
-class Camera:
-    """One camera of a site."""
+class Captures(Section):
+    """Where captures are, and what they are called."""
+
+    root: str = "."
+    pattern: str
+
+    @field_validator("pattern")
+    @classmethod
+    def _known_fields(cls, pattern: str) -> str:
+        unknown = [f for f in re.findall(r"\{(\w*)", pattern) if f not in {"camera", "date", "time"}]
+        if unknown:
+            raise _error(f"{{{unknown[0]}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, {{time:%H%M%S}}, * and **")
+        return pattern
+
+
+class Intrinsics(Section):
+    """Intrinsics of a camera, or its field of view."""
+
+    fx: float | None = Field(default=None, gt=0)
+    fy: float | None = Field(default=None, gt=0)
+    cx: float | None = None
+    cy: float | None = None
+    width: int | None = Field(default=None, gt=0)
+    height: int | None = Field(default=None, gt=0)
+    hfov: float | None = Field(default=None, gt=1, lt=179)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Intrinsics:
+        if self.hfov is not None:
+            if self.fx is not None or self.fy is not None:
+                raise _error("'hfov' and 'fx', 'fy' say the same thing twice")
+            return self
+        missing = [f"'{name}'" for name in ("fx", "fy", "cx", "cy", "width", "height") if getattr(self, name) is None]
+        if missing:
+            raise _error(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing")
+        return self
+
+    @property
+    def K(self) -> Matrix | None:
+        """3x3; None where only the field of view is given."""
+        if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
+            return None
+        return [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
+
+
+class Position(Section):
+    """x, y, z in metres, or latitude, longitude, height."""
+
+    position: Vector3 | None = None
+    latitude: float | None = Field(default=None, ge=-90, le=90)
+    longitude: float | None = Field(default=None, ge=-180, le=360)
+    height: float | None = None
+
+    @model_validator(mode="after")
+    def _one_position(self) -> Position:
+        given = [name for name in _GEODETIC if getattr(self, name) is not None]
+        if self.position is not None and given:
+            raise _error(f"'position' and '{given[0]}' say the same thing twice")
+        if self.position is None and not given:
+            raise _error("'position' is missing")
+        if given and len(given) < 3:
+            raise _error(f"'{next(name for name in _GEODETIC if name not in given)}' is missing")
+        return self
+
+    @property
+    def geodetic(self) -> tuple[float, float, float] | None:
+        """latitude, longitude, height; None where x, y, z are given."""
+        if self.latitude is None or self.longitude is None or self.height is None:
+            return None
+        return self.latitude, self.longitude, self.height
+
+
+class ControlPoint(Position):
+    """A point of the scene with known coordinates, and where it is in captures: pixels by camera, of a capture as it is."""
+
+    id: str | None = None
+    pixels: dict[str, Vector2]
+
+
+class Pose(Position):
+    """Where a camera is, and which way it looks."""
+
+    position_sigma_m: float | None = Field(default=None, ge=0)
+    rotation_sigma_deg: float | None = Field(default=None, ge=0)
+    rotation: Matrix3 | None = None
+    look_at: Vector3 | None = None
+    yaw_pitch_roll: Vector3 | None = None
+
+    @model_validator(mode="after")
+    def _one_direction(self) -> Pose:
+        given = [n for n in ("rotation", "look_at", "yaw_pitch_roll") if getattr(self, n) is not None]
+        if len(given) > 1:
+            raise _error(f"{' and '.join(given)} are both given")
+        if self.look_at is not None and self.position is None:
+            raise _error("'look_at' needs 'position' in the same coordinates")
+        if self.rotation_sigma_deg is not None and not given:
+            raise _error("'rotation_sigma_deg' says how well a rotation is known that is not given")
+        if self.rotation and (fault := rotation_fault(self.rotation)):
+            raise _error(f"'rotation' {fault}")
+        try:
+            _ = self.R
+        except ValueError as error:
+            raise _error(str(error)) from None
+        return self
+
+    @property
+    def R(self) -> Matrix | None:
+        """3x3, world axes to camera axes, from whichever form is given; None where only the position is."""
+        if self.look_at is not None and self.position is not None:
+            return look_at(self.position, self.look_at)
+        if self.yaw_pitch_roll is not None:
+            return yaw_pitch_roll(*self.yaw_pitch_roll)
+        return self.rotation
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position: as given, else what a satellite receiver gives, else exact."""
+        if self.position_sigma_m is not None:
+            return self.position_sigma_m
+        return GEODETIC_SIGMA_M if self.geodetic else 0.0
+
+    @property
+    def sigma_deg(self) -> float:
+        """Standard deviation of the rotation, degrees: as given, else exact."""
+        return self.rotation_sigma_deg or 0.0
+
+
+class CameraEntry(Section):
+    """One camera, as the site file describes it."""
 
     id: str
-    lens: Lens
-    placement: Placement
-    mask: Path | None = None
-    privacy: Privacy = field(default_factory=Privacy)
-    """What nobody may see of its picture."""
-    images: tuple[str, ...] | None = None
-    """File names below the captures' root, where the site file lists them."""
-    location: Location = ()
-    """Where it stands in the site file."""
+    intrinsics: Intrinsics | None = None
+    model: str | None = None
+    distortion: Annotated[list[float], Field(min_length=1, max_length=14)] | None = None
+    calibration: str | None = None
+    pose: Pose | None = None
+    mask: str | None = None
+    privacy: list[list[Vector2]] = Field(default_factory=list)
+    images: list[str] | None = None
 
-    @property
-    def camera(self) -> str:
-        """The id of the camera, where this is a view of one that has several."""
-        return camera_of(self.id)
+    @model_validator(mode="after")
+    def _lens(self) -> CameraEntry:
+        if self.distortion is None and self.model is None:
+            return self
+        what, remedy = lens_fault(self.model or "brown", self.distortion)
+        if what:
+            raise _error(f"{what}; {remedy}")
+        bends = self.model not in {None, "pinhole", "brown"}
+        if bends and self.calibration is None and (self.intrinsics is None or self.intrinsics.K is None):
+            raise _error(f"a {self.model} lens needs 'intrinsics' with fx, fy, cx, cy, width, height")
+        return self
 
-    @property
-    def posed(self) -> bool:
-        """Are intrinsics and the whole pose given, exactly or with a standard deviation of each part that is not exact?"""
-        return self.stated and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
+    @field_validator("privacy")
+    @classmethod
+    def _areas(cls, polygons: list[Matrix]) -> list[Matrix]:
+        for polygon in polygons:
+            if len(polygon) < 3:
+                raise _error("a polygon has three corners or more: [[x, y], [x, y], [x, y]]")
+            if min(value for corner in polygon for value in corner) < 0:
+                raise _error("corners are pixels of a capture, or shares of its width and height, from 0")
+        return polygons
 
-    @property
-    def stated(self) -> bool:
-        """Are intrinsics and pose both given, exactly or not?"""
-        return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
+
+class Pairs(Section):
+    """Which pairs are worth matching."""
+
+    degree: int = Field(default=6, ge=1, le=100)
+    min_angle: float = Field(default=4.0, ge=0, lt=180)
+    max_angle: float = Field(default=60.0, gt=0, le=180)
+    include: list[CameraPair] = Field(default_factory=list)
+    exclude: list[CameraPair] = Field(default_factory=list)
+
+
+def _nights(value: Any) -> int | None:
+    if value is None or value == "all":
+        return None
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise _error(f"give a count of nights, or all, not {value!r}")
+    return value
+
+
+def _bytes(value: Any) -> int | None:
+    try:
+        return None if value is None or value == "all" else bytes_of(str(value))
+    except ValueError as error:
+        raise _error(str(error)) from None
+
+
+Nights = Annotated[int | None, BeforeValidator(_nights)]
+
+
+class KeepEntry(Section):
+    """What stays on disk after a run."""
+
+    nights: Nights = None
+    bytes: Annotated[int | None, BeforeValidator(_bytes)] = None
+    clouds: Nights = None
+    reports: Nights = None
+
+    def limits(self) -> Keep:
+        """The same, where clouds and reports stay for `nights` unless they have a limit of their own."""
+        given = self.model_fields_set
+        clouds = self.clouds if "clouds" in given else self.nights
+        reports = self.reports if "reports" in given else self.nights
+        return Keep(nights=self.nights, bytes=self.bytes, clouds=clouds, reports=reports)
 
 
 class Measure(StrEnum):
@@ -141,37 +311,207 @@ _LIMITS: Mapping[str, float] = {
 }
 
 
-@dataclass(frozen=True)
-class Expected:
+def _date(value: Any) -> str:
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    try:
+        return datetime.date.fromisoformat(value).isoformat() if value else ""
+    except (TypeError, ValueError):
+        raise _error(f"{value!r} is no date, such as 2026-11-20") from None
+
+
+class Expected(Section):
     """What a good night gives: shares of what is usual, or, above 1, least counts."""
 
-    stated: Mapping[str, float] = field(default_factory=dict)
-    """As the site file says, by name."""
-    since: str = ""
-    """Earlier nights (ISO 8601) don't say what is usual; "" where all do."""
+    points: float | None = Field(default=None, ge=0)
+    pairs: float | None = Field(default=None, ge=0)
+    coverage: float | None = Field(default=None, ge=0)
+    cameras: float | None = Field(default=None, ge=0)
+    brightness: float | None = Field(default=None, ge=0, le=1)
+    since: Annotated[str, BeforeValidator(_date)] = ""
+    """Earlier nights (ISO 8601) don't count as usual; "" where all do."""
 
     def limit(self, name: str) -> float:
         """The least share, or count, of a figure that a good night has."""
-        return self.stated.get(name, _LIMITS.get(name, 0.0))
+        value: float | None = getattr(self, name, None)
+        return _LIMITS.get(name, 0.0) if value is None else value
+
+
+class Notify(Section):
+    """The command that is called after a night."""
+
+    command: str | list[str]
+    """For the shell, or program and arguments."""
+    heartbeat: bool = False
+    """It is called after every night."""
+    seconds: float = Field(default=60.0, gt=0, le=3600)
+    """How long it may take."""
+
+    @field_validator("command", mode="before")
+    @classmethod
+    def _command(cls, command: object) -> object:
+        words = [command] if isinstance(command, str) else command
+        if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+            raise _error("a command is a text for the shell, or a list of program and arguments")
+        return command
+
+
+class Health(Section):
+    """How much a camera may differ from the reference (see `wbflow_stages.health`)."""
+
+    nudged_px: float = Field(default=1.5, gt=0)
+    moved_deg: float = Field(default=0.4, gt=0)
+    flat: float = Field(default=0.9, gt=0, le=1)
+    dark: float = Field(default=6.0, ge=0, le=255)
+
+
+class Zone(Section):
+    """A part of the ground where changes count."""
+
+    name: str
+    polygon: Annotated[list[Vector2], Field(min_length=3)]
+    least_m: float = Field(default=0.0, ge=0)
+
+
+class SiteFile(Section):
+    """The whole file."""
+
+    site: str
+    captures: Captures
+    cameras: Annotated[list[CameraEntry], Field(min_length=1)]
+    calibration: str | None = None
+    distances: list[Annotated[list[Any], Field(min_length=3, max_length=3)]] = Field(default_factory=list)
+    control_points: list[ControlPoint] = Field(default_factory=list)
+    resolution: int | None = Field(default=1600, ge=64)
+    bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
+    pairs: Pairs = Field(default_factory=Pairs)
+    pin: Literal["auto", "none"] = "auto"
+    health: Health = Field(default_factory=Health)
+    zones: list[Zone] = Field(default_factory=list)
+    stages: dict[str, Any] = Field(default_factory=dict)
+    expect: Expected = Field(default_factory=Expected)
+    notify: Notify | None = None
+    keep: KeepEntry = Field(default_factory=KeepEntry)
+    work: str | None = None
+
+    def positions(self) -> Iterator[tuple[Location, Position]]:
+        """Every position in the file, and where it stands."""
+        yield from ((("cameras", k, "pose"), camera.pose) for k, camera in enumerate(self.cameras) if camera.pose)
+        yield from ((("control_points", k), point) for k, point in enumerate(self.control_points))
 
 
 @dataclass(frozen=True)
-class Notify:
-    """Who is told of a night: a command."""
+class Lens:
+    """Intrinsics of a camera as the site file, or a calibration, gives them."""
 
-    command: str | tuple[str, ...]
-    """For the shell, or program and arguments."""
-    folder: Path
-    """Where it runs: that of the site file."""
-    heartbeat: bool = False
-    """Told of every night."""
-    seconds: float = 60.0
-    """How long it may take."""
+    K: Matrix | None = None
+    """3x3, pixels; None where unknown."""
+    distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
+    """Coefficients of `model`; of "brown" k1 k2 p1 p2 k3."""
+    hfov_deg: float | None = None
+    """Horizontal field of view, used where K is None."""
+    width: int = 0
+    """Of the image that this is for, pixels; 0: unknown."""
+    height: int = 0
+    model: str = "brown"
+    """How the lens bends light: a key of `LENS_MODELS`."""
+    camera: str = ""
+    """Of one view among several: the id of the camera that has them."""
+    turn: Matrix | None = None
+    """3x3, from the camera's axes to those of this view; None where it has the one view."""
+    window: list[float] | None = None
+    """How far this view reaches: slopes to the left, right, up and down, as the vision defines them."""
+
+
+@dataclass(frozen=True)
+class Privacy:
+    """Polygons of a capture that nobody may see."""
+
+    corners: Matrix = field(default_factory=list)
+    """x and y of the corners of all polygons one after the other: pixels of a capture, or shares of width and height."""
+    counts: list[float] = field(default_factory=list)
+    """How many corners each has."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a camera is, as the site file or a calibration gives it: x ~ K R (X - C)."""
+
+    R: Matrix | None = None
+    """3x3; None where unknown."""
+    C: list[float] | None = None
+    """Metres."""
+    sigma_m: float = 0.0
+    """Standard deviation of C; 0 where it is exact."""
+    sigma_deg: float = 0.0
+    """Standard deviation of R, degrees; 0 where it is exact."""
+    metric: bool = True
+    """C is in metres."""
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What a calibration file gives for a camera."""
+
+    lens: Lens
+    placement: Placement = field(default_factory=Placement)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of the ground besides the cameras.  Cameras count by their position in the site file."""
+
+    cameras: tuple[str, ...] = ()
+    distances: Matrix = field(default_factory=list)
+    """Rows of camera, camera, metres."""
+    points: Matrix = field(default_factory=list)
+    """Control points, metres."""
+    observations: Matrix = field(default_factory=list)
+    """Rows of control point, camera, x, y in pixels of the capture."""
+    crs: str = ""
+    """Coordinate system of the world; "" where it is local."""
+
+
+def plain(value: Lens | Privacy | Placement | Survey) -> dict[str, Any]:
+    """The fields that differ from their defaults, by name."""
+    default = type(value)()
+    values = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    return {name: value for name, value in values.items() if value != getattr(default, name)}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera of a site, or one view of a camera that has several."""
+
+    id: str
+    lens: Lens
+    placement: Placement
+    mask: Path | None = None
+    privacy: Privacy = field(default_factory=Privacy)
+    images: tuple[str, ...] | None = None
+    """File names below the captures' root, where the site file lists them."""
+    location: Location = ()
+    """Of its entry in the site file."""
+
+    @property
+    def camera(self) -> str:
+        """The id of the camera, where this is a view of one that has several."""
+        return camera_of(self.id)
+
+    @property
+    def posed(self) -> bool:
+        """Are intrinsics and the whole pose given, exactly or with a standard deviation of each part that is not exact?"""
+        return self.given and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
+
+    @property
+    def given(self) -> bool:
+        """Are intrinsics and pose both given, exactly or not?"""
+        return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
 
 @dataclass(frozen=True)
 class StageSettings:
-    """What the site file says of one stage: another function for it (`use`), parameters, or that it is off."""
+    """What the site file sets for one stage: another function for it (`use`), parameters, or that it is off."""
 
     use: str | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -182,49 +522,52 @@ class StageSettings:
 
 @dataclass(frozen=True)
 class Site:
-    """A valid site description."""
+    """A valid site: its file with paths resolved, calibrations read and stages checked."""
 
     name: str
     document: Document
     root: Path
+    """Of the captures."""
+    captures_store: str
+    """URL of the object store that has the captures; "" where they lie in a folder."""
     pattern: str
     cameras: tuple[Camera, ...]
     views: tuple[Camera, ...]
     """What the stages work on: the cameras, but each that is too wide for one pinhole as several views."""
+    survey: Survey
     resolution: int | None
-    bounds: list[list[float]] | None
-    """Two corners of the box that holds all that matters; None where nobody says."""
-    pairs: dict[str, Any]
+    bounds: Matrix | None
+    """Two corners of the box that holds all that matters; None: unknown."""
+    pairs: Pairs
     stages: dict[str, StageSettings]
-    work: Path
+    work_folder: WorkFolder
     reader: FunctionReader
-    survey: Survey = field(default_factory=Survey)
-    expected: Expected = Expected()
-    notify: Notify | None = None
-    keep: Keep = field(default_factory=Keep)
+    expected: Expected
+    notify: Notify | None
+    keep: Keep
     """What stays on disk after a run."""
-    notes: tuple[SiteProblem, ...] = ()
-    """What still works, but should be written otherwise."""
-    pin: str = "auto"
+    pin: Literal["auto", "none"]
     """"auto": the first good run is what later ones are compared with; "none": nothing is."""
-    health: dict[str, Any] = field(default_factory=dict)
-    """Limits of what a camera may differ by, by name."""
-    zones: list[dict[str, Any]] | None = None
+    health: Health
+    zones: list[dict[str, Any]] | None
     """Where changes count: name, polygon (corners x, y on the ground), least_m; None: everywhere."""
-    store: str = ""
-    """URL of the object store that the work folder mirrors; "" where it is an ordinary one."""
-    captures_store: str = ""
-    """The same of the captures' root."""
-
-    @property
-    def work_folder(self) -> WorkFolder:
-        """Where its work lies."""
-        return WorkFolder(self.work, self.store)
+    notes: tuple[SiteProblem, ...]
+    """What still works, but has a better form."""
 
     @property
     def file(self) -> Path:
         """The site file."""
         return self.document.path
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the site file, to which its paths are relative."""
+        return self.file.resolve().parent
+
+    @property
+    def work(self) -> Path:
+        """The work folder."""
+        return self.work_folder.root
 
     @property
     def posed(self) -> bool:
@@ -233,10 +576,10 @@ class Site:
 
     @property
     def rough(self) -> bool:
-        """Is the whole pose of some camera stated with standard deviations?"""
-        return any(camera.stated and camera.placement.sigma_deg > 0 for camera in self.cameras)
+        """Is the whole pose of some camera given with standard deviations?"""
+        return any(camera.given and camera.placement.sigma_deg > 0 for camera in self.cameras)
 
     @property
-    def some_stated(self) -> bool:
-        """Are the intrinsics and poses of two cameras or more stated, exactly or not?"""
-        return sum(camera.stated for camera in self.cameras) > 1
+    def some_given(self) -> bool:
+        """Are the intrinsics and poses of two cameras or more given, exactly or not?"""
+        return sum(camera.given for camera in self.cameras) > 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from ..pipeline.rows import Stage
 from ..pipeline.stages import STAGES
 from .cameras import beside
 from .explain import similar
-from .locations import Document, Location, SiteProblem
+from .locations import Document, Location, Problems, SiteProblem
 from .models import StageSettings
 
 
@@ -73,7 +74,7 @@ class _Section:
     def read(self, values: dict[str, Any]) -> StageSettings:
         """The settings; faults and notes are added to the lists."""
         use = values.pop("use", None)
-        if use is not None and not isinstance(use, str):
+        if use is not None and not (isinstance(use, str) and use):
             self._problem("use", f"{printable(repr(use), 80)} is no function", _USE)
             return StageSettings()
         try:
@@ -83,6 +84,10 @@ class _Section:
             chooser = self.stage.method.parameter if self.stage.method and use is None else "use"
             self._problem(chooser, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
             return StageSettings()
+        for function in filter(None, (bound.function, bound.method)):
+            if function.dotted.partition(":")[0].partition(".")[0] in sys.stdlib_module_names:
+                self._problem(self._chooser(bound), f"{function.dotted} is of Python's standard library, and no stage", _USE)
+                return StageSettings()
         for fault in bound.faults():
             self._problem("use" if use else self.stage.method.parameter if self.stage.method else "", fault, _SIGNATURE)
         files = self._files(bound, values)
@@ -106,7 +111,7 @@ class _Section:
             elif not isinstance(stated, str):
                 self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
             else:
-                found[name] = beside(stated, location, self.document, self.problems)
+                found[name] = beside(stated, location, Problems(self.document, self.problems))
                 if not is_file_on_disk(found[name]):
                     remedy = similar(found[name]) or "check the path; it is relative to the site file"
                     self._problem(name, f"there is no file {printable(found[name])}", remedy)

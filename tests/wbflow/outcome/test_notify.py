@@ -35,10 +35,11 @@ class Site:
         self.work = WorkFolder(folder / "work")
         self.file = folder / "told.jsonl"
         (folder / "listen.py").write_text(LISTENER)
-        self.how = Notify((sys.executable, "listen.py"), folder, **settings)
+        self.how = Notify(command=[sys.executable, "listen.py"], **settings)
+        self.folder = folder
 
     def tell(self, record: RunRecord) -> str | None:
-        return notify(self.how, self.work, self.work.run(record.run), record)
+        return notify(self.how, self.folder, self.work, self.work.run(record.run), record)
 
     @property
     def told(self) -> list[dict[str, Any]]:
@@ -110,12 +111,12 @@ def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
     [
         ("echo no route to host >&2; exit 7", "ended with 7: no route to host"),
         ("sleep 60", "had not ended after 0.2 s, and was killed"),
-        (("no-such-program",), "could not be started"),
+        (["no-such-program"], "could not be started"),
     ],
 )
-def test_what_could_not_be_told_is_told_the_next_night(tmp_path: Path, command: str | tuple[str, ...], said: str) -> None:
+def test_what_could_not_be_told_is_told_the_next_night(tmp_path: Path, command: str | list[str], said: str) -> None:
     site = Site(tmp_path)
-    how, site.how = site.how, Notify(command, tmp_path, seconds=0.2 if said.startswith("had") else 30)
+    how, site.how = site.how, Notify(command=command, seconds=0.2 if said.startswith("had") else 30)
     with pytest.raises(NotTold, match=said):
         site.tell(down("roof"))
     site.how = how

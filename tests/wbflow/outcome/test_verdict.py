@@ -173,10 +173,10 @@ def test_other_settings_have_other_usual_nights() -> None:
 @pytest.mark.parametrize(
     ("expected", "points", "kinds"),
     [
-        (Expected({"points": 0.4}), 50_000, []),
-        (Expected({"points": 0.9}), 85_000, ["fewer-points"]),
-        (Expected({"points": 90_000}), 85_000, ["fewer-points"]),
-        (Expected({"cameras": 5}), 100_000, ["fewer-cameras"]),
+        (Expected(points=0.4), 50_000, []),
+        (Expected(points=0.9), 85_000, ["fewer-points"]),
+        (Expected(points=90_000), 85_000, ["fewer-points"]),
+        (Expected(cameras=5), 100_000, ["fewer-cameras"]),
         (Expected(since="2026-11-20"), 50_000, []),
     ],
 )
@@ -186,7 +186,7 @@ def test_the_site_file_says_what_is_expected(expected: Expected, points: int, ki
 
 
 def test_a_site_that_may_do_without_a_camera_names_it_and_is_good() -> None:
-    record = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), expected=Expected({"cameras": 0.75}))
+    record = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), expected=Expected(cameras=0.75))
     assert record.exit_code == ExitCode.GOOD
     assert only(record).subject == ("roof",)
 

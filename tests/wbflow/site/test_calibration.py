@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow.site.calibration import CalibrationError, read_calibration
+from wbflow.site.calibration import read_calibration
+from wbflow.site.locations import CalibrationError
 from wbflow.site.rotations import look_at, yaw_pitch_roll
 
 
@@ -27,11 +28,11 @@ def test_a_colmap_text_model(tmp_path: Path) -> None:
         tmp_path, "7 OPENCV 640 480 500 510 320 240 -0.1 0.02 0.001 0.002", f"1 {half} 0 0 {half} 1 2 3 7 gate/a b.jpg"
     )
     camera = read_calibration(model)["gate/a b.jpg"]
-    assert camera.K == [[500, 0, 319.5], [0, 510, 239.5], [0, 0, 1]]
-    assert camera.distortion == [-0.1, 0.02, 0.001, 0.002, 0.0]
-    assert camera.R is not None and camera.C is not None
-    assert np.allclose(camera.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    assert np.allclose(camera.C, [-2, 1, -3])
+    assert camera.lens.K == [[500, 0, 319.5], [0, 510, 239.5], [0, 0, 1]]
+    assert camera.lens.distortion == [-0.1, 0.02, 0.001, 0.002, 0.0]
+    assert camera.placement.R is not None and camera.placement.C is not None
+    assert np.allclose(camera.placement.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert np.allclose(camera.placement.C, [-2, 1, -3])
 
 
 @pytest.mark.parametrize(("key", "value"), [("rotation_sigma_deg", 0.3), ("position_sigma_m", "wide"), ("position_sigma_m", -1)])

@@ -12,8 +12,10 @@ import numpy as np
 import pycolmap
 import pytest
 
-from wbflow.site.calibration import Calibrated, CalibrationError, read_calibration
+from wbflow.site.calibration import read_calibration
 from wbflow.site.load import load_site
+from wbflow.site.locations import CalibrationError
+from wbflow.site.models import Calibrated
 from wbflow_stages.core.lenses import lens_pixels, lens_rays
 from wbflow_stages.types import Float64s, Lens
 
@@ -27,7 +29,14 @@ ALMOST = 1e-9
 
 
 def rays_of(camera: Calibrated) -> Float64s:
-    lens = Lens(np.array(camera.K), np.array(camera.distortion or [0.0]), None, camera.width, camera.height, camera.model)
+    lens = Lens(
+        np.array(camera.lens.K),
+        np.array(camera.lens.distortion or [0.0]),
+        None,
+        camera.lens.width,
+        camera.lens.height,
+        camera.lens.model,
+    )
     rays = lens_rays(lens, GRID)
     assert np.abs(lens_pixels(lens, rays) - GRID).max() < ALMOST, "there and back"
     return rays
@@ -58,7 +67,7 @@ def test_opencv(tmp_path: Path, suffix: str, coefficients: list[float], model: s
     fisheye = model == "fisheye"
     path = file_storage(tmp_path / f"gate{suffix}", coefficients, **({"fisheye_model": 1} if fisheye else {}))
     camera = read_calibration(path)["gate"]
-    assert (camera.model, camera.width, camera.height) == (model, WIDTH, HEIGHT)
+    assert (camera.lens.model, camera.lens.width, camera.lens.height) == (model, WIDTH, HEIGHT)
     assert np.abs(opencv_pixels(rays_of(camera), coefficients, fisheye) - GRID).max() < ALMOST
 
 
@@ -67,8 +76,8 @@ def test_opencvs_omnidir(tmp_path: Path, written: str) -> None:
     path = file_storage(tmp_path / "gate.yaml", BROWN[:4])
     path.write_text(path.read_text() + f"xi: {written}\n")
     camera = read_calibration(path)["gate"]
-    assert camera.model == "omni" and camera.distortion is not None
-    sphere = rays_of(camera) + np.array([0, 0, camera.distortion[0]])  # what a camera in the sphere's own depth sees of it
+    assert camera.lens.model == "omni" and camera.lens.distortion is not None
+    sphere = rays_of(camera) + np.array([0, 0, camera.lens.distortion[0]])  # what a camera in the sphere's own depth sees of it
     assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
 
 
@@ -124,7 +133,7 @@ def test_a_message_that_ros_echoes_with_a_part_of_the_sensor(tmp_path: Path, sai
             read_calibration(tmp_path / "gate.yaml")
         return
     camera = read_calibration(tmp_path / "gate.yaml")["gate"]
-    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    assert (camera.lens.width, camera.lens.height) == (WIDTH, HEIGHT)
     assert np.abs(opencv_pixels(rays_of(camera), BROWN) - GRID).max() < ALMOST, "pixels are counted from the region's corner"
 
 
@@ -160,8 +169,10 @@ def test_kalibr(tmp_path: Path) -> None:
     sphere = rays_of(cameras["cam2"]) + np.array([0, 0, 0.9])  # Mei's model: what a camera in the sphere's own depth sees of it
     assert np.abs(opencv_pixels(sphere, BROWN[:4]) - GRID).max() < ALMOST
     assert cameras["gate/image_raw"] is cameras["cam0"]
-    assert cameras["cam1"].C is not None and np.allclose(cameras["cam1"].C, [0, 0.5, 0]), "each camera lies as the chain says"
-    assert cameras["cam2"].R is None
+    assert cameras["cam1"].placement.C is not None and np.allclose(cameras["cam1"].placement.C, [0, 0.5, 0]), (
+        "each camera lies as the chain says"
+    )
+    assert cameras["cam2"].placement.R is None
 
 
 def unprojected(model: str, shape: list[float], m: Float64s) -> Float64s:
@@ -208,8 +219,8 @@ def test_drawn_lenses_of_kalibr(tmp_path: Path, model: str, shape: list[tuple[fl
         m = (GRID - [318.2, 243.7]) / [focal, 0.99 * focal]
         rays = unprojected(model, drawn, m)
         before, nothing = np.column_stack([m, np.ones(len(m))]), np.zeros(3)
-        there = cv2.projectPoints(before, nothing, nothing, np.array(camera.K), np.array(coefficients or [0.0] * 4))[0][:, 0]
-        lens = Lens(np.array(camera.K), np.array(camera.distortion), None, WIDTH, HEIGHT, camera.model)
+        there = cv2.projectPoints(before, nothing, nothing, np.array(camera.lens.K), np.array(coefficients or [0.0] * 4))[0][:, 0]
+        lens = Lens(np.array(camera.lens.K), np.array(camera.lens.distortion), None, WIDTH, HEIGHT, camera.lens.model)
         seen = np.isfinite(rays).all(axis=1)
         assert seen.mean() > 0.5
         assert np.abs(lens_pixels(lens, rays[seen]) - there[seen]).max() < ALMOST
@@ -280,7 +291,7 @@ def test_drawn_lenses_of_colmap(tmp_path: Path, name: str) -> None:
         params = [*focal, *middle, *(rng.uniform(*ends) for ends in DRAWN[name])]
         (tmp_path / "cameras.txt").write_text(f"1 {name} {WIDTH} {HEIGHT} {' '.join(map(repr, map(float, params)))}\n")
         camera = read_calibration(tmp_path)["gate.jpg"]
-        lens = Lens(np.array(camera.K), np.array(camera.distortion or [0.0]), None, WIDTH, HEIGHT, camera.model)
+        lens = Lens(np.array(camera.lens.K), np.array(camera.lens.distortion or [0.0]), None, WIDTH, HEIGHT, camera.lens.model)
         theirs = pycolmap.Camera(model=name, width=WIDTH, height=HEIGHT, params=params)
         rays = lens_rays(lens, GRID)
         there = np.asarray(theirs.img_from_cam(rays)) - 0.5
@@ -297,7 +308,7 @@ def test_drawn_lenses_of_opencv(tmp_path: Path, count: int, fisheye: bool) -> No
         drawn = [float(rng.uniform(-most, most)) for most in (spread if fisheye else [*spread, 0.03])[:count]]
         path = file_storage(tmp_path / "gate.yaml", drawn, **({"fisheye_model": 1} if fisheye else {}))
         camera = read_calibration(path)["gate"]
-        lens = Lens(np.array(camera.K), np.array(camera.distortion), None, WIDTH, HEIGHT, camera.model)
+        lens = Lens(np.array(camera.lens.K), np.array(camera.lens.distortion), None, WIDTH, HEIGHT, camera.lens.model)
         rays = lens_rays(lens, GRID)
         seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0)
         assert seen.mean() > 0.5
@@ -327,10 +338,18 @@ def test_colmaps_binary_model_is_read_as_its_text(tmp_path: Path, binary: Path) 
     assert found.keys() == text.keys()
     for name in COLMAP:
         there, here = text[f"gäte/{name}.jpg"], found[f"gäte/{name}.jpg"]
-        assert (here.model, here.width, here.height) == (there.model, WIDTH, HEIGHT)
-        assert (here.K, here.distortion) == (there.K, there.distortion), "COLMAP writes text with all digits"
-        assert here.R is not None and here.C is not None and there.R is not None and there.C is not None
-        assert np.abs(np.subtract(here.R, there.R)).max() < ALMOST and np.abs(np.subtract(here.C, there.C)).max() < ALMOST
+        assert (here.lens.model, here.lens.width, here.lens.height) == (there.lens.model, WIDTH, HEIGHT)
+        assert (here.lens.K, here.lens.distortion) == (there.lens.K, there.lens.distortion), "COLMAP writes text with all digits"
+        assert (
+            here.placement.R is not None
+            and here.placement.C is not None
+            and there.placement.R is not None
+            and there.placement.C is not None
+        )
+        assert (
+            np.abs(np.subtract(here.placement.R, there.placement.R)).max() < ALMOST
+            and np.abs(np.subtract(here.placement.C, there.placement.C)).max() < ALMOST
+        )
 
 
 @pytest.mark.parametrize(
