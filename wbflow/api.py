@@ -184,16 +184,16 @@ def run(
     memory : str, optional
         What all workers together may hold: "4GB"; four fifths of what the machine has, if not given.
     time_limit : float, optional
-        Seconds that a task may take; told by what its stage took before, if not given.
+        Seconds that a task may take; derived from what its stage took earlier, if not given.
     stop_at : datetime, optional
         Local time from which on only what is there already is put together and published.
     listen, watch : callable, optional
-        Told of every event as it happens; of what is planned, and of each task that is begun.
+        Called with every event as it happens; with what is planned, and each task that begins.
 
     Returns
     -------
     Run
-        Whatever came of it: `record.exit_code` and `record.reason` tell.
+        Whatever its outcome: see `record.exit_code` and `record.reason`.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
         for damage in filter(None, (*lost, there.digests.damage, there.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         mend_ledger(place, journal)
-        finished = through(name, site, there, options, journal, costs, lambda run: _tell_people(site, run, journal))
+        finished = through(name, site, there, options, journal, costs, lambda run: _notify(site, run, journal))
         if courier and (fault := courier.finish()):
             journal.warn(fault)
             finished.folder.add(journal.events[-1])
@@ -276,8 +276,8 @@ def _faults_of_the_disk(site: Site) -> Iterator[None]:
         raise WbflowError(what, remedy=remedy) from error
 
 
-def _tell_people(site: Site, run: FinishedRun, journal: Journal) -> None:
-    """Call the command that the site file names.  A fault there costs nothing, but is told of."""
+def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
+    """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
     if site.notify is None:
         return
     from .outcome.notify import NotTold, notify  # here: few sites have a command, and it takes modules that nothing else needs
@@ -297,4 +297,4 @@ def _size(text: str) -> int:
 
 
 def _quiet(event: Event) -> None:
-    """A listener that says nothing."""
+    """A listener that ignores events."""
