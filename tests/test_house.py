@@ -214,7 +214,7 @@ def test_everything_is_caught_in_few_places_only() -> None:
         "cli/run.py",
         "outcome/publish.py",
         "pipeline/signature.py",
-        "remote/objects.py",
+        "remote.py",
         "runner/worker.py",
         "runner/worker.py",
     ]

@@ -21,14 +21,13 @@ from typing import TYPE_CHECKING, Any
 from .cache.layout import WorkFolder
 from .cache.room import FULL, REMEDY
 from .cache.sizes import bytes_of
-from .cache.writing import hold_to_write
 from .errors import UsageError, WbflowError
 from .outcome.afterwards import mend_ledger
 from .outcome.artifacts import FinishedRun, function, task_named
 from .outcome.through import through
 from .records.events import Event, Listener, Watcher
 from .records.record import CameraRecord, PairRecord, RunRecord
-from .records.run_folder import RunFolder, new_run
+from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
 from .runner.arrivals import arrivals
 from .runner.interrupt import terminate_as_interrupt
 from .runner.journal import Costs, Journal
@@ -237,30 +236,26 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
         folder = RunFolder.at(Path(where))
         return Run(FinishedRun.open(WorkFolder.of_run(folder.paths), folder))
     place = (where if isinstance(where, Site) else load_site(where)).work_folder
-    if place.store:
-        from .remote.courier import look  # here: few work folders are mirrors
-
-        look(place)
+    refresh(place)
     return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
 
 
 def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) -> Run:
     place = site.work_folder
-    with hold_to_write(place, options.wait) as courier, terminate_as_interrupt():
+    with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
         name, started = new_run(place)
         costs = Costs(started)
         there = arrivals(site, options.date, watch)
-        journal = Journal(courier.listening(listen) if courier else listen, watch, options.jobs)
-        if courier:
-            journal.behind = courier.behind
+        journal = Journal(mirror.listening(listen) if mirror else listen, watch, options.jobs)
+        if mirror:
+            journal.behind = mirror.behind
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        lost = courier.damages if courier else ()
-        for damage in filter(None, (*lost, there.digests.damage, there.seen.damage, site.reader.damage)):
+        for damage in filter(None, (there.digests.damage, there.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         mend_ledger(place, journal)
         finished = through(name, site, there, options, journal, costs, lambda run: _notify(site, run, journal))
-        if courier and (fault := courier.finish()):
+        if mirror and (fault := mirror.finish()):
             journal.warn(fault)
             finished.folder.add(journal.events[-1])
         return Run(finished)

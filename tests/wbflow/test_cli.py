@@ -14,9 +14,9 @@ from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.writing import hold_to_write
 from wbflow.cli.main import main
 from wbflow.pipeline.exports import EXPORTS
+from wbflow.records.run_folder import hold_to_write
 
 COMMANDS = ["run", "status", "check", "report", "history", "clean", "demo", "compare"]
 

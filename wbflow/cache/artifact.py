@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
-from .layout import STAND_IN
 from .untrusted import open_outside
 
 MAGIC = b"WBF1"
@@ -117,17 +116,6 @@ def digest(data: bytes | bytearray | memoryview) -> str:
 def file_digest(path: Path) -> str:
     """`digest` of a file from outside, read in pieces.  Raises OSError."""
     with os.fdopen(open_outside(path), "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
-
-
-def promised_digest(path: Path) -> str:
-    """The same of one whose bytes need not be had: what stands for bytes in an object store says which.  Raises OSError."""
-    with os.fdopen(open_outside(path, fills=False), "rb") as file:
-        if os.pread(file.fileno(), len(STAND_IN), 0) == STAND_IN:
-            from ..remote.standin import stand_in  # here: few work folders are mirrors
-
-            if known := stand_in(path):
-                return known.digest
         return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 

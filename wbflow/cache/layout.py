@@ -9,7 +9,7 @@ quarantine/                          artifacts whose bytes were not what their r
 ledger.sqlite                        an index of all this; can be deleted
 notified.json                        what somebody was told last
 lock                                 held by the one run that may write
-mirror.json, agreed.json             of which object store this is a mirror, and what was agreed with it
+mirror.json                          what was last agreed with the object store that this folder mirrors
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ from .atomic import sync_folder
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
 _LOOK_BACK = 7
-STAND_IN = b"wbflow: these bytes are in the object store\n"
-"""What a file begins with that stands for another (see `remote.standin`)."""
 
 
 def run_id(moment: datetime.datetime) -> str:
@@ -111,10 +109,9 @@ class WorkFolder:
         return WorkFolder(Path(caches).absolute() / f"{site}-{told}", url.rstrip("/"))
 
     @staticmethod
-    def around(path: Path) -> WorkFolder | None:
-        """The mirror of an object store that a file lies in; None for any other file."""
-        places = (WorkFolder(folder) for folder in path.absolute().parents)
-        return next((place for place in places if place.mirror_memo.is_file()), None)
+    def unfinished(path: Path) -> Path:
+        """Where a file is put together that comes from an object store."""
+        return path.with_name(f".{path.name}{_UNFINISHED}")
 
     @staticmethod
     def beside(site_file: Path, site: str) -> WorkFolder:
@@ -342,13 +339,8 @@ class WorkFolder:
 
     @property
     def mirror_memo(self) -> Path:
-        """Of which object store this is a mirror; an ordinary work folder has none."""
+        """What was agreed with the object store that this folder mirrors (see `remote`); an ordinary one has none."""
         return self.root / "mirror.json"
-
-    @property
-    def agreed_memo(self) -> Path:
-        """What was agreed with that store (see `remote.mirror`)."""
-        return self.root / "agreed.json"
 
     @property
     def lock(self) -> Path:

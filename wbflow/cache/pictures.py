@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..task import Task
-from .artifact import digest, promised_digest
+from .artifact import digest, file_digest
 from .atomic import write_atomic
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, write_signed
@@ -45,7 +45,7 @@ def is_drawn(cache: Cache, task: Task, key: str, by: str) -> bool:
         drawing = Drawing(**told) if told else None
         if drawing is None or drawing.digest != by:
             return False
-        if drawing.picture and drawing.picture != promised_digest(Path(file)):
+        if drawing.picture and drawing.picture != file_digest(Path(file)):
             raise Damaged(f"{file} is damaged")
     except OSError:
         cache.note(f"{file} is gone", task)

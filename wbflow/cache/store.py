@@ -22,22 +22,21 @@ from .atomic import Prepared, clear, prepare, put, sync_all, write_atomic
 from .digests import Stamp, stamp_at
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, signed, write_signed
-from .untrusted import Unfetched, read_outside
+from .untrusted import read_outside
 
 
 class DamagedArtifact(WbflowError):
     """The bytes on disk are not those that the receipt promises; the file, if there is one, has been moved to quarantine."""
 
-    def __init__(self, task: Task, path: Path, gone: bool = False, why: str = "") -> None:
-        what = f"{path} is gone" if gone else f"{path} {why or 'is damaged'}: moved to quarantine"
+    def __init__(self, task: Task, path: Path, gone: bool = False) -> None:
+        what = f"{path} is gone" if gone else f"{path} is damaged: moved to quarantine"
         super().__init__(what, remedy="the next  wbflow run  makes it again")
         self.task = task
         self.path = path
         self.gone = gone
-        self.why = why
 
     def __reduce__(self) -> tuple[Any, ...]:  # it comes back from worker processes
-        return type(self), (self.task, self.path, self.gone, self.why)
+        return type(self), (self.task, self.path, self.gone)
 
 
 @dataclass(frozen=True)
@@ -164,17 +163,16 @@ class Cache:
         DamagedArtifact
             They are missing, or not what the receipt promised; the file is in quarantine and its receipt is gone.
         """
-        why = ""
         for _ in range(2):  # a second look, since somebody else may just have made it again
             try:
                 data = read_outside(path, most=sys.maxsize)
-            except OSError as error:
-                data, why = b"", error.what if isinstance(error, Unfetched) else ""
+            except OSError:
+                data = b""
             if artifact.digest(data) == digest:
                 return data
         gone = not os.path.exists(path)  # noqa: PTH110
         self.quarantine(Path(path))
-        raise DamagedArtifact(task, Path(path), gone, why)
+        raise DamagedArtifact(task, Path(path), gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
         """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""

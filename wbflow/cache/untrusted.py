@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import WbflowError
-from .layout import STAND_IN
 
 MOST_CAPTURE_BYTES = 1_000_000_000
 """Of an image file, or a mask."""
@@ -35,10 +34,6 @@ _KINDS = {
 
 class Unreadable(WbflowError, OSError):
     """What lies under a name cannot be read, or will not be; `what` says why, without the name."""
-
-
-class Unfetched(Unreadable):
-    """It stands for bytes in an object store, and they cannot be had."""
 
 
 def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
@@ -65,11 +60,8 @@ def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
     return data
 
 
-def open_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES, fills: bool = True) -> int:
-    """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_outside` does.
-
-    fills: one that stands for bytes in an object store gets them.
-    """
+def open_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> int:
+    """A descriptor of a file, to be closed by the caller.  Raises Unreadable, as `read_outside` does."""
     try:
         _check(os.stat(path), most)  # noqa: PTH116  (before it is opened: opening some devices does something)
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
@@ -82,20 +74,7 @@ def open_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES, fills: bool =
     except Unreadable:
         os.close(descriptor)
         raise
-    if fills and os.pread(descriptor, len(STAND_IN), 0) == STAND_IN and _filled(path):
-        os.close(descriptor)
-        return open_outside(path, most)
     return descriptor
-
-
-def _filled(path: Path | str) -> bool:
-    """Have the bytes that a file stands for been fetched (see `remote.standin`)?  Raises Unfetched."""
-    from ..remote.standin import fill  # here: few work folders are mirrors
-
-    try:
-        return fill(path)
-    except OSError as error:
-        raise Unfetched(f"cannot be fetched: {error}") from None
 
 
 def is_file(path: Path) -> bool:

@@ -118,11 +118,11 @@ def load(path: Path, work: str | None, notes: bool = True, pull: bool = True) ->
 
 
 def _pull(work: WorkFolder) -> None:
-    from ..remote.courier import look
-    from ..remote.objects import StoreError
+    from ..records.run_folder import refresh
+    from ..remote import StoreError
 
     try:
-        look(work)
+        refresh(work)
     except StoreError as error:
         echo(f"note: {error}\n  only what this machine knows is shown", err=True)
 

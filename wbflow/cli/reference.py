@@ -36,8 +36,8 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
         raise UsageError("--list, --drop, --refine and RUN exclude each other", remedy=remedy)
     loaded = load(site, work)
     folder = loaded.work_folder
-    from ..cache.writing import hold_to_write
     from ..records.reference_folder import drop_reference, read_reference
+    from ..records.run_folder import hold_to_write
 
     if listed:
         reference = read_reference(folder)

@@ -217,7 +217,7 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     folder = load(site, work).work_folder
     from ..cache.cleanup import clean as remove
     from ..cache.keep import Keep
-    from ..cache.writing import hold_to_write
+    from ..records.run_folder import hold_to_write
 
     with hold_to_write(folder, wait=False):
         done = remove(folder, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)

@@ -20,7 +20,7 @@ from ..cache.atomic import clear, copy_atomic, copy_new, sync_all, write_atomic
 from ..cache.layout import WorkFolder
 from ..cache.signed import Damaged, read_signed, signed
 from ..cache.store import Cache, Receipt
-from ..cache.untrusted import Unfetched, read_outside
+from ..cache.untrusted import Unreadable, read_outside
 from ..errors import WbflowError
 from ..task import Subject, Task
 
@@ -279,7 +279,7 @@ def _digest(path: Path) -> str | None:
     """Of a file's bytes; None where they cannot be had."""
     try:
         return file_digest(path)
-    except Unfetched:
+    except Unreadable:
         return None
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import hashlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..cache.atomic import sync_folder, write_atomic
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
+from ..cache.lock import hold
 from ..cache.share import write_product
 from ..cache.signed import Unsigned, lines_of, signed, unsigned
 from ..cache.untrusted import open_outside, read_outside
@@ -22,6 +24,9 @@ from ..errors import ExitCode, WbflowError
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json
 from .record import CloudRecord, RunRecord, Verdict
+
+if TYPE_CHECKING:
+    from ..remote import Mirror
 
 _OF = "run"
 
@@ -264,6 +269,42 @@ def turn_links(work: WorkFolder, verdicts: Mapping[str, Verdict | None] | None =
             if suits(run):
                 work.turn(link, run.id)
                 break
+
+
+@contextlib.contextmanager
+def hold_to_write(work: WorkFolder, wait: bool) -> Iterator[Mirror | None]:
+    """Hold the work folder while the block runs, and begin with one that is whole; and so the object store that it mirrors.
+
+    Raises
+    ------
+    Locked
+        Another process holds it and `wait` is False.
+    StoreError
+        The store does not answer.
+    OSError
+        It cannot be written.
+    """
+    with hold(work.lock, wait):
+        if work.start_writing():
+            turn_links(work)
+        if work.store:
+            from ..remote import writing  # here: few work folders are mirrors
+
+            with writing(work, wait) as mirror:
+                turn_links(work)
+                yield mirror
+        else:
+            yield None
+        work.done_writing()  # not where the block was left by an exception: then there may be something to clear away
+
+
+def refresh(work: WorkFolder) -> None:
+    """Bring what other machines have done, where the work folder mirrors an object store.  Raises StoreError, OSError."""
+    if work.store:
+        from ..remote import look
+
+        look(work)
+        turn_links(work)
 
 
 def _may_be_shown(verdict: Verdict | None) -> bool:

@@ -85,9 +85,9 @@ def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date
 def look_again(site: Site) -> None:
     """See what has arrived in an object store, where the captures lie in one.  Raises StoreError, OSError."""
     if site.captures_store:
-        from ..remote.delivery import bring  # here: most captures lie in folders
+        from ..remote import list_captures  # here: most captures lie in folders
 
-        bring(site.root, site.captures_store)
+        list_captures(site.root, site.captures_store)
 
 
 def night(site: Site, date: datetime.date | None) -> datetime.date:
@@ -163,6 +163,10 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
     """
     named = camera.images
     paths = pattern_of(site).files(camera.id, date) if named is None else [site.root / name for name in named]
+    if site.captures_store:
+        from ..remote import fetch_captures
+
+        fetch_captures(site.root, site.captures_store, paths)
     return [_file(site, path, digests) for path in paths]
 
 

@@ -14,7 +14,7 @@ from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
 from ..errors import printable
 from ..pipeline.choice import MOST_AT_A_CAMERA
-from ..remote.objects import is_url
+from ..remote import is_url
 from .cameras import beside, is_name, read_cameras, views_of
 from .explain import did_you_mean, explained, similar, without_faults
 from .geodesy import local_frame, read_survey

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
 import json
 import os
 import shutil
@@ -12,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,19 +20,16 @@ import pytest
 from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
+from wbflow import remote
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
-from wbflow.remote import courier, lease, mirror
-from wbflow.remote.objects import Objects, StoreError
-from wbflow.remote.standin import stand_in
+from wbflow.remote import HELD, ObjectStore, StoreError
 
 pytest.importorskip("fsspec", reason="object stores need the extra: pip install 'wbflow[cloud]'")
 
 TASKS = 25
 """Of a night of the toy's."""
-SMALL = 600
-"""Of the toy's files the larger ones have objects of their own so."""
 
 
 @dataclass
@@ -65,8 +61,7 @@ class Mirrored(ToySite):
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("WBFLOW_CACHE", str(tmp_path / "caches" / "first"))
-    monkeypatch.setattr(mirror, "SMALL", SMALL)
-    monkeypatch.setattr(courier, "EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(remote, "UPLOAD_SECONDS", 0.05)
 
 
 @pytest.fixture
@@ -131,8 +126,17 @@ def on_disk(site: Mirrored, tmp_path: Path) -> bytes:
 def receipts(url: str, scratch: Path) -> set[str]:
     """Tasks that a store knows the results of."""
     work = WorkFolder(scratch, url)
-    courier.look(work)
+    remote.look(work)
     return {json.loads(path.read_bytes())["task"] for path in work.receipts()}
+
+
+def receipts_here(site: Mirrored) -> set[str]:
+    return {json.loads(path.read_bytes())["task"] for path in WorkFolder(site.work).receipts()}
+
+
+def claim(minutes: float) -> bytes:
+    """What a machine has left in the store so long ago."""
+    return json.dumps({"token": "t", "host": "crane-pc", "pid": 7, "seen": time.time() - 60 * minutes}).encode()
 
 
 def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
@@ -141,7 +145,7 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     site = made(f"{s3}/killed")
     expected = on_disk(site, tmp_path)
     site.fault("slow", "0.1")
-    quick = f"import wbflow.remote.mirror as m, wbflow.remote.courier as c; m.SMALL = {SMALL}; c.EVERY_SECONDS = 0.2"
+    quick = "import wbflow.remote as r; r.UPLOAD_SECONDS = 0.2"
     command = [
         sys.executable,
         "-c",
@@ -153,10 +157,10 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
         "-q",
     ]
     process = subprocess.Popen(command, env=site.env(), start_new_session=True)
-    store = Objects(site.url)
+    store = ObjectStore(site.url)
     for _ in range(600):
         with contextlib.suppress(StoreError):
-            if len(store.names("index")) >= 3:
+            if sum(name.endswith(".json") for name in store.listing()) >= 6:
                 break
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGKILL)
@@ -165,13 +169,15 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     assert 2 < len(there) < TASKS
     site.fault("slow", "0")
     site.machine("second")  # the first one's folder is gone with it
+    assert site.told("run")[0] == ExitCode.LOCKED
+    store.write(HELD, claim(minutes=61))
     record = site.run()
     assert record["tasks"] == {"cached": len(there), "ran": TASKS - len(there), "rejected": 0, "failed": 0, "skipped": 0}
     assert not site.ran() & there
     assert site.cloud == expected
 
 
-def test_a_night_with_nothing_to_do_lists_once_and_fetches_no_artifact(
+def test_a_night_with_nothing_to_do_fetches_no_artifact(
     made: Callable[[str], Mirrored], s3: str, requests: list[tuple[str, str]]
 ) -> None:
     site = made(f"{s3}/again")
@@ -180,14 +186,8 @@ def test_a_night_with_nothing_to_do_lists_once_and_fetches_no_artifact(
     requests.clear()
     record = site.run()
     assert record["tasks"]["cached"] == TASKS
-    assert [name for method, name in requests if method == "list_objects_v2"] == ["again/index/"]
-    assert {name for method, name in requests if method == "get_object"} == {"again/held.json"}
-    assert len(requests) <= 12
-    requests.clear()
-    site.machine("second")
-    code, words = site.told("status", "--json")
-    assert (code, json.loads(words)["totals"]) == (0, {"cached": TASKS})
-    assert not [name for _, name in requests if name.endswith((".wbf", ".ply", ".jpg"))]
+    assert not [name for method, name in requests if method == "get_object" and "/cache/" in name]
+    assert not [name for method, name in requests if method == "put_object" and "/cache/" in name]
 
 
 def test_machines_take_turns(site: Mirrored) -> None:
@@ -204,7 +204,7 @@ def test_machines_take_turns(site: Mirrored) -> None:
     shown = [line.split()[0] for line in site.told("history")[1].splitlines()[1:]]
     assert {first["run"], second["run"], third["run"]} <= set(shown) | {p.name for p in (site.work / "runs").iterdir()}
     assert (site.work / "runs" / "latest").readlink().name == third["run"]
-    assert Objects(site.url).read("runs/latest") == third["run"].encode()
+    assert ObjectStore(site.url).read("runs/latest") == third["run"].encode()
 
 
 def test_what_the_store_has_lost_is_made_anew_and_named(site: Mirrored, tmp_path: Path) -> None:
@@ -219,27 +219,24 @@ def test_what_the_store_has_lost_is_made_anew_and_named(site: Mirrored, tmp_path
     record = site.run("--force", "matches", "--force", "geometry", "--force", "poses", "--force", "rectify")
     assert record["exit_code"] == ExitCode.GOOD and site.cloud == cloud
     assert any(changed.name in text and "made again" in text for text in record["repaired"])
+    assert not receipts(site.url, tmp_path / "scratch") ^ receipts_here(site)
     site.machine("third")
     again = site.run("--force", "matches", "--force", "fuse")
     assert not any("made again" in text for text in again["repaired"]) and site.cloud == cloud
 
 
-def test_a_damaged_segment_is_not_believed(site: Mirrored, tmp_path: Path) -> None:
+def test_a_store_that_has_lost_everything_is_filled_again(site: Mirrored, tmp_path: Path) -> None:
     site.run()
     cloud = site.cloud
-    for segment in (tmp_path / "store" / "index").iterdir():
-        segment.write_bytes(segment.read_bytes()[:-20])
-    site.machine("second")
-    record = site.run()
-    assert record["tasks"]["ran"] == TASKS and site.cloud == cloud
-    assert all("index" in text and "made again" in text for text in record["repaired"]) and record["repaired"]
-    site.machine("third")
+    shutil.rmtree(tmp_path / "store")
     assert site.run()["tasks"]["cached"] == TASKS
+    site.machine("second")
+    assert site.run()["tasks"]["cached"] == TASKS and site.cloud == cloud
 
 
 def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
     site = made("s3://no-such-bucket/toy")
-    assert "what this machine knows" in site.told("status")[1]
+    assert "only what this machine knows" in site.told("status")[1]
     code, words = site.told("run")
     assert code == ExitCode.FAILED
     assert "s3://no-such-bucket/toy" in words and "AWS_ENDPOINT_URL" in words
@@ -257,11 +254,10 @@ def test_a_store_that_goes_away_costs_no_night_and_gets_it_later(site: Mirrored,
         raise StoreError(f"{site.url} does not answer")
 
     with monkeypatch.context() as gone:
-        gone.setattr(Objects, "put", away)
-        gone.setattr(Objects, "write", away)
+        gone.setattr(ObjectStore, "put", away)
         record = site.run(code=ExitCode.DEGRADED)
     (finding,) = record["verdict"]["findings"]
-    assert finding["kind"] == "store-behind" and site.url in finding["text"] and "not yet" in finding["text"]
+    assert finding["kind"] == "store-behind" and site.url in finding["text"]
     cloud = site.cloud
     site.run()
     site.machine("second")
@@ -270,40 +266,44 @@ def test_a_store_that_goes_away_costs_no_night_and_gets_it_later(site: Mirrored,
     assert (site.work / "runs" / record["run"] / "run.json").is_file()
 
 
-def holder(heard: datetime.datetime, **more: str) -> bytes:
-    since = heard.isoformat(timespec="seconds")
-    told = {"token": "t", "machine": "another", "process": "7 123", "host": "crane-pc", "since": since, "heard": since, **more}
-    return json.dumps(told).encode()
-
-
 def test_two_machines_do_not_write_at_once(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     site.run("--until", "frames")
-    now, store = datetime.datetime.now(datetime.UTC), Objects(site.url)
-    store.write(lease.NAME, holder(now))
+    store = ObjectStore(site.url)
+    store.write(HELD, claim(minutes=59))
     code, words = site.told("run")
     assert code == ExitCode.LOCKED and "crane-pc" in words and site.url in words and "--wait" in words
-    assert json.loads(store.read(lease.NAME) or b"")["token"] == "t"
-    monkeypatch.setattr(lease, "_SETTLE_SECONDS", 0.0)
-    store.write(lease.NAME, holder(now - datetime.timedelta(minutes=11)))  # nobody has heard of it since
+    assert json.loads(store.read(HELD) or b"")["token"] == "t"
+    store.write(HELD, claim(minutes=61))
     assert site.run()["exit_code"] == ExitCode.GOOD
-    store.write(lease.NAME, holder(now, machine=lease._machine(), process=f"{2**22 + 1} 5"))  # killed on this machine
+    assert store.read(HELD) is None
+
+
+def test_who_waits_has_the_store_once_it_is_free(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = ObjectStore(site.url)
+    store.write(HELD, claim(minutes=1))
+    monkeypatch.setattr("wbflow.remote.time.sleep", lambda seconds: store.remove([HELD]))
+    assert site.told("run", "--wait")[0] == ExitCode.GOOD
+
+
+def test_what_a_killed_run_of_this_machine_holds_is_taken_over_at_once(site: Mirrored) -> None:
+    site.run("--until", "frames")
+    killed = remote.Mirror(WorkFolder(site.work, site.url))
+    killed.hold(wait=False)
     assert site.run()["exit_code"] == ExitCode.GOOD
-    assert store.read(lease.NAME) is None
 
 
 def test_only_one_of_two_makes_the_same_object(s3: str, tmp_path: Path) -> None:
     for url in (f"{s3}/one", f"file://{tmp_path}/one"):
-        store = Objects(url)
-        assert store.create("held", b"mine") and not store.create("held", b"yours")
+        store = ObjectStore(url)
+        assert store.write("held", b"mine", new=True) and not store.write("held", b"yours", new=True)
         assert store.read("held") == b"mine" and store.read("nobody") is None
 
 
 def test_who_was_taken_over_sends_nothing_more(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lease, "BEAT_SECONDS", 0.01)
-    store = Objects(site.url)
+    store = ObjectStore(site.url)
 
     def listen(event: object) -> None:
-        store.write(lease.NAME, holder(datetime.datetime.now(datetime.UTC)))
+        store.write(HELD, claim(minutes=0))
 
     import wbflow
 
@@ -312,8 +312,8 @@ def test_who_was_taken_over_sends_nothing_more(site: Mirrored, monkeypatch: pyte
             patch.setenv(name, value)
         run = wbflow.run(site.file, backend="threading", jobs=1, listen=listen)
     assert run.record.exit_code == ExitCode.DEGRADED and run.record.verdict
-    assert "taken the store over" in run.record.verdict.findings[0].text
-    assert json.loads(store.read(lease.NAME) or b"")["token"] == "t"
+    assert "taken over" in run.record.verdict.findings[0].text
+    assert json.loads(store.read(HELD) or b"")["token"] == "t"
 
 
 def test_what_is_cleaned_away_goes_from_the_store_and_what_is_removed_by_hand_comes_back(site: Mirrored, tmp_path: Path) -> None:
@@ -330,36 +330,6 @@ def test_what_is_cleaned_away_goes_from_the_store_and_what_is_removed_by_hand_co
     assert site.run()["tasks"]["cached"] == TASKS
 
 
-def test_the_index_is_brought_together(site: Mirrored, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("wbflow.remote.segments.MANY", 2)
-    for _ in range(6):
-        site.run()
-    names = sorted(path.name for path in (tmp_path / "store" / "index").iterdir())
-    wholes = [name for name in names if name.endswith("-whole")]
-    assert len(wholes) == 2 and len(names) <= 7 and names[0] == wholes[0]
-    site.machine("second")
-    assert site.run()["tasks"]["cached"] == TASKS
-    (tmp_path / "store" / "index" / wholes[-1]).write_bytes(b"")
-    site.machine("third")
-    record = site.run()
-    assert record["tasks"]["cached"] == TASKS and any(wholes[-1] in text for text in record["repaired"])
-
-
-def test_bytes_come_when_they_are_read(site: Mirrored) -> None:
-    site.run()
-    site.machine("second")
-    assert site.told("status")[0] == 0
-    artifact = next((site.work / "cache" / "geometry").rglob("*.wbf"))
-    known = stand_in(artifact)
-    assert known and artifact.stat().st_size == known.size
-    import wbflow
-
-    run = wbflow.open_run(wbflow.load_site(site.file))
-    name = artifact.parent.name
-    assert run.artifact(f"geometry {name}").F.shape == (3, 3)
-    assert stand_in(artifact) is None
-
-
 def test_captures_come_from_a_store_and_each_once(site: Mirrored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site.run("--work", str(tmp_path / "disk"))
     cloud = (tmp_path / "disk" / "runs" / "latest" / "cloud.ply").read_bytes()
@@ -368,13 +338,13 @@ def test_captures_come_from_a_store_and_each_once(site: Mirrored, tmp_path: Path
     site.keys = {"work": str(tmp_path / "work"), "captures": {"root": f"file://{delivered}", "pattern": "{camera}.txt"}}
     site.write()
     fetched: list[str] = []
-    fetch = Objects.fetch
+    fetch = ObjectStore.fetch
 
-    def noted(store: Objects, name: str, to: Path) -> bool:
-        fetched.append(name)
-        return fetch(store, name, to)
+    def noted(store: ObjectStore, names: Sequence[str], root: Path) -> None:
+        fetched.extend(names)
+        fetch(store, names, root)
 
-    monkeypatch.setattr(Objects, "fetch", noted)
+    monkeypatch.setattr(ObjectStore, "fetch", noted)
     record = site.run()
     assert record["tasks"]["ran"] == TASKS and sorted(fetched) == sorted(f"{camera}.txt" for camera in site.cameras)
     assert (tmp_path / "work" / "runs" / "latest" / "cloud.ply").read_bytes() == cloud
@@ -390,13 +360,26 @@ def test_captures_come_from_a_store_and_each_once(site: Mirrored, tmp_path: Path
     assert [camera["id"] for camera in record["cameras"] if camera["outcome"] != "ok"] == ["mast-1"]
 
 
-def test_a_bucket_is_shown_as_a_folder_whatever_else_it_holds(s3: str, tmp_path: Path) -> None:
-    from wbflow.cache.untrusted import read_outside
-    from wbflow.remote.delivery import bring
+def test_only_captures_of_the_night_are_fetched(site: Mirrored, tmp_path: Path) -> None:
+    site.dated = True
+    for date in ("2026-11-01", "2026-11-02"):
+        site.night(date)
+    delivered = tmp_path / "delivered"
+    (site.folder / "captures").rename(delivered)
+    site.keys = {"captures": {"root": f"file://{delivered}", "pattern": "{camera}-{date}.txt"}}
+    site.write()
+    assert site.run("--work", str(tmp_path / "work"), "--date", "2026-11-01")["date"] == "2026-11-01"
+    here = WorkFolder.mirroring(f"file://{delivered}", "captures").root
+    sizes = {path.name: path.stat().st_size for path in here.glob("*.txt")}
+    assert len(sizes) == len(list(delivered.iterdir()))
+    assert all(bool(size) == ("2026-11-01" in name) for name, size in sizes.items())
 
-    store, root = Objects(f"{s3}/delivered"), tmp_path / "here"
+
+def test_a_bucket_is_shown_as_a_folder_whatever_else_it_holds(s3: str, tmp_path: Path) -> None:
+    store, root = ObjectStore(f"{s3}/delivered"), tmp_path / "here"
     for name, data in {"yard/": b"", "yard/gate.txt": b"a view", "yard/gate.txt/odd": b"?", "../out": b"?"}.items():
         store.write(name, data)
-    bring(root, store.url)
-    assert read_outside(root / "yard" / "gate.txt") == b"a view"
+    remote.list_captures(root, store.url)
+    remote.fetch_captures(root, store.url, [root / "yard" / "gate.txt"])
+    assert (root / "yard" / "gate.txt").read_bytes() == b"a view"
     assert not (tmp_path / "out").exists()

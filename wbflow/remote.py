@@ -1,0 +1,394 @@
+"""Work folders and captures in an object store (s3://bucket/prefix, gs://..., file:///...), through fsspec.
+
+A work folder in a store is worked on as an ordinary folder of this machine, file for file under the same names.  Before a run or
+a command `pull` brings what other machines have done; results go up while the run works, and `push` sends the rest at its end.
+The store's listing is the index: size and ETag of each file, compared with what both sides had when they last agreed
+(`mirror.json`).  Where the store has changed since, the store wins; what differs otherwise was done here, and goes up.  An
+artifact goes before its receipt, and a run's files before its run.json: nothing in the store promises what is not there.  A
+machine that joins downloads the folder once; `keep:` and `wbflow clean` limit how large that is.
+
+One machine writes at a time: `held.json` in the store names it.  It is made with a conditional put where the store knows one,
+renewed while results go up, and counts as abandoned after an hour; what a killed run has left is taken over at once by the next
+run on the same machine.  The clocks of the machines have to agree to within a few minutes.
+
+Captures in a store are listed, and those of the night are fetched; each comes once, until its ETag changes.
+
+Credentials and endpoints are those of the store's own library (AWS_PROFILE, AWS_ENDPOINT_URL, ...): no site file holds any.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import re
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from .cache.layout import RunPaths, WorkFolder
+from .cache.lock import Locked, hold
+from .cache.room import FULL
+from .cache.signed import Damaged, read_signed, write_signed
+from .errors import ExitCode, WbflowError, counted, printable
+from .records.events import Event, Listener, TaskEvent
+from .records.findings import STORE_BEHIND, Finding
+from .task import Task
+
+HELD = "held.json"
+ABANDONED_SECONDS = 3600.0
+"""A writer that has not been heard of for so long is gone."""
+UPLOAD_SECONDS = 10.0
+"""Finished results go up this often."""
+_WAIT_SECONDS = 5.0
+_URL = re.compile(r"[a-z][a-z0-9+.-]*://")
+_INSTALL = "pip install 'wbflow[cloud]'  (for gs:// also gcsfs, for abfs:// adlfs)"
+_REACH = "is it there, does this machine reach it, and do its credentials hold (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)?"
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "file": {"auto_mkdir": True},
+    "s3": {"config_kwargs": {"retries": {"max_attempts": 1}}},  # s3fs itself tries five times
+}
+_AT_ONCE = 16  # files on their way at the same time
+
+
+class StoreError(WbflowError):
+    """An object store does not do what is asked; the message names it."""
+
+
+class NoSuchStore(StoreError):
+    """The URL names no store that can be used here."""
+
+    exit_code = ExitCode.USAGE
+
+
+def is_url(text: str) -> bool:
+    """Return whether an object store is named, and no folder."""
+    return _URL.match(text) is not None
+
+
+Entry = tuple[int, str]
+"""Size of an object, and its ETag or else the time of its last change: another one for other bytes."""
+
+
+class ObjectStore:
+    """The objects below a URL, by name.  Whatever a store's library raises becomes a StoreError."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url.rstrip("/")
+
+    def listing(self) -> dict[str, Entry]:
+        """Return every object by name."""
+        system, top = self._opened
+        with self._errors("listing"):
+            found = {str(path)[len(top) + 1 :]: info for path, info in system.find(top, detail=True).items()}
+            return {name: _entry(info) for name, info in found.items() if info["type"] == "file" and not name.endswith("/")}
+
+    def read(self, name: str) -> bytes | None:
+        """Return an object's bytes; None where there is none."""
+        with self._errors(name):
+            try:
+                return bytes(self._system.cat_file(self._path(name)))
+            except FileNotFoundError:
+                return None
+
+    def write(self, name: str, data: bytes, new: bool = False) -> bool:
+        """Write an object.  new: only where there is none; returns False where there is one."""
+        with self._errors(name):
+            try:
+                self._system.pipe_file(self._path(name), data, **({"mode": "create"} if new else {}))
+            except FileExistsError:
+                return False
+            except OSError as error:  # S3: PreconditionFailed, or ConditionalRequestConflict where two come at once
+                if new and "condition" in f"{error} {error.__cause__}".lower():
+                    return False
+                raise
+            return True
+
+    def fetch(self, names: Sequence[str], root: Path) -> None:
+        """Copy objects to files of the same names, each by rename; one that is gone is left out."""
+        temporary = [WorkFolder.unfinished(root / name) for name in names]
+        for path in temporary:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        with self._errors("download"):
+            try:
+                self._system.get([self._path(name) for name in names], [str(path) for path in temporary], batch_size=_AT_ONCE)
+            except FileNotFoundError:  # of one: the others are asked for by themselves
+                for name, path in zip(names, temporary, strict=True):
+                    with contextlib.suppress(FileNotFoundError):
+                        self._system.get_file(self._path(name), str(path))
+        for name, path in zip(names, temporary, strict=True):
+            with contextlib.suppress(FileNotFoundError):
+                path.replace(root / name)
+
+    def put(self, names: Sequence[str], root: Path) -> None:
+        """Copy files to objects of the same names.  After an error some are there, and others are not."""
+        with self._errors("upload"):
+            self._system.put([str(root / name) for name in names], [self._path(name) for name in names], batch_size=_AT_ONCE)
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove objects; one that is gone already is no error."""
+        for name in names:
+            with self._errors(name), contextlib.suppress(FileNotFoundError):
+                self._system.rm_file(self._path(name))
+
+    def _path(self, name: str) -> str:
+        return f"{self._opened[1]}/{name}"
+
+    @property
+    def _system(self) -> Any:
+        return self._opened[0]
+
+    @cached_property
+    def _opened(self) -> tuple[Any, str]:
+        try:
+            from fsspec.core import url_to_fs  # an extra
+
+            system, top = url_to_fs(self.url, use_listings_cache=False, **_OPTIONS.get(self.url.partition("://")[0], {}))
+        except ImportError as error:
+            raise NoSuchStore(f"{self.url}: object stores need more packages: {printable(error)}", remedy=_INSTALL) from None
+        except ValueError as error:
+            raise NoSuchStore(f"{self.url}: {printable(error)}", remedy="write it as s3://bucket/prefix") from None
+        return system, str(top).rstrip("/")
+
+    @contextlib.contextmanager
+    def _errors(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except StoreError:
+            raise
+        except Exception as error:  # each store's library has errors of its own: BotoCoreError, ClientError, FSTimeoutError, ...
+            if isinstance(error, OSError) and error.errno in FULL:
+                raise
+            what = f"{self.url} cannot be used ({name}): {type(error).__name__}: {printable(error)}"
+            raise StoreError(what, remedy=_REACH) from error
+
+
+def _entry(info: Mapping[str, Any]) -> Entry:
+    """Read what fsspec reports of an object: each store has names of its own."""
+    marks = (info.get(name) for name in ("ETag", "etag", "LastModified", "updated", "last_modified", "mtime", "created"))
+    return int(info["size"]), str(next(filter(None, marks), ""))
+
+
+Stamp = tuple[int, int]
+"""Size and mtime_ns of a file: another one after a change."""
+
+
+class Mirror:
+    """A work folder of this machine, and the store that it mirrors.  The caller holds the folder's lock."""
+
+    def __init__(self, work: WorkFolder) -> None:
+        self.work, self.store = work, ObjectStore(work.store)
+        self._token = os.urandom(8).hex()
+        """Names this folder in held.json."""
+        self._agreed: dict[str, tuple[str, Stamp]] = {}
+        """By name: the store's mark ("" where it is not known yet) and the stamp here, when both had the same bytes."""
+        self._waiting: list[tuple[Task, str]] = []
+        self._fault: str | None = None
+        self.holds = False
+        self._sent = time.monotonic()
+        with contextlib.suppress(Damaged, KeyError, TypeError, ValueError):  # then files are fetched again
+            memo = read_signed(work.mirror_memo, "mirror") or {}
+            if memo["url"] == self.store.url:
+                self._token = str(memo["token"])
+                self._agreed = {name: (mark, (size, mtime)) for name, (mark, size, mtime) in memo["files"].items()}
+
+    def pull(self) -> None:
+        """Bring what others have done since.  Raises StoreError, OSError."""
+        there, here = {name: e for name, e in self.store.listing().items() if self._belongs(name)}, self._stamps(self._files())
+        if not there:  # a new store, or one that has lost everything: what is here goes up
+            self._agreed = {}
+        missing = []
+        for name, (size, mark) in there.items():
+            agreed, stamp = self._agreed.get(name, ("", None))
+            same_key = name.startswith(f"{self.work.cache.name}/") and here.get(name, (-1,))[0] == size
+            if name in here and (agreed == mark or (not agreed and same_key)):
+                self._agreed[name] = mark, stamp or here[name]
+            else:
+                missing.append(name)
+        for names in self._in_order(missing):
+            self.store.fetch(names, self.work.root)
+        fetched = self._stamps(self.work.root / name for name in missing)
+        self._agreed.update({name: (there[name][1], stamp) for name, stamp in fetched.items()})
+        for name in self._agreed.keys() - there.keys():  # somebody else has removed it
+            if self._agreed.pop(name)[1] == here.get(name):
+                (self.work.root / name).unlink(missing_ok=True)
+        self._save()
+
+    def push(self, some: Iterable[Path] | None = None) -> None:
+        """Send what was done here; `some`: these files only.  Raises StoreError: the rest goes with the next push."""
+        here = self._stamps(self._files() if some is None else some)
+        fresh = [name for name, stamp in here.items() if self._agreed.get(name, ("", None))[1] != stamp]
+        for names in self._in_order(fresh):
+            self.store.put(names, self.work.root)
+            self._agreed.update({name: ("", here[name]) for name in names})
+        if some is not None:
+            return
+        for names in reversed(list(self._in_order(self._agreed.keys() - here.keys()))):
+            self.store.remove(names)
+            for name in names:
+                del self._agreed[name]
+        for link in self.work.links():  # for people who look there: an object of a link's name holds the id of a run
+            if run := self.work.led_to(link):
+                self.store.write(f"{self.work.runs.name}/{link.name}", run.encode())
+        there = self.store.listing() if fresh else {}
+        self._agreed.update({name: (there[name][1], here[name]) for name in fresh if name in there})
+        self._save()
+
+    def listening(self, listen: Listener) -> Listener:
+        """Return a listener that receives everything, and sends results as tasks finish."""
+
+        def receive(event: Event) -> None:
+            listen(event)
+            if isinstance(event, TaskEvent) and event.fresh and event.key:
+                self._waiting.append((event.task, event.key))
+                if time.monotonic() - self._sent > UPLOAD_SECONDS:
+                    self._send(everything=False)
+
+        return receive
+
+    def behind(self) -> Finding | None:
+        """Send what is finished; return a finding where that does not work."""
+        self._send(everything=False)
+        return Finding(STORE_BEHIND, (), self._fault, remedy="the next run brings the rest up") if self._fault else None
+
+    def finish(self) -> str | None:
+        """Send everything and let others write; return what went wrong."""
+        if self.holds:
+            self._send(everything=True)
+            self.release()
+        return self._fault
+
+    def hold(self, wait: bool) -> None:
+        """Become the one writer.  Raises Locked where another machine is, and `wait` is False; StoreError."""
+        while not self.store.write(HELD, self._claim(), new=True):
+            holder = self._holder()
+            if holder["token"] in {self._token, ""} or time.time() - holder["seen"] > ABANDONED_SECONDS:
+                self.store.remove([HELD])
+            elif not wait:
+                who = f"process {holder['pid']} on {holder['host']}"
+                gone = f"a run that was killed counts as gone after {counted(ABANDONED_SECONDS / 60, 'minute')}"
+                raise Locked(f"another run holds {self.store.url}: {who}", remedy=f"wait for it (--wait), or stop it; {gone}")
+            else:
+                time.sleep(_WAIT_SECONDS)
+        self.holds = True
+
+    def release(self) -> None:
+        """Let others write; where the store does not answer, they may after a while."""
+        self.holds = False
+        with contextlib.suppress(StoreError):
+            if self._holder()["token"] == self._token:
+                self.store.remove([HELD])
+
+    def _send(self, everything: bool) -> None:
+        try:
+            holder = self._holder()
+            if holder["token"] not in {self._token, ""}:
+                raise StoreError(f"{self.store.url} was taken over by process {holder['pid']} on {holder['host']}")
+            self.store.write(HELD, self._claim())
+            self.push(None if everything else [path for one in self._waiting for path in self.work.of_key(*one)])
+            self._waiting, self._fault = [], None
+        except (StoreError, OSError) as error:
+            what = error.what if isinstance(error, WbflowError) else str(error)
+            self._fault = f"this machine alone has tonight's last results: {what}"
+        self._sent = time.monotonic()
+
+    def _claim(self) -> bytes:
+        return json.dumps({"token": self._token, "host": os.uname().nodename, "pid": os.getpid(), "seen": time.time()}).encode()
+
+    def _holder(self) -> dict[str, Any]:
+        """Return who holds the store; a token of "" for nobody, or somebody who cannot be read."""
+        try:
+            return {"token": "", "host": "?", "pid": "?", "seen": 0.0, **json.loads(self.store.read(HELD) or b"{}")}
+        except (ValueError, TypeError):
+            return {"token": ""}
+
+    def _save(self) -> None:
+        files = {name: [mark, *stamp] for name, (mark, stamp) in self._agreed.items()}
+        write_signed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files}, lasts=False)
+
+    def _files(self) -> Iterator[Path]:
+        """Every file that belongs into the store: not what is of this machine alone, or can be made again from the rest."""
+        work = self.work
+        yield from (work.seen_memo, work.notified, *work.cached(), *work.reference.rglob("*"))
+        for run in work.run_ids():
+            yield from work.run(run).folder.iterdir()
+
+    def _belongs(self, name: str) -> bool:
+        """Return whether an object is one of these files."""
+        work, parts = self.work, PurePosixPath(name).parts
+        fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3, work.seen_memo.name: 1, work.notified.name: 1}
+        return len(parts) >= fewest.get(parts[0], len(parts) + 1) and not any(part.startswith(".") for part in parts)
+
+    def _in_order(self, names: Iterable[str]) -> Iterator[list[str]]:
+        """Group names: bytes, then receipts, then what says that a run or a reference is there."""
+        last = {self.work.reference_record.name, RunPaths(self.work.root).record.name}
+
+        def rank(name: str) -> int:
+            return 2 if PurePosixPath(name).name in last else int(name.endswith(".json"))
+
+        return (list(group) for _, group in itertools.groupby(sorted(names, key=rank), key=rank))
+
+    def _stamps(self, paths: Iterable[Path]) -> dict[str, Stamp]:
+        start, found = len(f"{self.work.root}/"), {}
+        for path in paths:
+            if not path.name.startswith(".") and path.is_file():
+                status = path.stat()
+                found[str(path)[start:]] = status.st_size, status.st_mtime_ns
+        return found
+
+
+@contextlib.contextmanager
+def writing(work: WorkFolder, wait: bool) -> Iterator[Mirror]:
+    """Hold the store of a work folder while the block runs: it begins with all that others have done, and ends with all that was
+    done here in the store.  The caller holds the folder.  Raises Locked, StoreError."""
+    mirror = Mirror(work)
+    mirror.hold(wait)
+    try:
+        mirror.pull()
+        yield mirror
+        if mirror.holds and (fault := mirror.finish()):
+            raise StoreError(fault)
+    finally:
+        mirror.release()
+
+
+def look(work: WorkFolder) -> None:
+    """Bring what others have done, only to read it; a folder that a run writes to is up to date.  Raises StoreError, OSError."""
+    with contextlib.suppress(Locked), hold(work.lock, wait=False):
+        Mirror(work).pull()
+
+
+def list_captures(root: Path, url: str) -> None:
+    """Make a folder show the names of all captures in a store.  What is new, or has another ETag, is an empty file until
+    `fetch_captures` gets its bytes.  Raises StoreError, OSError."""
+    memo = WorkFolder(root).mirror_memo
+    known: dict[str, list[Any]] = {}
+    with contextlib.suppress(Damaged):
+        known = (read_signed(memo, "captures") or {}).get("files", {})
+    files = {
+        name: [*entry] for name, entry in ObjectStore(url).listing().items() if not {"..", "/"} & {*PurePosixPath(name).parts}
+    }
+    files.pop(memo.name, None)
+    for name, entry in files.items():
+        path = root / name
+        try:
+            if known.get(name) != entry or not path.is_file():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.unlink(missing_ok=True)
+                path.touch()
+        except OSError as error:
+            if error.errno in FULL:
+                raise  # else it is a name that no file here can have beside the others
+    for name in known.keys() - files.keys():
+        (root / name).unlink(missing_ok=True)
+    if files != known:
+        write_signed(memo, "captures", {"files": files}, lasts=False)
+
+
+def fetch_captures(root: Path, url: str, paths: Iterable[Path]) -> None:
+    """Get the bytes of captures that are not here yet.  Raises StoreError, OSError."""
+    empty = [path for path in paths if path.is_file() and not path.stat().st_size]
+    ObjectStore(url).fetch([str(path.relative_to(root)) for path in empty], root)

@@ -1,1 +1,0 @@
-"""Work folders and captures in an object store."""
