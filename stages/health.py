@@ -91,16 +91,22 @@ def examine(
 
     Parameters
     ----------
-    frame : Tonight's.
-    pinned_frame, pinned_camera : the reference's, and the camera that took it; without them only what the frame itself shows is
-        judged.
-    usual : what earlier nights measured: a camera that sways is not nudged whenever it does.
-    nudged_px : a camera whose picture has moved by more (median over the picture) is nudged, in pixels of the frame; and its pose
-        is corrected.  Where it usually sways by more, three standard deviations of that count.
-    moved_deg : one that has turned by more is moved, in degrees.  It is corrected, too, where a turn explains what is seen; else
-        it is solved anew from the others.
-    flat : a picture of which a larger share than this shows nothing (covered, fog, no light) is blind.
-    dark : so is one whose contrast (5 to 95 %) is below this, in grey levels of 255.
+    frame
+        Tonight's.
+    pinned_frame, pinned_camera
+        The reference's, and the camera that took it; without them only what the frame itself shows is judged.
+    usual
+        What earlier nights measured: a camera that sways is not shifted whenever it does.
+    nudged_px
+        A camera whose picture has moved by more (median over the picture) is shifted, in pixels of the frame; and its pose is
+        corrected.  Where it usually sways by more, three standard deviations of that count.
+    moved_deg
+        One that has turned by more is moved, in degrees.  It is corrected, too, where a turn explains what is seen; else it is
+        solved anew from the others.
+    flat
+        A picture of which a larger share than this shows nothing (covered, fog, no light) is obscured.
+    dark
+        So is one whose contrast (5 to 95 %) is below this, in grey levels of 255.
     """
     now = _looks(frame)
     case = _Case(
@@ -110,7 +116,7 @@ def examine(
     if now.flat > flat or now.contrast < dark:
         light = "no light" if now.brightness < _NIGHT / 2 else "covered, dirty, or in fog"
         what = f"{100 * now.flat:.0f} % of the picture show nothing ({light})"
-        return case.closed("blind", what, "look at the camera: is the lens clear, does a lamp burn?")
+        return case.closed("obscured", what, "look at the camera: is the lens clear, does a lamp burn?")
     if pinned_frame is None:
         return case.closed("ok", "nothing to compare with")
     if pinned_frame.image.shape != frame.image.shape:
@@ -146,7 +152,7 @@ def _turned(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, move
         turned = not zoomed and turn.share >= _TURNED_SHARE  # else things near and far disagree: it has been carried, too
         how += also + (": corrected" if turned else "")
         return case.closed("moved", how, "turn it back, or pin a new reference", turned)
-    return case.closed("nudged", f"{how}: corrected", "fasten it; if it stays so, pin a new reference", True)
+    return case.closed("shifted", f"{how}: corrected", "fasten it; if it stays so, pin a new reference", True)
 
 
 def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
@@ -161,7 +167,9 @@ def _far(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame,
     then, now = _looks(pinned), _looks(frame)
     if wide.distinct and now.mode == then.mode and now.contrast > 0.5 * then.contrast:
         text = f"it shows another place: of {wide.keypoints} features, {wide.agreeing} agree with the reference"
-        return case.closed("foreign", text, "is it the right camera on this input? If it was moved for good, pin a new reference")
+        return case.closed(
+            "wrong-scene", text, "is it the right camera on this input? If it was moved for good, pin a new reference"
+        )
     return case.closed("ok", f"unverified: too little of the reference is seen again ({now.mode})")
 
 

@@ -107,7 +107,7 @@ def hold_poses(
 def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
     """The same, but all views of one camera turn as that one which knows it best: by the patches that were found again."""
     found = dict(healths)
-    told = {n: health for n, health in healths.items() if n in views and health.state not in {"blind", "foreign"}}
+    told = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
     for name in told:
         own = views[name].lens
         alike = [n for n in told if same_camera(views[name], views[n])]

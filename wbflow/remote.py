@@ -35,7 +35,7 @@ from .cache.room import FULL
 from .cache.signed import Damaged, read_signed, write_signed
 from .errors import ExitCode, WbflowError, counted, printable
 from .records.events import Event, Listener, TaskEvent
-from .records.findings import STORE_BEHIND, Finding
+from .records.findings import Finding, finding
 from .task import Task
 
 HELD = "held.json"
@@ -252,7 +252,7 @@ class Mirror:
     def behind(self) -> Finding | None:
         """Send what is finished; return a finding where that does not work."""
         self._send(everything=False)
-        return Finding(STORE_BEHIND, (), self._fault, remedy="the next run brings the rest up") if self._fault else None
+        return finding("store-behind", reason=self._fault) if self._fault else None
 
     def finish(self) -> str | None:
         """Send everything and let others write; return what went wrong."""

@@ -283,7 +283,14 @@ def _night(site: NightsSite, number: int) -> dict[str, Any]:
     }
 
 
-STATES = {"none": "ok", "turned": "moved", "nudged": "nudged", "covered": "blind", "frozen": "stale", "foreign": "foreign"}
+STATES = {
+    "none": "ok",
+    "turned": "moved",
+    "nudged": "shifted",
+    "covered": "obscured",
+    "frozen": "stale",
+    "foreign": "wrong-scene",
+}
 """The state that a camera should be found in, by what happened to it."""
 
 

@@ -17,8 +17,8 @@ class CameraHealth:
     """What became of a camera."""
 
     state: str
-    """"ok"; "nudged": turned by little, and by how much is known; "moved"; "blind": too dark, covered or out of focus;
-    "foreign": another place."""
+    """"ok"; "shifted": turned by little, and by how much is known; "moved"; "obscured": too dark, covered or out of focus;
+    "wrong-scene": another place."""
     text: str
     """In one line."""
     remedy: str = ""

@@ -79,14 +79,14 @@ def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: 
     """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
     well = {"brightness": 110.0, "sharpness": 0.2, "keypoints": 6000, "frames_used": 3}
     told = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
-    told[-1] = replace(told[-1], health=Health("foreign", "it shows another place", remedy="look at its picture"))
+    told[-1] = replace(told[-1], health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
     told[-2] = CameraRecord(ids[-2], "failed", "the capture ends after 1,000 bytes")
     figures = {"matches": 400, "inliers": 500, "angle_deg": 12.0, "epipolar_px": 0.3, "density": 0.5, "matched": True}
     steps = (1, 2, 3)
     pairs = [PairRecord(a, ids[k + s], "ok", figures=figures) for s in steps for k, a in enumerate(ids[:-s])]
     pairs[0] = PairRecord(pairs[0].left, pairs[0].right, "rejected", "12 inliers, 30 needed", figures={"inliers": 12})
     findings = (
-        Finding("camera-foreign", (ids[-1],), "it shows another place", remedy="look at its picture"),
+        Finding("camera-wrong-scene", (ids[-1],), "it shows another place", remedy="look at its picture"),
         Finding("camera-lost", (ids[-2],), "the capture ends after 1,000 bytes; left out tonight"),
         Finding("fewer-points", (), "900 points, 50 % of the usual 1,800"),
     )

@@ -46,7 +46,7 @@ from wbflow_stages.types import (
 
 
 def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *, resolution: int | None = None) -> Frame:
-    """Captures are text: `broken` raises, anything else becomes pixels; "ok/blind/ok: a view" says how each of three views is."""
+    """Captures are text: `broken` raises, anything else becomes pixels; "ok/obscured/ok: a view" says how each of three views is."""
     _trouble("frames")
     data = b"".join(capture.data.tobytes() for capture in captures)
     if data.startswith(b"broken"):
@@ -60,11 +60,11 @@ def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *
 
 
 def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nudged_px: float = 1.5) -> CameraHealth:
-    """The capture says it itself: "nudged: a view"; and how often it has been looked at before."""
+    """The capture says it itself: "shifted: a view"; and how often it has been looked at before."""
     _trouble("health")
     state = frame.notes[1] if pinned_frame else "ok"
     figures = {"shift_x_px": 0.5, "shift_y_px": 0.0, "roll_deg": 0.0, "nights": float(len(usual.roll_deg)) if usual else -1.0}
-    return CameraHealth(state, "as the capture says", "none", figures if pinned_frame else {}, corrected=state == "nudged")
+    return CameraHealth(state, "as the capture says", "none", figures if pinned_frame else {}, corrected=state == "shifted")
 
 
 def detect(frame: Frame, *, offset: float = 0.0) -> Features:

@@ -67,7 +67,7 @@ def test_a_camera_that_stands_still_is_ok_whatever_the_light(light: str) -> None
 @pytest.mark.parametrize("angles", [(0.25, 0.1, 0.0), (-0.1, 0.2, 0.15), (0.0, 0.0, 0.35)])
 def test_a_nudge_is_measured_with_its_standard_deviation(angles: tuple[float, float, float]) -> None:
     found = examine(seen(*angles), REFERENCE, nudged_px=0.5)
-    assert found.state == "nudged"
+    assert found.state == "shifted"
     true = float(np.linalg.norm(angles))
     sigma = float(found.figures["turn_sigma_deg"])
     assert abs(float(found.figures["turn_deg"]) - true) < max(4 * sigma, 0.003)
@@ -80,7 +80,7 @@ def test_a_nudge_is_measured_with_its_standard_deviation(angles: tuple[float, fl
 
 
 def test_a_small_turn_is_a_nudge_and_a_larger_one_a_move() -> None:
-    assert examine(seen(0.3), REFERENCE).state == "nudged"
+    assert examine(seen(0.3), REFERENCE).state == "shifted"
     moved = examine(seen(0.6), REFERENCE)
     assert moved.state == "moved"
     assert float(moved.figures["turn_deg"]) == pytest.approx(0.6, rel=0.03)
@@ -96,26 +96,26 @@ def test_a_lens_that_was_touched_is_a_move() -> None:
 def test_a_camera_that_always_sways_is_not_nudged_when_it_does() -> None:
     swaying = Usual(np.array([-1.5, 2.0, 0.3, 1.8, -2.1, 0.9]), np.zeros(6), np.zeros(6))
     tonight = seen(0.25)
-    assert examine(tonight, REFERENCE).state == "nudged"
+    assert examine(tonight, REFERENCE).state == "shifted"
     assert examine(tonight, REFERENCE, usual=swaying).state == "ok"
     still = Usual(np.full(6, 0.1), np.zeros(6), np.zeros(6))
-    assert examine(tonight, REFERENCE, usual=still).state == "nudged"
+    assert examine(tonight, REFERENCE, usual=still).state == "shifted"
 
 
 @pytest.mark.parametrize("level", [2.0, 70.0])
 def test_a_lens_that_is_covered_or_without_light_is_blind(level: float) -> None:
     rng = np.random.default_rng(2)
     found = examine(lit(REFERENCE, rng.normal(level, 1.5, REFERENCE.image.shape)), REFERENCE)
-    assert found.state == "blind"
+    assert found.state == "obscured"
     assert float(found.figures["flat"]) > float(found.expected["flat"])
 
 
 def test_another_place_is_foreign_even_with_the_same_clock_burnt_in() -> None:
     other = seen(world=texture(2 * H, 2 * W, seed=9))
-    assert examine(other, REFERENCE).state == "foreign"
+    assert examine(other, REFERENCE).state == "wrong-scene"
     image = other.image.copy()
     image[4:40, 8:160] = REFERENCE.image[4:40, 8:160]
-    assert examine(lit(other, image), REFERENCE).state == "foreign"
+    assert examine(lit(other, image), REFERENCE).state == "wrong-scene"
 
 
 def test_what_cannot_be_decided_is_ok_and_unverified() -> None:

@@ -19,7 +19,7 @@ TURN = rotation_matrix(np.radians([0.1, -0.2, 0.05]))
 
 def nudged(camera: Camera) -> CameraHealth:
     """How a camera that has turned by TURN is."""
-    return CameraHealth("nudged", "turned", corrected=True, turn=TURN, homography=camera.K @ TURN @ np.linalg.inv(camera.K))
+    return CameraHealth("shifted", "turned", corrected=True, turn=TURN, homography=camera.K @ TURN @ np.linalg.inv(camera.K))
 
 
 def reference(site: PairSite) -> Poses:

@@ -1,39 +1,39 @@
 """Was it a good night?  The findings of a run, its level, and its exit code: the one place that decides.
 
-A night is good where there is nothing to look at; it has failed where there is no cloud; it is degraded where a camera that
-should give something gave nothing or is not as it should be, where a task failed, and where much less came of it than is usual
-(the last good nights with the same settings) or, without these, than its own plan expected.  A pair that finds nothing is no
-failure.
+A night is good when there is nothing to look at, failed when there is no cloud, and degraded when a camera that should give
+something gave nothing or is not as it should be, when a task failed, or when much less came of it than is usual (the last good
+nights with the same settings) or, without these, than its own plan expected.  A pair that finds nothing is no failure.
+
+`CHECKS` lists what is looked at.  What each finding means stands in `records.findings.FINDINGS`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from ..errors import ExitCode, counted
 from ..pipeline.rows import Role
 from ..pipeline.stages import STAGES, stage_with
-from ..records.record import CameraRecord, Down, Finding, Health, PairRecord, RunRecord, Usual, Verdict
+from ..records.findings import FINDINGS, finding
+from ..records.record import CameraRecord, Down, Finding, Level, PairRecord, RunRecord, Usual, Verdict
 from ..runner.planner import Plan
 from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
-from .at_fault import at_fault
-from .past import Past, figures_of, looks_of, median, pinned_usual, settings_of
+from .baseline import Baseline, figures_of, reference_usual, settings_of, with_appearance
 from .record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
-FOUND_SHARE = 0.25
-"""A camera of whose pairs fewer than this share of the usual share find common points shows something else."""
-SHARP_SHARE = 0.4
-"""A picture with less than this share of its usual sharpness is out of focus, or behind drops or dirt."""
 MOST_LETTERS = 200
 """A reason has at most so many letters in a finding."""
-
-_BACK = "it is used again by itself as soon as its captures are"
+_EXIT_CODES: Mapping[Level, ExitCode] = {
+    "good": ExitCode.GOOD,
+    "degraded": ExitCode.DEGRADED,
+    "failed": ExitCode.FAILED,
+}
 
 
 @dataclass(frozen=True)
@@ -44,335 +44,322 @@ class Facts:
     """Tasks that failed."""
     product: bool = True
     """Was a cloud asked for?"""
-    lacks: str = ""
-    """What else was asked for of the whole site and is not there, and why."""
+    missing: tuple[str, str] | None = None
+    """The stage that was asked for instead, where it made nothing, and why."""
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
-    """Of tasks that were not begun since the time was over."""
+    """Of tasks that were not started because the time was over."""
     behind: Finding | None = None
-    """What is not yet where it is to go besides."""
+    """What the object store does not have yet."""
 
     @staticmethod
-    def of(plan: Plan, interrupted: bool, behind: Finding | None = None) -> Facts:
-        """Those of a plan that is settled."""
+    def from_plan(plan: Plan, interrupted: bool, behind: Finding | None = None) -> Facts:
+        """Return those of a plan whose tasks have all ended."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
         product = stage_with(Role.PRODUCT) in plan.stages()
-        asked = plan.states.get(Task(plan.until)) if plan.until and not product else None
-        lacks = f"no {plan.until}: {root_cause(plan, Task(plan.until))}" if plan.until and asked and not asked.usable else ""
-        return Facts(failed, product, lacks, interrupted, stopped, behind)
+        missing = None
+        if plan.until and not product:
+            state = plan.states.get(Task(plan.until))
+            if state and not state.usable:
+                missing = plan.until, root_cause(plan, Task(plan.until)) or ""
+        return Facts(failed, product, missing, interrupted, stopped, behind)
 
 
-def judged(record: RunRecord, plan: Plan, past: Past, interrupted: bool, behind: Finding | None = None) -> RunRecord:
-    """A record with what it was compared with, how its cameras are, its verdict and its exit code.
+def judge_run(record: RunRecord, plan: Plan, baseline: Baseline, interrupted: bool, behind: Finding | None = None) -> RunRecord:
+    """Return the record with what it is compared with, how its cameras are, its verdict and its exit code.
 
     Parameters
     ----------
-    record : RunRecord
+    record
         Of a run that ends now.
-    plan : Plan
+    plan
         With the states of all its tasks.
-    past : Past
+    baseline
         The runs before it.
-    interrupted : bool
+    interrupted
         Was it stopped from outside?
-    behind : Finding, optional
-        What is not yet where it is to go besides.
+    behind
+        What the object store does not have yet.
     """
-    site = plan.site
-    settings = settings_of(site)
-    usual = past.usual(settings, site.expected.since)
+    expected, settings = plan.site.expected, settings_of(plan.site)
+    usual = baseline.usual(settings, expected.since)
     if plan.reference and not plan.reference.automatic:
-        usual = pinned_usual(plan.cache.work, plan.reference.run, settings, usual)
+        usual = reference_usual(plan.cache.work, plan.reference.run, settings, usual)
     record = replace(record, settings=settings, usual=usual)
-    return judge(record, Facts.of(plan, interrupted, behind), past, site.expected)
+    return judge(record, Facts.from_plan(plan, interrupted, behind), baseline, expected)
 
 
-def judge(record: RunRecord, facts: Facts, past: Past, expected: Expected) -> RunRecord:
-    """The same from the record alone.
+def judge(record: RunRecord, facts: Facts, baseline: Baseline, expected: Expected) -> RunRecord:
+    """Return the same from the record alone, which says what is usual.
 
     Parameters
     ----------
-    record : RunRecord
-        With what it is compared with in it.
-    facts : Facts
-        What the record does not tell.
-    past : Past
+    record
+        With what it is compared with.
+    facts
+        What the record does not say.
+    baseline
         The runs before it.
-    expected : Expected
+    expected
         What the site file says of good nights.
     """
-    night = _shares(record)
-    looks, known = looks_of(record), record.usual.cameras if record.usual else {}
-    cameras = tuple(
-        _with_health(camera, looks.get(camera.id, {}), known.get(camera.id, {}), night, expected) for camera in record.cameras
-    )
-    record = replace(record, cameras=cameras)
-    cameras = tuple(_with_down(camera, record, past) for camera in cameras)
-    record = replace(record, cameras=cameras)
-    of_cameras = *_of_cameras(record), *_of_poses(record), *_of_solved(record), *_of_lenses(record)
-    found = (*_whole(record, facts), *of_cameras, *_of_tasks(record, facts), *_of_figures(record, facts, expected))
-    verdict = Verdict("good", found)
-    if facts.interrupted or facts.lacks or (facts.product and not record.cloud):
-        verdict = Verdict("failed", found)
-    elif any(not _tolerated(finding, record, expected) for finding in found):
-        verdict = Verdict("degraded", found)
-    return replace(record, verdict=verdict, exit_code=exit_code(verdict, facts.interrupted))
+    record = with_appearance(record, expected)
+    record = replace(record, cameras=tuple(_with_down(camera, record, baseline) for camera in record.cameras))
+    night = Night(record, facts, expected)
+    found = tuple(finding for check in CHECKS for finding in check(night))
+    level = _level(night, found)
+    code = ExitCode.INTERRUPTED if facts.interrupted else _EXIT_CODES[level]
+    return replace(record, verdict=Verdict(level, found), exit_code=code)
 
 
-def exit_code(verdict: Verdict, interrupted: bool = False) -> ExitCode:
-    """How a run with a verdict ends."""
-    if interrupted:
-        return ExitCode.INTERRUPTED
-    return {"good": ExitCode.GOOD, "degraded": ExitCode.DEGRADED, "failed": ExitCode.FAILED}[verdict.level]
+@dataclass(frozen=True)
+class Night:
+    """What a check looks at."""
+
+    record: RunRecord
+    facts: Facts
+    expected: Expected
 
 
-def _whole(record: RunRecord, facts: Facts) -> Iterator[Finding]:
+def _level(night: Night, found: Iterable[Finding]) -> Level:
+    levels = {FINDINGS[one.kind].level for one in found if not _is_tolerated(one, night)}
+    return "failed" if "failed" in levels else "degraded" if "degraded" in levels else "good"
+
+
+def _is_tolerated(found: Finding, night: Night) -> bool:
+    """Is it about a camera of a site that may do without some?"""
+    limit = night.expected.limit(Measure.CAMERAS)
+    if not found.kind.startswith("camera-") or limit >= 1:
+        return False
+    cameras = night.record.cameras
+    return sum(camera.down is None for camera in cameras) >= limit * len(cameras)
+
+
+def check_end(night: Night) -> Iterator[Finding]:
+    """Did the run come to its end, and is what was asked for there?"""
+    facts, record = night.facts, night.record
     if facts.stopped:
-        text = f"{facts.stopped[0].reason}: {counted(len(facts.stopped), 'task')} not done"
-        remedy = "run it again without --stop-at: it goes on from there; begin earlier, or lower `resolution`"
-        yield Finding("stopped", (), text, {"tasks": len(facts.stopped)}, remedy=remedy)
+        count = len(facts.stopped)
+        yield finding("stopped", (), {"tasks": count}, reason=facts.stopped[0].reason, tasks=counted(count, "task"))
     if facts.interrupted:
-        yield Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again: it goes on from there")
-    elif facts.lacks:
-        yield Finding("no-result", (), shortened(facts.lacks))
+        yield finding("interrupted")
+    elif facts.missing:
+        yield finding("no-result", stage=facts.missing[0], reason=shortened(facts.missing[1]))
     elif facts.product and not record.cloud:
-        yield Finding("no-cloud", (), f"no cloud: {shortened(record.reason or 'nothing says why')}")
-    if facts.behind:
-        yield facts.behind
+        yield finding("no-cloud", reason=shortened(record.reason or "nothing says why"))
 
 
-def _of_cameras(record: RunRecord) -> Iterator[Finding]:
-    faults = at_fault(record)
-    excused = {name for others in faults.values() for name in others}
-    for camera in record.cameras:
-        trouble = _trouble(camera, record)
-        if trouble and trouble.kind == "camera-fruitless":
-            trouble = None if camera.id in excused else _blamed(trouble, faults.get(camera.id))
+def check_store(night: Night) -> Iterator[Finding]:
+    """Does the object store have everything?"""
+    if night.facts.behind:
+        yield night.facts.behind
+
+
+def check_cameras(night: Night) -> Iterator[Finding]:
+    """Is each camera in use, and as it should be?  One finding each, with the nights that it has lasted."""
+    blamed = blame(night.record)
+    excused = {name for others in blamed.values() for name in others}
+    for camera in night.record.cameras:
+        trouble = _trouble(camera, night.record)
+        if trouble and trouble.kind == "camera-no-usable-pair":
+            trouble = None if camera.id in excused else _blamed(trouble, blamed.get(camera.id))
         if trouble:
             down = camera.down
-            nights = f"; {down.told(left_out=not camera.ok)}" if down and down.nights > 1 else ""
+            lasted = f"; {down.words(left_out=not camera.ok)}" if down and down.nights > 1 else ""
             figures = {"since": down.since, "nights": down.nights} if down else {}
-            yield replace(trouble, text=trouble.text + nights, figures={**trouble.figures, **figures})
+            yield replace(trouble, text=trouble.text + lasted, figures={**trouble.figures, **figures})
 
 
 def _trouble(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    """What is wrong with a camera tonight: the first thing that is."""
-    subject, pairs = (camera.id,), record.pairs_of(camera.id)
-    if (health := camera.health) and not health.ok:
-        text = health.text if camera.ok else f"{shortened(health.text)}; left out tonight"
-        remedy = health.remedy or _remedy_of_lost(camera)
-        return Finding(f"camera-{health.state}", subject, text, health.figures, health.expected, remedy)
-    if not camera.ok:
-        kind = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
-        text = f"{shortened(camera.reason or camera.outcome)}; left out tonight"
-        return Finding(kind, subject, text, remedy=_remedy_of_lost(camera))
-    if record.poses and camera.id in record.poses.suspects:
-        remedy = "look at it; calibrate it anew if it has been moved"
-        return Finding("camera-moved", subject, record.poses.suspects[camera.id], remedy=remedy)
-    if record.poses and camera.id in record.poses.doubtful:
-        remedy = "look at it; if it has been moved, calibrate it anew or leave out its pose"
-        return Finding("camera-unverified", subject, record.poses.doubtful[camera.id], remedy=remedy)
-    if record.pairs and not pairs:
-        text = "no other camera seems to see enough of what it sees: it is in no pair"
-        return Finding("camera-alone", subject, text, remedy="look at where it points, and at `pairs:` in the site file")
-    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.figures.get("dense") is not False]
-    if tried and not any(pair.ok for pair in tried):
-        which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
-        text = f"{which} be used: {_most_common(tried)}"
-        remedy = "look at where it points, and whether anything stands before it"
-        if any(pair.figures.get("known") == "stated" for pair in tried):
-            remedy += "; or its pose is not what the site file says: measure it anew, or leave it out to have it solved"
-        return Finding("camera-fruitless", subject, text, {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}, remedy)
+    """Return the first thing that is wrong with a camera tonight."""
+    return next((found for check in _CAMERA_CHECKS if (found := check(camera, record))), None)
+
+
+def _is_unhealthy(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    health = camera.health
+    if health is None or health.ok:
+        return None
+    reason = health.text if camera.ok else f"{shortened(health.text)}; left out tonight"
+    remedy = health.remedy or (None if camera.ok else _remedy_of_lost(camera))
+    return finding(f"camera-{health.state}", (camera.id,), health.figures, health.expected, remedy, reason=reason)
+
+
+def _is_left_out(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    if camera.ok:
+        return None
+    code = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
+    return finding(code, (camera.id,), remedy=_remedy_of_lost(camera), reason=shortened(camera.reason or camera.outcome))
+
+
+def _has_doubtful_pose(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    if record.poses and (reason := record.poses.suspects.get(camera.id)):
+        return finding("camera-moved", (camera.id,), reason=reason)
+    if record.poses and (reason := record.poses.doubtful.get(camera.id)):
+        return finding("camera-unverified", (camera.id,), reason=reason)
     return None
 
 
-def _blamed(fruitless: Finding, excused: tuple[str, ...] | None) -> Finding:
-    """A camera without a usable pair whose stated pose is at fault for that; excused: others that have none because of it."""
-    if excused is None:
-        return fruitless
-    text = f"{fruitless.text}; its stated pose explains that, and no other camera's explains as much"
-    if excused:
-        have = "has" if len(excused) == 1 else "have"
-        text += f", and {' and '.join(excused)} {have} no pair beside those with it that tells anything"
-    remedy = "it does not stand or look as the site file says: measure its pose anew, or leave it out to have it solved"
-    return replace(fruitless, text=text, remedy=remedy)
+def _is_unpaired(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    return finding("camera-unpaired", (camera.id,)) if record.pairs and not record.pairs_of(camera.id) else None
 
 
-def _of_poses(record: RunRecord) -> Iterator[Finding]:
-    """Stated poses that are not known well enough, and that the pictures could not make better."""
-    if not record.poses or not record.poses.uncertain:
-        return
-    names, worst = tuple(record.poses.uncertain), max(record.poses.uncertain.values())
-    listed = shortened(", ".join(names))
-    text = f"known poses are not exact enough, and tonight's pictures tell them no better: {listed}; what matches may be"
-    text += f" up to {worst:.1f} px beside the row where it is looked for: depths may be of look-alikes"
-    remedy = "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see"
-    yield Finding("poses-uncertain", names, text, {"row_px": worst}, remedy=remedy)
+def _has_no_usable_pair(camera: CameraRecord, record: RunRecord) -> Finding | None:
+    pairs = record.pairs_of(camera.id)
+    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.figures.get("dense") is not False]
+    if not tried or any(pair.ok for pair in tried):
+        return None
+    which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
+    remedy = FINDINGS["camera-no-usable-pair"].remedy
+    if any(pair.figures.get("known") == "stated" for pair in tried):
+        remedy += "; or its pose is not what the site file says: measure it again, or leave it out to have it solved"
+    numbers = {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}
+    reason = f"{which} be used: {_most_common(tried)}"
+    return finding("camera-no-usable-pair", (camera.id,), *numbers, remedy, reason=reason)
 
 
-def _of_solved(record: RunRecord) -> Iterator[Finding]:
-    """Cameras that matches of look-alikes have a say in: they fit, and yet may stand elsewhere."""
-    if not record.poses or not record.poses.strained:
-        return
-    names, worst = tuple(record.poses.strained), max(record.poses.strained.values())
-    text = f"matches contradict each other: {shortened(', '.join(names))}; those that a third camera confirms fit other poses,"
-    text += f" {worst:.0f} times better than noise explains, and cameras are solved from these alone where that can be: something"
-    text += " repeats in the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures"
-    remedy = "state poses and lenses that have been measured; or add a camera between those that stand far apart"
-    yield Finding("poses-strained", names, text, {"strain": worst}, remedy=remedy)
-
-
-def _of_lenses(record: RunRecord) -> Iterator[Finding]:
-    """Lenses that nobody stated and tonight's pictures don't tell: all that rests on them may be bent, though it fits."""
-    if not record.poses or not record.poses.unsure_lenses:
-        return
-    unsure = record.poses.unsure_lenses
-    focal, border = (max(sigma[name] for sigma in unsure.values()) for name in ("focal", "border_px"))
-    text = f"the lens was not stated, and tonight's pictures do not determine it: {shortened(', '.join(unsure))}; noise and what"
-    text += f" is wrong in matches leave {100 * focal:.1f} % of its focal length open and {border:.1f} px at the border (standard"
-    text += " deviations), often several times as much: cloud and poses may be bent or stretched, though they fit the pictures"
-    remedy = "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside"
-    yield Finding("lens-undetermined", tuple(unsure), text, {"focal": focal, "border_px": border}, remedy=remedy)
+_CAMERA_CHECKS = (_is_unhealthy, _is_left_out, _has_doubtful_pose, _is_unpaired, _has_no_usable_pair)
 
 
 def _remedy_of_lost(camera: CameraRecord) -> str:
     if camera.code == Cause.UNSOLVED:
-        between = "a camera nearby that sees the same things from an angle between would tie it in"
-        return f"state its lens, if the site file does not (wbflow calibrate finds it): wide ones need that; or {between}"
-    if camera.code == Cause.NO_CAPTURE:
-        return f"see that it delivers: {_BACK}"
-    return f"look at the camera: {_BACK}"
+        return FINDINGS["camera-unsolved"].remedy
+    remedy = FINDINGS["camera-lost"].remedy
+    return remedy.replace("look at the camera", "see that it delivers") if camera.code == Cause.NO_CAPTURE else remedy
 
 
-def _of_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
-    """Failed tasks, those that failed for the same cause together; the cause of a lost camera is told with the camera."""
-    told = {camera.id for camera in record.cameras if not camera.ok}
-    groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
-    for task, state in facts.failed:
-        if not (len(task.subject) == 1 and camera_of(task.subject[0]) in told):
-            groups.setdefault((task.stage, state.code), []).append((task, state))
-    for (_, code), tasks in groups.items():
-        task, state = tasks[0]
-        more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
-        remedy = "wbflow run -v SITE.yaml  shows where" if code == Cause.FAULT else ""
-        text = f"{task} failed: {shortened(state.reason or '')}{more}"
-        yield Finding("task-failed", task.subject, text, {"tasks": len(tasks)}, remedy=remedy)
-
-
-def _of_figures(record: RunRecord, facts: Facts, expected: Expected) -> Iterator[Finding]:
-    """What came of the night as a whole, compared with what is usual, or stated, or planned."""
-    if facts.interrupted or not facts.product or not record.cloud:
-        return
-    usual = record.usual or Usual(0, {})
-    figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
-    units = {s.name: f"{s.reports.expects.unit} {s.reports.expects.words}" for s in STAGES if s.reports and s.reports.expects}
-    things: dict[str, str] = {Measure.POINTS: "point", Measure.PAIRS: "pair", Measure.CAMERAS: "camera"}
-    for name, value in figures.items():
-        limit, much = expected.limit(name), f"{value:,.0f} {units[name]}" if name in units else counted(value, things[name])
-        base = float(len(record.cameras)) if name == Measure.CAMERAS else usual.figures.get(name)
-        if limit > 1:
-            if value < limit:
-                yield _fewer(name, value, limit, f"{much}, at least {limit:,.0f} are expected")
-        elif name == Measure.CAMERAS:
-            continue  # each one that is lost is a finding of its own
-        elif base is not None and value < limit * base:
-            whose = "the reference's" if usual.reference else "the usual"
-            yield _fewer(name, value, base, f"{much}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
-        elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
-            why = _why_few(record)
-            planned = float(len(record.pairs))
-            yield _fewer(name, value, planned, f"only {value:.0f} of {planned:.0f} pairs could be used; most others: {why}")
-
-
-def _fewer(name: str, value: float, base: float, text: str) -> Finding:
-    compare = "wbflow compare SITE.yaml  shows what differs"
-    remedy = f"{compare}; if this is usual from now on, say so in the site file: expect: {{since: DATE}}"
-    return Finding(f"fewer-{name}", (), text, {name: round(value)}, {name: round(base)}, remedy)
-
-
-def _tolerated(finding: Finding, record: RunRecord, expected: Expected) -> bool:
-    """Is it about a camera of a site that may do without some?"""
-    limit = expected.limit(Measure.CAMERAS)
-    if not finding.kind.startswith("camera-") or limit >= 1:
-        return False
-    well = sum(camera.down is None for camera in record.cameras)
-    return well >= limit * len(record.cameras)
-
-
-def _shares(record: RunRecord) -> dict[str, float]:
-    """How the pictures of most cameras look, as shares of what is usual: what they have in common is the night's, not theirs."""
-    shares: dict[str, list[float]] = {}
-    of_cameras = looks_of(record)
-    for camera in record.cameras:
-        looks, usual = of_cameras.get(camera.id, {}), record.usual.cameras.get(camera.id, {}) if record.usual else {}
-        for name in looks.keys() & usual.keys():
-            if usual[name] > 0:
-                shares.setdefault(name, []).append(looks[name] / usual[name])
-    return {name: min(median(found), 1.0) for name, found in shares.items()}
-
-
-def _with_health(
-    camera: CameraRecord, looks: Mapping[str, float], usual: Mapping[str, float], night: Mapping[str, float], expected: Expected
-) -> CameraRecord:
-    """Its looks compared with the usual, where nobody who looked more closely has found anything.
-
-    Parameters
-    ----------
-    camera : CameraRecord
-        Whose.
-    looks, usual : mapping
-        Figures of its picture, tonight's and the usual ones.
-    night : mapping
-        The share of the usual that most cameras have tonight.
-    expected : Expected
-        What the site file says of good nights.
-    """
-    if not camera.ok or not usual or (camera.health and not camera.health.ok):
-        return camera
-    health = _health(looks, usual, night, expected)
-    return camera if camera.health and health.ok else replace(camera, health=health)
-
-
-def _health(looks: Mapping[str, float], usual: Mapping[str, float], night: Mapping[str, float], expected: Expected) -> Health:
-    """How a camera is by its looks.
-
-    Parameters
-    ----------
-    looks, usual : mapping
-        Figures of its picture, tonight's and the usual ones.
-    night : mapping
-        The share of the usual that most cameras have tonight.
-    expected : Expected
-        What the site file says of good nights.
-    """
-    shared = [name for name in looks if name in usual]
-    figures, base = {name: looks[name] for name in shared}, {name: usual[name] for name in shared}
-    shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
-    if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * night.get(Measure.BRIGHTNESS, 1.0):
-        text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
-        return Health("blind", text, figures, base, "look at its light, its exposure, and what stands before it")
-    if shares.get("sharpness", 1.0) < SHARP_SHARE * night.get("sharpness", 1.0):
-        text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
-        return Health("blind", text, figures, base, "look at its focus and its glass: drops, dirt, fog")
-    if shares.get("matched_share", 1.0) < FOUND_SHARE:
-        now, then = (f"{100 * entry['matched_share']:.0f} %" for entry in (looks, usual))
-        text = f"{now} of its pairs find common points, usually {then} do: it shows something else, or has been turned"
-        return Health("foreign", text, figures, base, "look at its picture, and where it points")
-    return Health("ok", figures=figures, expected=base)
-
-
-def _with_down(camera: CameraRecord, record: RunRecord, past: Past) -> CameraRecord:
-    """Counted over the nights; a camera that is well again says so."""
-    before = past.camera(camera.id)
+def _with_down(camera: CameraRecord, record: RunRecord, baseline: Baseline) -> CameraRecord:
+    """Count for how many nights a camera is down; one that is well again says so."""
+    before = baseline.camera(camera.id)
     last = before[1].down if before else None
     if _trouble(camera, record):
         nights = last.nights + (before is not None and before[0] != record.date) if last else 1
         return replace(camera, down=Down(last.since if last else record.date, nights))
     if last:
-        note = f"back after {last.nights} night{'s' * (last.nights != 1)}: it was down since {last.since}"
+        note = f"back after {counted(last.nights, 'night')}: it was down since {last.since}"
         return replace(camera, notes=(*camera.notes, note))
     return camera
+
+
+def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
+    """Return cameras whose stated poses pairs speak against, each with the other cameras that it excuses.
+
+    A pair speaks against its poses when it matches better beside the rows that they give than on them; when neither matches, it
+    says nothing.  Of the cameras that have no usable pair the one with most of these pairs explains them, then the one with most
+    of the rest.  Of two that have as many, neither is more likely, and neither is blamed.
+    """
+    usable = {name for pair in record.pairs if pair.ok for name in pair.cameras}
+    left = [pair for pair in record.pairs if _contradicts_poses(pair)]
+    against = {name: {pair.name for pair in left if name in pair.cameras} for name in _counts(left) if name not in usable}
+    found: dict[str, set[str]] = {}
+    while (name := _commonest(left, against)) is not None:
+        found[name] = {pair.name for pair in left if name in pair.cameras}
+        left = [pair for pair in left if name not in pair.cameras]
+    explained = set().union(*found.values())
+    excused = {name for name, pairs in against.items() if name not in found and pairs <= explained}
+    return {name: tuple(sorted(n for n in excused if against[n] & pairs)) for name, pairs in found.items()}
+
+
+def _contradicts_poses(pair: PairRecord) -> bool:
+    given, beside = pair.figures.get("row_share"), pair.figures.get("row_chance")
+    return not pair.ok and pair.figures.get("known") == "stated" and given is not None and beside is not None and beside > given
+
+
+def _counts(pairs: Iterable[PairRecord]) -> Counter[str]:
+    return Counter(name for pair in pairs for name in pair.cameras)
+
+
+def _commonest(pairs: Iterable[PairRecord], cameras: Iterable[str]) -> str | None:
+    """Return the one of these cameras that is in most pairs; None if that is one pair only, or another camera is in as many."""
+    among = set(cameras)
+    counts = [(name, count) for name, count in _counts(pairs).most_common() if name in among]
+    if not counts or counts[0][1] < 2 or (len(counts) > 1 and counts[1][1] == counts[0][1]):
+        return None
+    return counts[0][0]
+
+
+def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
+    """Add that the stated pose of the camera is at fault, and which others have no usable pair because of it."""
+    if excused is None:
+        return trouble
+    text = f"{trouble.text}; its stated pose explains that, and no other camera's explains as much"
+    if excused:
+        have = "has" if len(excused) == 1 else "have"
+        text += f"; {' and '.join(excused)} {have} no pair with another camera that says anything"
+    remedy = "it does not stand or look as the site file says: measure its pose again, or leave it out to have it solved"
+    return replace(trouble, text=text, remedy=remedy)
+
+
+def check_poses(night: Night) -> Iterator[Finding]:
+    """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
+    poses = night.record.poses
+    if poses and poses.uncertain:
+        row_px = max(poses.uncertain.values())
+        yield finding(
+            "poses-uncertain", tuple(poses.uncertain), {"row_px": row_px}, row_px=row_px, cameras=_names(poses.uncertain)
+        )
+    if poses and poses.strained:
+        factor = max(poses.strained.values())
+        yield finding(
+            "poses-inconsistent", tuple(poses.strained), {"strain": factor}, factor=factor, cameras=_names(poses.strained)
+        )
+    if poses and poses.unsure_lenses:
+        unsure = poses.unsure_lenses
+        worst = {name: max(sigma[name] for sigma in unsure.values()) for name in ("focal", "border_px")}
+        words = {"cameras": _names(unsure), "focal_percent": 100 * worst["focal"], "border_px": worst["border_px"]}
+        yield finding("lens-undetermined", tuple(unsure), worst, **words)
+
+
+def _names(cameras: Iterable[str]) -> str:
+    return shortened(", ".join(cameras))
+
+
+def check_tasks(night: Night) -> Iterator[Finding]:
+    """Did tasks fail?  Those with the same cause are one finding; those of a camera that is left out are part of that finding."""
+    left_out = {camera.id for camera in night.record.cameras if not camera.ok}
+    groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
+    for task, state in night.facts.failed:
+        if not (len(task.subject) == 1 and camera_of(task.subject[0]) in left_out):
+            groups.setdefault((task.stage, state.code), []).append((task, state))
+    for (_, code), tasks in groups.items():
+        task, state = tasks[0]
+        more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
+        words = {"task": task, "reason": shortened(state.reason or ""), "more": more}
+        remedy = None if code == Cause.FAULT else ""
+        yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, **words)
+
+
+def check_amounts(night: Night) -> Iterator[Finding]:
+    """Is there as much as the site file expects, the last good nights gave, or the night itself planned?"""
+    record = night.record
+    if night.facts.interrupted or not night.facts.product or not record.cloud:
+        return
+    usual = record.usual or Usual(0, {})
+    figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
+    for name, value in figures.items():
+        limit, amount, base = night.expected.limit(name), _amount(name, value), usual.figures.get(name)
+        if limit > 1:
+            if value < limit:
+                yield _fewer(name, value, limit, f"{amount}, at least {limit:,.0f} are expected")
+        elif name == Measure.CAMERAS:
+            continue  # each one that is lost is a finding of its own
+        elif base is not None and value < limit * base:
+            whose = "the reference's" if usual.reference else "the usual"
+            yield _fewer(name, value, base, f"{amount}, {100 * value / base:.0f} % of {whose} {base:,.0f}")
+        elif base is None and name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
+            planned = float(len(record.pairs))
+            text = f"only {value:.0f} of {planned:.0f} pairs could be used; most others: {_why_few(record)}"
+            yield _fewer(name, value, planned, text)
+
+
+def _amount(name: str, value: float) -> str:
+    units = {s.name: f"{s.reports.expects.unit} {s.reports.expects.words}" for s in STAGES if s.reports and s.reports.expects}
+    things: dict[str, str] = {Measure.POINTS: "point", Measure.PAIRS: "pair", Measure.CAMERAS: "camera"}
+    return f"{value:,.0f} {units[name]}" if name in units else counted(value, things[name])
+
+
+def _fewer(name: str, value: float, base: float, text: str) -> Finding:
+    return finding(f"fewer-{name}", (), {name: round(value)}, {name: round(base)}, reason=text)
 
 
 def _most_common(pairs: Iterable[PairRecord]) -> str:
@@ -380,15 +367,20 @@ def _most_common(pairs: Iterable[PairRecord]) -> str:
 
 
 def _why_few(record: RunRecord) -> str:
-    """Why most of the pairs that were not used were not."""
+    """Say why most of the pairs that were not used were not."""
     unused = [pair for pair in record.pairs if not pair.ok]
     gone = {camera.id for camera in record.cameras if not camera.ok}
     theirs = [pair for pair in unused if gone & {camera_of(pair.left), camera_of(pair.right)}]
     if 2 * len(theirs) > len(unused):
-        return f"with cameras that are left out ({shortened(', '.join(sorted(gone)))})"
+        return f"with cameras that are left out ({_names(sorted(gone))})"
     return _most_common(unused)
 
 
 def shortened(reason: str) -> str:
-    """A reason of bounded length: stages may say a lot, and name every file; the record of the camera, pair or task has all."""
+    """Bound the length of a reason: stages may say a lot, and name every file; the record of the camera, pair or task has all."""
     return reason if len(reason) <= MOST_LETTERS else f"{reason[: MOST_LETTERS - 3]}..."
+
+
+Check = Callable[[Night], Iterator[Finding]]
+CHECKS: tuple[Check, ...] = (check_end, check_store, check_cameras, check_poses, check_tasks, check_amounts)
+"""What is looked at, in the order in which it is reported."""

@@ -1,8 +1,11 @@
-"""What a person has to know of a night, as data: the verdict, its findings, and how each camera is."""
+"""What a person has to know of a night, as data: the verdict, its findings, and how each camera is.
+
+`FINDINGS` is the one table of everything that a verdict can say: code, level, meaning, text and remedy.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -10,11 +13,20 @@ Figures = Mapping[str, Any]
 """What is reported of a camera, a pair, a night or the world, by name: numbers, words, and mappings of these."""
 
 Level = Literal["good", "degraded", "failed"]
-HealthState = Literal["ok", "nudged", "moved", "blind", "stale", "foreign"]
+HealthState = Literal["ok", "shifted", "moved", "obscured", "stale", "wrong-scene"]
 
-
-STORE_BEHIND = "store-behind"
-"""The kind of a finding: the object store does not have all that was done."""
+STATE_ALIASES = {"nudged": "shifted", "blind": "obscured", "foreign": "wrong-scene"}
+"""States of a camera as versions before 0.2 wrote them: read for one more version."""
+FINDING_ALIASES = {
+    "camera-nudged": "camera-shifted",
+    "camera-blind": "camera-obscured",
+    "camera-foreign": "camera-wrong-scene",
+    "camera-fruitless": "camera-no-usable-pair",
+    "camera-alone": "camera-unpaired",
+    "poses-strained": "poses-inconsistent",
+}
+"""Codes of findings as versions before 0.2 wrote them: read for one more version, and written beside the new ones as `alias`."""
+_FORMER = {new: old for old, new in FINDING_ALIASES.items()}
 
 
 def rounded(value: Any) -> Any:
@@ -29,7 +41,7 @@ class Finding:
     """Something that a person should look at."""
 
     kind: str
-    """What sort of thing, for programs: camera-lost, camera-foreign, fewer-pairs, task-failed, ..."""
+    """Its code in `FINDINGS`: camera-lost, fewer-pairs, task-failed, ..."""
     subject: tuple[str, ...]
     """() for the site, (camera,), (left, right), or all the cameras that it is about."""
     text: str
@@ -51,13 +63,219 @@ class Finding:
 
     def to_json(self) -> dict[str, Any]:
         numbers = {"figures": rounded(self.figures), "expected": rounded(self.expected)}
-        return {"kind": self.kind, "subject": list(self.subject), "text": self.text, **numbers, "remedy": self.remedy}
+        alias = {"alias": _FORMER[self.kind]} if self.kind in _FORMER else {}
+        return {"kind": self.kind, "subject": list(self.subject), "text": self.text, **numbers, "remedy": self.remedy, **alias}
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Finding:
         """Raises KeyError, TypeError or ValueError for what is no finding."""
         numbers = dict(data.get("figures") or {}), dict(data.get("expected") or {})
-        return Finding(data["kind"], tuple(data["subject"]), data["text"], *numbers, data.get("remedy") or "")
+        kind = FINDING_ALIASES.get(data["kind"], data["kind"])
+        return Finding(kind, tuple(data["subject"]), data["text"], *numbers, data.get("remedy") or "")
+
+
+@dataclass(frozen=True)
+class FindingType:
+    """A row of the table of findings."""
+
+    code: str
+    level: Level
+    """What a night with it is, unless the site file tolerates it."""
+    meaning: str
+    """In one sentence, for the table in the documentation."""
+    text: str
+    """What the operator reads; the names in braces are filled in."""
+    remedy: str
+    """What to do about it, as long as nothing more specific is known."""
+
+
+_BACK = "it is used again as soon as its captures are usable"
+_COMPARE = (
+    "wbflow compare SITE.yaml shows what differs; if this is usual from now on, write expect: {since: DATE} in the site file"
+)
+
+FINDINGS: Mapping[str, FindingType] = {
+    row.code: row
+    for row in (
+        FindingType(
+            "stopped",
+            "degraded",
+            "The time of --stop-at was over before all tasks were done.",
+            "{reason}: {tasks} not done",
+            "run it again without --stop-at, it continues from there; start earlier, or lower `resolution`",
+        ),
+        FindingType(
+            "interrupted",
+            "failed",
+            "Somebody or something ended the run.",
+            "interrupted; everything finished is kept",
+            "run it again: it continues from there",
+        ),
+        FindingType(
+            "no-result",
+            "failed",
+            "The stage that --until names made nothing for the site.",
+            "no {stage}: {reason}",
+            "see to the cameras and pairs that the report names, and run the night again",
+        ),
+        FindingType(
+            "no-cloud",
+            "failed",
+            "The run made no cloud.",
+            "no cloud: {reason}",
+            "see to the cameras and pairs that the report names, and run the night again",
+        ),
+        FindingType(
+            "store-behind",
+            "degraded",
+            "The object store does not have everything that was made; this machine has.",
+            "{reason}",
+            "the next run uploads it; until then only this machine has it",
+        ),
+        FindingType(
+            "camera-lost",
+            "degraded",
+            "A camera gave nothing: no capture, or none that can be read.",
+            "{reason}; left out tonight",
+            f"look at the camera: {_BACK}",
+        ),
+        FindingType(
+            "camera-unsolved",
+            "degraded",
+            "A camera's pose could not be solved.",
+            "{reason}; left out tonight",
+            "state its lens, if the site file does not (wbflow calibrate finds it): wide ones need that; "
+            "or add a camera nearby that sees the same things from an angle between",
+        ),
+        FindingType(
+            "camera-obscured",
+            "degraded",
+            "A camera shows too little: dark, covered, dirty or out of focus.",
+            "{reason}",
+            "look at its lens, its focus, its light, and what stands in front of it",
+        ),
+        FindingType(
+            "camera-stale",
+            "degraded",
+            "A camera delivers pictures that are not of this night.",
+            "{reason}",
+            "look at its clock, its recorder, and the copying of its pictures",
+        ),
+        FindingType(
+            "camera-wrong-scene",
+            "degraded",
+            "A camera shows another place.",
+            "{reason}",
+            "check that it is the right camera on this input, and where it points; if it was moved for good, pin a new reference",
+        ),
+        FindingType(
+            "camera-shifted",
+            "degraded",
+            "A camera is turned by little: its pose is corrected, and it stays in use.",
+            "{reason}",
+            "fasten it; if it stays so, pin a new reference",
+        ),
+        FindingType(
+            "camera-moved",
+            "degraded",
+            "A camera stands or looks elsewhere than the reference or the site file says.",
+            "{reason}",
+            "look at it; calibrate it again if it has been moved, and pin a new reference",
+        ),
+        FindingType(
+            "camera-unverified",
+            "degraded",
+            "The stated pose of a camera is likely to be wrong; it is used all the same.",
+            "{reason}",
+            "look at it; if it has been moved, calibrate it again or leave out its pose",
+        ),
+        FindingType(
+            "camera-unpaired",
+            "degraded",
+            "A camera is in no pair.",
+            "no other camera seems to see enough of what it sees: it is in no pair",
+            "look at where it points, and at `pairs:` in the site file",
+        ),
+        FindingType(
+            "camera-no-usable-pair",
+            "degraded",
+            "A camera is in pairs, and none of them could be used.",
+            "{reason}",
+            "look at where it points, and whether anything stands in front of it",
+        ),
+        FindingType(
+            "poses-uncertain",
+            "degraded",
+            "Stated poses are not exact enough for dense matching, and tonight's pictures do not improve them.",
+            "known poses are not exact enough, and tonight's pictures do not improve them: {cameras}; true matches may lie up to "
+            "{row_px:.1f} px beside the row that is searched: depths may come from look-alikes",
+            "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see",
+        ),
+        FindingType(
+            "poses-inconsistent",
+            "degraded",
+            "Matches contradict each other, and the solved poses rest on some of them.",
+            "matches contradict each other: {cameras}; those that a third camera confirms fit other poses {factor:.0f} times better "
+            "than noise explains, and the poses rest on these alone where that is possible: something repeats in the scene, or a "
+            "lens is not as it is stated; cloud and poses may be bent, though they fit the pictures",
+            "state poses and lenses that have been measured; or add a camera between those that stand far apart",
+        ),
+        FindingType(
+            "lens-undetermined",
+            "degraded",
+            "Lenses were not stated, and tonight's pictures do not determine them.",
+            "the lens was not stated, and tonight's pictures do not determine it: {cameras}; noise and wrong matches leave "
+            "{focal_percent:.1f} % of its focal length open and {border_px:.1f} px at the border (standard deviations), often several "
+            "times as much: cloud and poses may be bent or stretched, though they fit the pictures",
+            "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside",
+        ),
+        FindingType(
+            "task-failed",
+            "degraded",
+            "A task failed; what needs its result was skipped.",
+            "{task} failed: {reason}{more}",
+            "wbflow run -v SITE.yaml shows where",
+        ),
+        FindingType("fewer-points", "degraded", "The cloud has far fewer points than usual.", "{reason}", _COMPARE),
+        FindingType("fewer-pairs", "degraded", "Far fewer pairs could be used than usual or planned.", "{reason}", _COMPARE),
+        FindingType("fewer-cameras", "degraded", "Fewer cameras are in use than `expect:` says.", "{reason}", _COMPARE),
+        FindingType("fewer-coverage", "degraded", "Far less of the ground is seen than usual.", "{reason}", _COMPARE),
+    )
+}
+"""Everything that a verdict can say."""
+
+
+def findings_table() -> Iterator[tuple[str, str, str]]:
+    """Yield code, meaning and remedy of every finding, for the documentation."""
+    return ((row.code, row.meaning, row.remedy) for row in FINDINGS.values())
+
+
+def finding(
+    code: str,
+    subject: tuple[str, ...] = (),
+    figures: Figures | None = None,
+    expected: Figures | None = None,
+    remedy: str | None = None,
+    **words: Any,
+) -> Finding:
+    """Return the finding with a code of the table.
+
+    Parameters
+    ----------
+    code
+        In `FINDINGS`.
+    subject
+        The camera, pair or cameras; () for the site.
+    figures, expected
+        What was measured, and what it should have been.
+    remedy
+        Instead of the one in the table; "" where nothing can be done.
+    words
+        Fill in the text.
+    """
+    row = FINDINGS[code]
+    text = row.text.format(**words)
+    return Finding(code, subject, text, figures or {}, expected or {}, row.remedy if remedy is None else remedy)
 
 
 @dataclass(frozen=True)
@@ -89,8 +307,8 @@ class Health:
     """How a camera is, compared with what it has been."""
 
     state: HealthState
-    """nudged: turned by little, still of use; moved; blind: too dark, dirty or out of focus; stale: not of tonight;
-    foreign: another place."""
+    """shifted: turned by little, still in use; moved; obscured: too dark, dirty or out of focus; stale: not of tonight;
+    wrong-scene: another place."""
     text: str = ""
     """In one line."""
     figures: Figures = field(default_factory=dict)
@@ -112,10 +330,11 @@ class Health:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Health:
         """Raises KeyError, TypeError or ValueError for what says nothing of a camera."""
-        if data["state"] not in get_args(HealthState):
-            raise ValueError(f"{data['state']!r} is no state of a camera")
+        state = STATE_ALIASES.get(data["state"], data["state"])
+        if state not in get_args(HealthState):
+            raise ValueError(f"{state!r} is no state of a camera")
         numbers = dict(data.get("figures") or {}), dict(data.get("expected") or {})
-        return Health(data["state"], data.get("text") or "", *numbers, data.get("remedy") or "")
+        return Health(state, data.get("text") or "", *numbers, data.get("remedy") or "")
 
 
 @dataclass(frozen=True)
@@ -127,11 +346,8 @@ class Down:
     nights: int = 1
     """How many nights by now."""
 
-    def __str__(self) -> str:
-        return self.told()
-
-    def told(self, left_out: bool = True) -> str:
-        """In words; a camera that is used all the same is not down."""
+    def words(self, left_out: bool = True) -> str:
+        """Return since when; a camera that is used all the same is not down."""
         return f"{'down' if left_out else 'so'} since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
 
     def to_json(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from .health_history import Past
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
-USELESS = frozenset({"blind", "stale", "foreign"})
+USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
 _HEALTH = stage_with(Role.HEALTH).name
 FEWEST = 2
@@ -120,7 +120,7 @@ class Pinned:
             raise Waiting(task)
         if not state.usable:
             frame = self.states.get(Task(stage_with(Role.FRAME).name, (view,)))
-            return "ok" if frame and frame.usable else "blind"
+            return "ok" if frame and frame.usable else "obscured"
         health = self._read(view, state)
         return health.state if health else "ok"
 

@@ -139,7 +139,7 @@ def _words(camera: CameraRecord, alone: bool) -> str:
     """Return how it was; "" for one that is well on a night without a reference."""
     health = camera.health.text if camera.health and not (alone and camera.health.ok) else ""
     words = health if camera.ok else camera.reason or camera.outcome
-    return "; ".join(filter(None, (words, camera.down.told(left_out=not camera.ok) if camera.down else "")))
+    return "; ".join(filter(None, (words, camera.down.words(left_out=not camera.ok) if camera.down else "")))
 
 
 def _shares(data: ReportData, camera: str) -> Iterator[Cell]:

@@ -67,7 +67,7 @@ def test_each_state_is_told_once_and_so_is_recovery(tmp_path: Path) -> None:
 def test_each_sort_of_bad_night_is_told_in_its_own_words(tmp_path: Path) -> None:
     site = Site(tmp_path)
     knocked = replace(camera("crane"), health=Health("moved", "turned by 1.9 degrees", remedy="look at its mount"))
-    foreign = replace(camera("mast"), health=Health("foreign", "it shows another place", remedy="look at its picture"))
+    foreign = replace(camera("mast"), health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
     poor = [pair(*names, *(("ok",) if k == 0 else ("rejected", False))) for k, names in enumerate(PAIRS)]
     nights = [
         down("roof"),

@@ -195,7 +195,7 @@ def test_a_camera_that_is_far_darker_than_usual() -> None:
     cameras = [camera("crane", brightness=9.9), *map(camera, NAMES[1:])]
     record = night(cameras=cameras, past=[night("2026-11-19")])
     finding = only(record)
-    assert (finding.kind, finding.subject) == ("camera-blind", ("crane",))
+    assert (finding.kind, finding.subject) == ("camera-obscured", ("crane",))
     assert finding.text == "its picture has 9 % of its usual brightness"
     assert (finding.figures["brightness"], finding.expected["brightness"]) == (9.9, 110.0)
     assert night(cameras=cameras).exit_code == ExitCode.GOOD, "nobody knows how bright it should be"
@@ -215,7 +215,7 @@ def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_o
     pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
     record = night(pairs=pairs, past=[night("2026-11-19")])
     finding = only(record)
-    assert (finding.kind, finding.subject) == ("camera-foreign", ("crane",))
+    assert (finding.kind, finding.subject) == ("camera-wrong-scene", ("crane",))
     assert finding.text.startswith("0 % of its pairs find common points, usually 100 % do")
 
 
@@ -235,9 +235,9 @@ def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
 
 
 def test_a_camera_that_is_left_out_for_its_health_is_called_by_it() -> None:
-    blind = replace(lost("roof"), outcome="skipped", health=Health("blind", "98 % of the picture show nothing"))
+    blind = replace(lost("roof"), outcome="skipped", health=Health("obscured", "98 % of the picture show nothing"))
     finding = verdict_of(night(cameras=[*map(camera, NAMES[:3]), blind], pairs=without("roof"))).findings[0]
-    assert (finding.kind, finding.text) == ("camera-blind", "98 % of the picture show nothing; left out tonight")
+    assert (finding.kind, finding.text) == ("camera-obscured", "98 % of the picture show nothing; left out tonight")
 
 
 def test_a_reason_that_names_every_file_is_cut() -> None:
@@ -281,7 +281,7 @@ def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
     world = WorldRecord({"strained": {"gate": 21.7, "mast": 21.7}})
     record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
     found = only(record)
-    assert (found.kind, found.subject, record.exit_code) == ("poses-strained", ("gate", "mast"), ExitCode.DEGRADED)
+    assert (found.kind, found.subject, record.exit_code) == ("poses-inconsistent", ("gate", "mast"), ExitCode.DEGRADED)
     assert "22 times better" in found.text and found.figures == {"strain": 21.7}
     many = replace(found, subject=("gate", "mast", "quay"))
     assert str(found).startswith("gate--mast: ") and str(many).startswith("3 cameras: ")
@@ -292,7 +292,7 @@ def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_el
     tried = [
         replace(p, outcome="rejected", figures={**p.figures, "known": known}) if "roof" in p.cameras else p for p in EVERY_PAIR
     ]
-    finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-fruitless")
+    finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-no-usable-pair")
     assert finding.subject == ("roof",)
     assert ("its pose is not what the site file says" in finding.remedy) is (known == "stated")
 
@@ -307,7 +307,9 @@ def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named
     wide = rows("crane", "roof", 0.026, 0.024)  # says nothing: neither row matches
     tried = [pair("crane", "gate"), rows("crane", "mast", 0.03, 0.1), rows("gate", "mast", 0.01, 0.012), wide]
     (fruitless,) = (
-        f for f in verdict_of(night(pairs=[*tried, rows("mast", "roof", 0.1, 0.16)])).findings if f.kind == "camera-fruitless"
+        f
+        for f in verdict_of(night(pairs=[*tried, rows("mast", "roof", 0.1, 0.16)])).findings
+        if f.kind == "camera-no-usable-pair"
     )
     assert fruitless.subject == ("mast",)
     assert "roof has no pair" in fruitless.text and "measure its pose anew" in fruitless.remedy
@@ -321,11 +323,11 @@ def test_two_cameras_with_as_many_pairs_against_them_are_both_named() -> None:
         rows("mast", "roof", 0.1, 0.16),
     ]
     found = verdict_of(night(pairs=tried)).findings
-    assert [f.subject for f in found if f.kind == "camera-fruitless"] == [("mast",), ("roof",)]
+    assert [f.subject for f in found if f.kind == "camera-no-usable-pair"] == [("mast",), ("roof",)]
 
 
 def test_a_camera_in_no_pair_gives_nothing() -> None:
-    assert only(night(pairs=without("roof"))).kind == "camera-alone"
+    assert only(night(pairs=without("roof"))).kind == "camera-unpaired"
 
 
 def test_failed_tasks_of_one_cause_are_one_finding() -> None:

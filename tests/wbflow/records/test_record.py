@@ -102,8 +102,8 @@ def test_records_say_shortly_what_they_are() -> None:
 
 def with_verdict() -> RunRecord:
     figures, expected = {"shared": 0.0212345}, {"shared": 0.6}
-    finding = Finding("camera-foreign", ("quay",), "shows another place", figures, expected, "look where it points")
-    health = Health("foreign", "shows another place", figures, expected, "look where it points")
+    finding = Finding("camera-wrong-scene", ("quay",), "shows another place", figures, expected, "look where it points")
+    health = Health("wrong-scene", "shows another place", figures, expected, "look where it points")
     quay = CameraRecord("quay", "ok", health=health, down=Down("2026-11-17", 3))
     usual = Usual(5, {"points": 1_900_000.0}, {"quay": {"brightness": 101.5}})
     verdict = Verdict("degraded", (finding,))
@@ -113,9 +113,9 @@ def with_verdict() -> RunRecord:
 def test_the_verdict_of_the_contract() -> None:
     data = json.loads(json.dumps(with_verdict().to_json()))
     told = {"figures": {"shared": 0.0212}, "expected": {"shared": 0.6}, "remedy": "look where it points"}
-    finding = {"kind": "camera-foreign", "subject": ["quay"], "text": "shows another place", **told}
+    finding = {"kind": "camera-wrong-scene", "subject": ["quay"], "text": "shows another place", **told}
     assert data["verdict"] == {"level": "degraded", "findings": [finding]}
-    assert data["cameras"][0]["health"] == {"state": "foreign", "text": "shows another place", **told}
+    assert data["cameras"][0]["health"] == {"state": "wrong-scene", "text": "shows another place", **told}
     assert json.loads(json.dumps(RunRecord.from_json(data).to_json())) == data
 
 

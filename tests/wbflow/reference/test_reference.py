@@ -81,7 +81,7 @@ def test_the_reference_s_own_night_run_again_does_nothing(toy: ToySite) -> None:
 
 
 def test_a_nudge_is_corrected_and_only_its_pairs_are_rectified_anew(toy: ToySite) -> None:
-    toy.night(SECOND, b="nudged")
+    toy.night(SECOND, b="shifted")
     toy.run("--date", SECOND, code=None)
     assert ran(toy) == {"poses", "geometry a--b", "geometry b--c", "rectify a--b", "rectify b--c"}
 
@@ -94,7 +94,7 @@ def test_a_moved_camera_is_matched_with_the_others_and_solved_anew(toy: ToySite)
     assert {"features c", "matches a--c", "geometry b--c"} <= ran(toy)
 
 
-@pytest.mark.parametrize("state", ["blind", "foreign"])
+@pytest.mark.parametrize("state", ["obscured", "wrong-scene"])
 def test_a_camera_that_shows_nothing_of_the_site_gives_nothing_and_costs_no_other(toy: ToySite, state: str) -> None:
     toy.night(SECOND, c=state)
     record = toy.run("--date", SECOND, code=3)
@@ -120,7 +120,7 @@ def test_nights_that_are_killed_and_run_again_are_those_that_were_not(toy: ToySi
     dates = (FIRST, SECOND, THIRD)
     whole = []
     for date in dates:
-        toy.night(date, b="nudged" if date == SECOND else "ok") if date != FIRST else None
+        toy.night(date, b="shifted" if date == SECOND else "ok") if date != FIRST else None
         toy.run("--date", date, code=None)
         whole.append(toy.cloud)
     kept = {task: pinned.digest for task, pinned in _artifacts(toy).items()}
@@ -236,7 +236,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
     assert early.returncode == 2
     assert "fewer than 3 nights" in early.stderr
     for date in (SECOND, THIRD):
-        toy.night(date, c="nudged" if date == THIRD else "ok")
+        toy.night(date, c="shifted" if date == THIRD else "ok")
         toy.run("--date", date, code=None)
     before = reference.read_reference(WorkFolder(toy.work))
     pooled = toy.wbflow("pin", "--refine")
@@ -244,7 +244,7 @@ def test_nights_are_pooled_into_the_surface_of_the_reference(toy: ToySite) -> No
     assert before is not None
     assert after is not None
     changed = {task for task in after.artifacts if after.artifacts[task] != before.artifacts[task]}
-    assert {str(task) for task in changed} == {"depth a", "depth b"}  # c was nudged one night: too few are left
+    assert {str(task) for task in changed} == {"depth a", "depth b"}  # c was shifted one night: too few are left
     assert "depth a: pooled from 3 nights" in pooled.stdout
     toy.night("2026-11-04")
     toy.run("--date", "2026-11-04")

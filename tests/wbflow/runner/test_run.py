@@ -160,7 +160,7 @@ def test_a_camera_none_of_whose_pairs_came_to_anything_is_named(toy: ToySite) ->
     toy.parameters = {"matches": {"reject": str(_first_pixel(b"a view from gate"))}}
     toy.write()
     (finding,) = toy.run(code=3)["verdict"]["findings"]
-    assert (finding["kind"], finding["subject"]) == ("camera-fruitless", ["gate"])
+    assert (finding["kind"], finding["subject"]) == ("camera-no-usable-pair", ["gate"])
     assert "none of its 3 pairs could be used" in finding["text"]
 
 

@@ -64,10 +64,10 @@ def test_a_wide_camera_without_a_capture_is_one_lost_camera(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("states", "said", "used"),
     [
-        ("ok/blind/ok", "ok", {"wide@1", "wide@3"}),
-        ("nudged/ok/ok", "nudged", set(VIEWS)),
-        ("blind/blind/blind", "blind", set()),
-        ("blind/ok/nudged", "nudged", {"wide@2", "wide@3"}),
+        ("ok/obscured/ok", "ok", {"wide@1", "wide@3"}),
+        ("shifted/ok/ok", "shifted", set(VIEWS)),
+        ("obscured/obscured/obscured", "obscured", set()),
+        ("obscured/ok/shifted", "shifted", {"wide@2", "wide@3"}),
     ],
 )
 def test_a_camera_is_as_its_views_that_see_anything(tmp_path: Path, states: str, said: str, used: set[str]) -> None:
