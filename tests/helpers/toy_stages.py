@@ -46,7 +46,7 @@ from wbflow_stages.types import (
 
 
 def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *, resolution: int | None = None) -> Frame:
-    """Captures are text: `broken` raises, anything else becomes pixels; "ok/obscured/ok: a view" says how each of three views is."""
+    """Captures are text: `broken` raises, all else becomes pixels; "ok/obscured/ok: a view" says how each of three views is."""
     _trouble("frames")
     data = b"".join(capture.data.tobytes() for capture in captures)
     if data.startswith(b"broken"):

@@ -78,7 +78,7 @@ def _page(names: list[str], told: dict[str, Any]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = words.from_string((files(__package__) / "report" / "assets" / "pair.html").read_text(encoding="utf-8"))
+    template = words.from_string((files("wbflow.report") / "assets" / "pair.html").read_text(encoding="utf-8"))
     pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
     rows = [(name.replace("_", " "), value) for name, value in told.items() if isinstance(value, str | int | float)]
     return template.render(pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))

@@ -24,11 +24,11 @@ from ..runner.loop import Product, Worked
 from ..runner.planner import Plan
 from ..task import Task
 from .artifacts import FinishedRun, function
+from .baseline import Baseline
 from .beside import files_beside, told_beside
 from .metrics import metrics
-from .past import Past
 from .record import run_record
-from .verdict import judged
+from .verdict import judge_run
 
 
 def publish(
@@ -71,7 +71,7 @@ def publish(
     seconds = costs.seconds(own_process)
     record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
     record = replace(record, later=told_beside(night.plan, beside))
-    record = judged(record, night.plan, Past.before(work, run, record.date), worked.interrupted, journal.behind())
+    record = judge_run(record, night.plan, Baseline.before(work, run, record.date), worked.interrupted, journal.behind())
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(night.plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))

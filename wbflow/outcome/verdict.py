@@ -12,12 +12,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..errors import ExitCode, counted
 from ..pipeline.rows import Role
 from ..pipeline.stages import STAGES, stage_with
-from ..records.findings import FINDINGS, finding
-from ..records.record import CameraRecord, Down, Finding, Level, PairRecord, RunRecord, Usual, Verdict
+from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
+from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual
 from ..runner.planner import Plan
 from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
@@ -213,9 +214,9 @@ def _has_no_usable_pair(camera: CameraRecord, record: RunRecord) -> Finding | No
     remedy = FINDINGS["camera-no-usable-pair"].remedy
     if any(pair.figures.get("known") == "stated" for pair in tried):
         remedy += "; or its pose is not what the site file says: measure it again, or leave it out to have it solved"
-    numbers = {Measure.PAIRS: 0}, {Measure.PAIRS: len(tried)}
     reason = f"{which} be used: {_most_common(tried)}"
-    return finding("camera-no-usable-pair", (camera.id,), *numbers, remedy, reason=reason)
+    usable, planned = {str(Measure.PAIRS): 0}, {str(Measure.PAIRS): len(tried)}
+    return finding("camera-no-usable-pair", (camera.id,), usable, planned, remedy, reason=reason)
 
 
 _CAMERA_CHECKS = (_is_unhealthy, _is_left_out, _has_doubtful_pose, _is_unpaired, _has_no_usable_pair)
@@ -306,8 +307,12 @@ def check_poses(night: Night) -> Iterator[Finding]:
     if poses and poses.unsure_lenses:
         unsure = poses.unsure_lenses
         worst = {name: max(sigma[name] for sigma in unsure.values()) for name in ("focal", "border_px")}
-        words = {"cameras": _names(unsure), "focal_percent": 100 * worst["focal"], "border_px": worst["border_px"]}
-        yield finding("lens-undetermined", tuple(unsure), worst, **words)
+        words: dict[str, Any] = {
+            "cameras": _names(unsure),
+            "focal_percent": 100 * worst["focal"],
+            "border_px": worst["border_px"],
+        }
+        yield finding("lens-undetermined", tuple(unsure), worst, None, None, **words)
 
 
 def _names(cameras: Iterable[str]) -> str:
@@ -324,9 +329,8 @@ def check_tasks(night: Night) -> Iterator[Finding]:
     for (_, code), tasks in groups.items():
         task, state = tasks[0]
         more = f" (and {len(tasks) - 1} more like it)" if len(tasks) > 1 else ""
-        words = {"task": task, "reason": shortened(state.reason or ""), "more": more}
-        remedy = None if code == Cause.FAULT else ""
-        yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, **words)
+        reason, remedy = shortened(state.reason or ""), None if code == Cause.FAULT else ""
+        yield finding("task-failed", task.subject, {"tasks": len(tasks)}, remedy=remedy, task=task, reason=reason, more=more)
 
 
 def check_amounts(night: Night) -> Iterator[Finding]:

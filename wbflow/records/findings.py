@@ -215,9 +215,9 @@ FINDINGS: Mapping[str, FindingType] = {
             "poses-inconsistent",
             "degraded",
             "Matches contradict each other, and the solved poses rest on some of them.",
-            "matches contradict each other: {cameras}; those that a third camera confirms fit other poses {factor:.0f} times better "
-            "than noise explains, and the poses rest on these alone where that is possible: something repeats in the scene, or a "
-            "lens is not as it is stated; cloud and poses may be bent, though they fit the pictures",
+            "matches contradict each other: {cameras}; those that a third camera confirms fit other poses {factor:.0f} times "
+            "better than noise explains, and the poses rest on these alone where that is possible: something repeats in "
+            "the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures",
             "state poses and lenses that have been measured; or add a camera between those that stand far apart",
         ),
         FindingType(
@@ -225,8 +225,8 @@ FINDINGS: Mapping[str, FindingType] = {
             "degraded",
             "Lenses were not stated, and tonight's pictures do not determine them.",
             "the lens was not stated, and tonight's pictures do not determine it: {cameras}; noise and wrong matches leave "
-            "{focal_percent:.1f} % of its focal length open and {border_px:.1f} px at the border (standard deviations), often several "
-            "times as much: cloud and poses may be bent or stretched, though they fit the pictures",
+            "{focal_percent:.1f} % of its focal length open and {border_px:.1f} px at the border (standard deviations), often "
+            "several times as much: cloud and poses may be bent or stretched, though they fit the pictures",
             "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside",
         ),
         FindingType(

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ..cache.store import Receipt
+from ..outcome.baseline import appearance_of, figures_of
 from ..outcome.beside import number, titled
-from ..outcome.past import figures_of, looks_of
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import meaning
 from ..records.record import CameraRecord, RunRecord
@@ -127,7 +127,7 @@ def camera_bars(data: ReportData) -> dict[str, tuple[Bar, ...]]:
     """Return each camera's last nights: the share of its pairs that found common points, and its state."""
     bars: dict[str, list[Bar]] = {camera.id: [] for camera in data.record.cameras}
     for night in data.nights[-SPARK_NIGHTS:]:
-        figures = looks_of(night)
+        figures = appearance_of(night)
         for camera in night.cameras:
             if camera.id in bars:
                 share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 from ..errors import counted
-from ..outcome.past import figures_of
+from ..outcome.baseline import figures_of
 from ..pipeline.stages import STAGES
 from ..records.record import Finding, RunRecord
 from ..runner.state import Cause

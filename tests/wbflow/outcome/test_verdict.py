@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from wbflow.errors import ExitCode
-from wbflow.outcome.past import Past, looks_of, usual_of
+from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
 from wbflow.records.record import (
     CameraRecord,
@@ -74,7 +74,7 @@ def night(
         reason=None if points else "only camera gate has a usable capture",
         settings=settings,
     )
-    earlier = Past(tuple(past))
+    earlier = Baseline(tuple(past))
     return judge(replace(record, usual=earlier.usual(settings, expected.since)), facts, earlier, expected)
 
 
@@ -222,9 +222,9 @@ def test_a_camera_that_shows_another_place_though_known_poses_let_its_pairs_go_o
 def test_a_camera_is_not_blamed_for_its_partners_that_are_down() -> None:
     pairs = [pair(*names, matched="crane" not in names) for names in PAIRS]
     cameras = [camera("crane"), *(lost(name) for name in NAMES if name != "crane")]
-    assert "matched_share" not in looks_of(night(cameras=cameras, pairs=pairs))["crane"]
+    assert "matched_share" not in appearance_of(night(cameras=cameras, pairs=pairs))["crane"]
     others = [camera("crane"), lost("roof"), *(camera(name) for name in NAMES if name not in {"crane", "roof"})]
-    assert looks_of(night(cameras=others, pairs=pairs))["crane"]["matched_share"] == 0
+    assert appearance_of(night(cameras=others, pairs=pairs))["crane"]["matched_share"] == 0
 
 
 def test_what_somebody_else_found_out_about_a_camera_is_a_finding() -> None:
@@ -251,26 +251,26 @@ def test_a_reason_that_names_every_file_is_cut() -> None:
 
 def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
     world = WorldRecord({"suspects": {"mast": "seems to be turned by 3.1 degrees. Has it been moved?"}})
-    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
 
 
 def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stays_in_use() -> None:
     world = WorldRecord({"doubtful": {"mast": "2 of its 2 pairs contradict its known pose by up to 33.8 px"}})
-    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
 
 
 def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
     world = WorldRecord({"uncertain": {"mast": 4.07, "gate": 2.9}})
-    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
     assert "up to 4.1 px beside the row" in only(record).text
 
 
 def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
     world = WorldRecord({"unsure_lenses": {name: {"focal": 0.031, "border_px": 2.24} for name in ("mast", "gate")}})
-    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
     assert "3.1 % of its focal length" in found.text and "2.2 px at the border" in found.text
@@ -279,7 +279,7 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
 
 def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
     world = WorldRecord({"strained": {"gate": 21.7, "mast": 21.7}})
-    record = judge(replace(night(), poses=world), Facts(), Past(), Expected())
+    record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-inconsistent", ("gate", "mast"), ExitCode.DEGRADED)
     assert "22 times better" in found.text and found.figures == {"strain": 21.7}
@@ -312,7 +312,7 @@ def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named
         if f.kind == "camera-no-usable-pair"
     )
     assert fruitless.subject == ("mast",)
-    assert "roof has no pair" in fruitless.text and "measure its pose anew" in fruitless.remedy
+    assert "roof has no pair" in fruitless.text and "measure its pose again" in fruitless.remedy
 
 
 def test_two_cameras_with_as_many_pairs_against_them_are_both_named() -> None:
@@ -345,14 +345,14 @@ def test_no_cloud_is_a_failure_unless_none_was_asked_for() -> None:
 
 
 def test_what_was_asked_for_instead_of_a_cloud_and_is_not_there_is_a_failure() -> None:
-    record = night(points=0, facts=Facts(product=False, lacks="no poses: of 11 pairs none is more likely right than wrong"))
+    record = night(points=0, facts=Facts(product=False, missing=("poses", "of 11 pairs none is more likely right than wrong")))
     assert (only(record).kind, verdict_of(record).level, record.exit_code) == ("no-result", "failed", ExitCode.FAILED)
 
 
 def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
     record = night(points=0, facts=Facts(interrupted=True))
     assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
-    assert Past((record,)).usual("as ever") is None
+    assert Baseline((record,)).usual("as ever") is None
 
 
 def test_less_of_the_ground_than_usual() -> None:
@@ -360,7 +360,7 @@ def test_less_of_the_ground_than_usual() -> None:
         replace(night(date), poses=WorldRecord({"metric": True}), later={"coverage": {"area_m2": 400.0, "seen_by_two": share}})
         for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
     ]
-    record = judge(replace(seen[1], usual=Past((seen[0],)).usual("as ever")), Facts(), Past(), Expected())
+    record = judge(replace(seen[1], usual=Baseline((seen[0],)).usual("as ever")), Facts(), Baseline(), Expected())
     assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
 
 

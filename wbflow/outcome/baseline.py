@@ -1,34 +1,39 @@
-"""Earlier nights of a site: what is usual, and since when something is not."""
+"""What is usual at a site: medians of its last good nights, or the reference; and how tonight's pictures compare with it."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 from ..cache.layout import WorkFolder
 from ..pipeline.binding import bind
 from ..pipeline.rows import Role
 from ..pipeline.stages import STAGES, stage_with
+from ..records.findings import Health
 from ..records.record import CameraRecord, RunRecord, Usual
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..site.models import Measure, Site
+from ..site.models import Expected, Measure, Site
 
+FOUND_SHARE = 0.25
+"""A camera of whose pairs fewer than this share of the usual share find common points shows something else."""
+SHARP_SHARE = 0.4
+"""A picture with less than this share of its usual sharpness is out of focus, or behind drops or dirt."""
 MOST_RUNS = 14
 """So many earlier runs are read at most.  What they say of the good nights before them stands in their own records."""
 
 
 @dataclass(frozen=True)
-class Past:
+class Baseline:
     """The runs before one, newest first: the last of each night."""
 
     runs: tuple[RunRecord, ...] = ()
 
     @staticmethod
-    def before(work: WorkFolder, run: str, date: str) -> Past:
+    def before(work: WorkFolder, run: str, date: str) -> Baseline:
         """The runs before `run`, of nights up to `date`; what cannot be read is passed over."""
         found: dict[str, RunRecord] = {}
         for name in [name for name in reversed(work.run_ids()) if name < run][:MOST_RUNS]:
@@ -38,7 +43,7 @@ class Past:
                 continue
             if record.date <= date and (record.date not in found or not _whole(found[record.date])):
                 found[record.date] = record
-        return Past(tuple(sorted(found.values(), key=lambda record: (record.date, record.run), reverse=True)))
+        return Baseline(tuple(sorted(found.values(), key=lambda record: (record.date, record.run), reverse=True)))
 
     def usual(self, settings: str, since: str = "") -> Usual | None:
         """What good nights with the same settings gave; where these runs hold none, what the newest of them was compared with.
@@ -69,8 +74,8 @@ class Past:
 def usual_of(records: Sequence[RunRecord]) -> Usual:
     """The medians of some nights."""
     cameras = list(dict.fromkeys(camera.id for record in records for camera in record.cameras))
-    of_records = [looks_of(record) for record in records]
-    looks = {name: [of.get(name, {}) for of in of_records] for name in cameras}
+    appearances = [appearance_of(record) for record in records]
+    looks = {name: [of.get(name, {}) for of in appearances] for name in cameras}
     return Usual(
         len(records),
         _medians([figures_of(record) for record in records]),
@@ -78,7 +83,7 @@ def usual_of(records: Sequence[RunRecord]) -> Usual:
     )
 
 
-def pinned_usual(work: WorkFolder, run: str, settings: str, usual: Usual | None) -> Usual | None:
+def reference_usual(work: WorkFolder, run: str, settings: str, usual: Usual | None) -> Usual | None:
     """What is usual, with the figures of the whole site from a run that somebody has pinned.
 
     Parameters
@@ -116,7 +121,7 @@ def figures_of(record: RunRecord) -> dict[str, float]:
     return found
 
 
-def looks_of(record: RunRecord) -> dict[str, dict[str, float]]:
+def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     """What is compared of each camera that is well, by id and name: how its picture looks, and the share of its pairs that found
     common points."""
     reports = stage_with(Role.FRAME).reports
@@ -135,6 +140,55 @@ def looks_of(record: RunRecord) -> dict[str, dict[str, float]]:
                 looks["matched_share"] = sum(shares) / len(shares)
             found[camera.id] = looks
     return found
+
+
+def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
+    """Return the record with the health of cameras whose pictures do not look as usual.
+
+    What most cameras have in common tonight (fog, a lamp that is out) is the night's and not theirs; a camera of which something
+    closer to the pixels has said how it is keeps that.
+    """
+    usual = record.usual.cameras if record.usual else {}
+    looks, common = appearance_of(record), _common_shares(record)
+
+    def judged(camera: CameraRecord) -> CameraRecord:
+        if not camera.ok or not usual.get(camera.id) or (camera.health and not camera.health.ok):
+            return camera
+        health = _health_by_appearance(looks.get(camera.id, {}), usual[camera.id], common, expected)
+        return camera if camera.health and health.ok else replace(camera, health=health)
+
+    return replace(record, cameras=tuple(map(judged, record.cameras)))
+
+
+def _common_shares(record: RunRecord) -> dict[str, float]:
+    """Return tonight's figures of most cameras as shares of the usual ones."""
+    shares: dict[str, list[float]] = {}
+    for name, looks in appearance_of(record).items():
+        usual = record.usual.cameras.get(name, {}) if record.usual else {}
+        for figure in looks.keys() & usual.keys():
+            if usual[figure] > 0:
+                shares.setdefault(figure, []).append(looks[figure] / usual[figure])
+    return {figure: min(median(found), 1.0) for figure, found in shares.items()}
+
+
+def _health_by_appearance(
+    looks: Mapping[str, float], usual: Mapping[str, float], common: Mapping[str, float], expected: Expected
+) -> Health:
+    """Return the health of a camera from the figures of its picture, tonight's and the usual ones."""
+    shared = [name for name in looks if name in usual]
+    figures, base = {name: looks[name] for name in shared}, {name: usual[name] for name in shared}
+    shares = {name: looks[name] / usual[name] for name in shared if usual[name] > 0}
+    if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * common.get(Measure.BRIGHTNESS, 1.0):
+        text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
+        return Health("obscured", text, figures, base, "look at its light, its exposure, and what stands before it")
+    if shares.get("sharpness", 1.0) < SHARP_SHARE * common.get("sharpness", 1.0):
+        text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
+        return Health("obscured", text, figures, base, "look at its focus and its glass: drops, dirt, fog")
+    if shares.get("matched_share", 1.0) < FOUND_SHARE:
+        now, then = (f"{100 * entry['matched_share']:.0f} %" for entry in (looks, usual))
+        text = f"{now} of its pairs find common points, usually {then} do: it shows something else, or has been turned"
+        return Health("wrong-scene", text, figures, base, "look at its picture, and where it points")
+    return Health("ok", figures=figures, expected=base)
 
 
 def settings_of(site: Site) -> str:
