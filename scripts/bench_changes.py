@@ -17,7 +17,7 @@ import numpy as np
 from bench_files import Panel, draw, write_rows
 
 import wbflow
-from wbflow.pipeline.rows import Role
+from wbflow.pipeline.stages import DEPTH, FRAMES, POSES, REFINE
 from wbflow_stages.changes import find_changes
 from wbflow_stages.core.cameras import backproject
 from wbflow_stages.types import Camera, Changes, Cloud, DepthMap, Float64s, Frame, Poses
@@ -62,8 +62,8 @@ class Row:
 def night_of(folder: Path) -> Night:
     """A night from the folder of its run and the cache.  Raises Gone."""
     run = wbflow.open_run(folder).finished
-    of = {role: dict(run.of_cameras(role)) for role in (Role.FRAME, Role.DEPTH, Role.REFINED_DEPTH)}
-    return Night(run.by_role(Role.WORLD), run.cloud(), of[Role.FRAME], of[Role.DEPTH], of[Role.REFINED_DEPTH])
+    of = {role: dict(run.of_cameras(role)) for role in (FRAMES, DEPTH, REFINE)}
+    return Night(run.made(POSES), run.cloud(), of[FRAMES], of[DEPTH], of[REFINE])
 
 
 def flat_places(night: Night, size: float, count: int) -> Float64s:

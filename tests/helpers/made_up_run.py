@@ -15,8 +15,7 @@ from wbflow.api import load_site
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.shown import Shown
 from wbflow.cache.store import Cache
-from wbflow.pipeline.rows import Role
-from wbflow.pipeline.stages import STAGES, stage_with
+from wbflow.pipeline.stages import FUSE, GEOMETRY, STAGES, stage_named
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.record import (
     CameraRecord,
@@ -132,22 +131,23 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         "camera": [(name,) for name in ids],
         "pair": [(p.left, p.right) for p in night.pairs if p.ok],
     }
-    shown = [(row, of) for row in STAGES if row.picture and row.scope in subjects for of in subjects[row.scope]]
+    shown = [(row, of) for row in STAGES if row.products.picture and row.scope in subjects for of in subjects[row.scope]]
     for k, (stage, subject) in enumerate(shown):
         key = KEY
         path = work.picture(Task(stage.name, subject), key)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(jpeg + bytes([k % 256, k // 256]))
         events.append(TaskEvent(Task(stage.name, subject), "ran", f"{night.date}T03:16:00+00:00", key=key))
-    product = stage_with(Role.PRODUCT)
+    product = stage_named(FUSE)
     if night.cloud:
-        events += _made(described, Task(product.name), product.view, cloud_view(bowl(points)))
+        events += _made(described, Task(product.name), product.products.view, cloud_view(bowl(points)))
     corners = b"\0\0\0\0\xff\xff\xff\xff"
     for row in STAGES:
-        for subject in subjects.get(row.scope, ()) if row.large or row.marks else ():
-            events += _made(described, Task(row.name, subject), row.large or row.marks, jpeg if row.large else corners)
+        large, marks = row.products.large, row.products.marks
+        for subject in subjects.get(row.scope, ()) if large or marks else ():
+            events += _made(described, Task(row.name, subject), large or marks, jpeg if large else corners)
     for pair in (p for p in night.pairs if not p.ok):
-        tried = Task(stage_with(Role.GEOMETRY).name, (pair.left, pair.right))
+        tried = Task(GEOMETRY, (pair.left, pair.right))
         events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))
     for k in range(nights):
         before = replace(night, run=f"202611{k + 1:02}T031500Z", date=f"2026-11-{k + 1:02}", verdict=Verdict("good"))

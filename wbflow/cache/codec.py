@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..pipeline.rows import PointTable
+from ..pipeline.stages import PointTable
 from . import artifact
 from .plugins import load
 from .ply import columns_of, ply_bytes

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
@@ -15,9 +15,6 @@ from ..records.events import TaskEvent
 from ..records.record import CloudRecord, RunRecord
 from ..records.run_folder import RunFolder
 from ..task import Subject, Task, camera_of
-
-if TYPE_CHECKING:  # and where they are used: a run that is the same as the one before is described without the table of stages
-    from ..pipeline.rows import Role
 
 
 class Gone(WbflowError):
@@ -73,29 +70,26 @@ class FinishedRun:
         cache = self.cache
         return result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
 
-    def by_role(self, role: Role, subject: Subject = ()) -> Any:
-        """What the stage with a role made of a subject, or None."""
-        from ..pipeline.stages import stage_with
+    def made(self, stage: str, subject: Subject = ()) -> Any:
+        """What a stage made of a subject, or None."""
+        return self.load(Task(stage, subject))
 
-        return self.load(Task(stage_with(role).name, subject))
-
-    def of_cameras(self, *roles: Role) -> Mapping[str, Any]:
-        """What the first of these roles that gave something made of each camera, or of each of its views; read when it is asked
+    def of_cameras(self, *stages: str) -> Mapping[str, Any]:
+        """What the first of these stages that gave something made of each camera, or of each of its views; read when it is asked
         for."""
-        from ..pipeline.rows import Role
-        from ..pipeline.stages import stage_with
+        from ..pipeline.stages import FRAMES
 
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
-        for view in (task.subject[0] for task in self.tasks if task.stage == stage_with(Role.FRAME).name):
+        for view in (task.subject[0] for task in self.tasks if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
         names = [
             view for camera, found in views.items() for view in sorted(found, key=lambda name: (len(name), name)) or [camera]
         ]
-        return _OfSubjects(self, {name: (name,) for name in names}, roles)
+        return _OfSubjects(self, {name: (name,) for name in names}, stages)
 
-    def of_pairs(self, *roles: Role) -> Mapping[str, Any]:
+    def of_pairs(self, *stages: str) -> Mapping[str, Any]:
         """The same of each pair, as "left--right"."""
-        return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, roles)
+        return _OfSubjects(self, {pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def cloud(self, cloud: CloudRecord | None = None) -> Any:
         """A cloud as it was published; the main one if none is named.
@@ -110,13 +104,10 @@ class FinishedRun:
         if path is None or not path.is_file():
             raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
         from ..cache.ply import read_ply
-        from ..pipeline.rows import Role
-        from ..pipeline.stages import stage_with
+        from ..pipeline.stages import CLOUD_TABLE
 
-        table = stage_with(Role.PRODUCT).table
-        assert table is not None
         try:
-            return function(table.restore)(read_ply(path))
+            return function(CLOUD_TABLE.restore)(read_ply(path))
         except ValueError as error:
             raise Gone(str(error), remedy="run the night again") from None
 
@@ -142,11 +133,9 @@ class LoggedTasks(Mapping[Task, TaskEvent]):
 
 
 class _OfSubjects(Mapping[str, Any]):
-    def __init__(self, run: FinishedRun, subjects: Mapping[str, Subject], roles: tuple[Role, ...]) -> None:
-        from ..pipeline.stages import stage_with
-
+    def __init__(self, run: FinishedRun, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> None:
         self._run = run
-        tasks = {name: [Task(stage_with(role).name, subject) for role in roles] for name, subject in subjects.items()}
+        tasks = {name: [Task(stage, subject) for stage in stages] for name, subject in subjects.items()}
         made = {name: [t for t in group if (event := run.tasks.get(t)) and event.usable] for name, group in tasks.items()}
         self._tasks = {name: group[0] for name, group in made.items() if group}
 

@@ -11,8 +11,7 @@ from functools import cached_property
 
 from ..cache.layout import WorkFolder
 from ..pipeline.binding import bind
-from ..pipeline.rows import Role
-from ..pipeline.stages import STAGES, stage_with
+from ..pipeline.stages import FRAMES, STAGES, stage_named
 from ..records.findings import Health
 from ..records.record import CameraRecord, RunRecord, Usual
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -124,7 +123,7 @@ def figures_of(record: RunRecord) -> dict[str, float]:
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     """What is compared of each camera that is well, by id and name: how its picture looks, and the share of its pairs that found
     common points."""
-    reports = stage_with(Role.FRAME).reports
+    reports = stage_named(FRAMES).reports
     names = reports.fields if reports else ()
     matched: dict[str, list[bool]] = {}
     well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one

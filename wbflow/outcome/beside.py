@@ -12,8 +12,7 @@ from ..cache.ply import ply_bytes
 from ..cache.signed import Damaged, read_signed, write_signed
 from ..cache.untrusted import read_outside
 from ..errors import WbflowError
-from ..pipeline.rows import Stage
-from ..pipeline.stages import STAGES
+from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import MEANINGS, meaning
 from ..records.record import Figures
 from ..runner.journal import Journal
@@ -33,7 +32,7 @@ def files_beside(plan: Plan, journal: Journal) -> dict[str, dict[str, bytes]]:
     They are kept beside the artifact, so that nothing is made again of one that has not changed.  What cannot be made (a library
     is not installed, no map has the place) is told to the journal: the night is not lost for it.
     """
-    return {stage.name: dict(_files(plan, stage, journal)) for stage in STAGES if stage.files and _usable(plan, stage)}
+    return {stage.name: dict(_files(plan, stage, journal)) for stage in STAGES if stage.products.files and _usable(plan, stage)}
 
 
 def told_beside(plan: Plan, files: Mapping[str, Mapping[str, bytes]]) -> dict[str, Figures]:
@@ -58,7 +57,7 @@ def _files(plan: Plan, stage: Stage, journal: Journal) -> Iterator[tuple[str, by
     task = Task(stage.name)
     receipt = plan.states[task].receipt
     assert receipt is not None
-    work, code = plan.cache.work, plan.site.reader.read(stage.files).code
+    work, code = plan.cache.work, plan.site.reader.read(stage.products.files).code
     memo = work.published(task, receipt.key)
     try:
         known = read_signed(memo, work.place(memo)) or {}
@@ -70,7 +69,7 @@ def _files(plan: Plan, stage: Stage, journal: Journal) -> Iterator[tuple[str, by
         journal.repaired(f"{damage}: made again", task=task)
     made = {}
     try:
-        for name, content in function(stage.files)(plan.cache.load(task, receipt)):
+        for name, content in function(stage.products.files)(plan.cache.load(task, receipt)):
             data = content if isinstance(content, bytes) else bytes(ply_bytes(content, comments=("made by wbflow",)))
             write_atomic(work.artifact(task, receipt.key, f".{name}{_KEPT}"), data, ours=True)
             made[name] = artifact.digest(data)

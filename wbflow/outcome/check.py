@@ -15,8 +15,7 @@ from ..cache.layout import WorkFolder
 from ..cache.untrusted import read_outside
 from ..errors import ExitCode, printable
 from ..pipeline.exports import DECODE
-from ..pipeline.rows import SiteValue
-from ..pipeline.site_types import SITE_TYPES
+from ..pipeline.stages import SITE_TYPES
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.captures import CaptureFile, expected, pattern_of
 from ..runner.context import Night, open_night
@@ -105,7 +104,7 @@ def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
     if not file.digest:
         return (0, 0), f"{file.name} {file.fault}"
     try:
-        capture = function(SITE_TYPES[SiteValue.CAPTURES])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
+        capture = function(SITE_TYPES["captures"])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
         image = function(DECODE)(capture)
     except (ValueError, OSError) as error:
         return (0, 0), str(error)

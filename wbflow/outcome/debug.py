@@ -13,8 +13,7 @@ from ..cache.plugins import offer
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.exports import PLAIN_FILES
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_named, stage_with
+from ..pipeline.stages import DENSE_PAIRS, PAIRS, stage_named
 from ..runner.context import open_night
 from ..runner.obstacles import Impossible, Waiting
 from ..runner.planner import Plan
@@ -107,8 +106,8 @@ def _otherwise(state: State | None) -> str:
 def _spec(plan: Plan, task: Task) -> TaskSpec:
     known = [*plan.states, *plan.ready, *plan.waiting]
     if stage_named(task.stage).scope == "pair" and not plan.pairs_known(stage_named(task.stage)):
-        role = Role.DENSE_PAIRS if plan.pairs_known(stage_with(Role.PAIR_GRAPH)) else Role.PAIR_GRAPH
-        raise _waits(plan, task, Task(stage_with(role).name))
+        first = DENSE_PAIRS if plan.pairs_known(stage_named(PAIRS)) else PAIRS
+        raise _waits(plan, task, Task(first))
     if task not in known:
         of_stage = [str(t) for t in known if t.stage == task.stage]
         close = difflib.get_close_matches(str(task), of_stage, 1)
@@ -118,7 +117,7 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
     try:
         return plan.spec_of(task)
     except Waiting as waiting:
-        raise _waits(plan, task, waiting.task or Task(stage_with(Role.PAIR_GRAPH).name)) from None
+        raise _waits(plan, task, waiting.task or Task(PAIRS)) from None
     except Impossible as impossible:
         remedy = f"wbflow status {plan.site.file}  says what each task waits for"
         raise UsageError(f"'{task}' has nothing to work on: {impossible}", remedy=remedy) from None

@@ -11,8 +11,7 @@ from typing import Any
 from ..cache.atomic import write_atomic
 from ..errors import ExitCode, WbflowError
 from ..pipeline.exports import EXPORTS, EXTRAS, Export
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import FUSE, POSES, stage_named
 from .artifacts import FinishedRun, function
 
 
@@ -42,7 +41,7 @@ def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]
     for row in asked:
         require(row, georeferenced=bool(run.record.poses.crs))
     for row in asked:
-        results = {name: _result(run, name, roles) for name, roles in row.needs.items()}
+        results = {name: _result(run, stages) for name, stages in row.inputs.items()}
         day = datetime.date.fromisoformat(run.record.date)
         try:
             for name, data in function(row.function)(**results, **({"day": day} if row.dated else {})):
@@ -61,9 +60,9 @@ def require(row: Export, *, georeferenced: bool) -> None:
         raise MissingExtra(f"{what} needs {' and '.join(missing)}: pip install 'wbflow[{extra}]'")
 
 
-def _result(run: FinishedRun, name: str, roles: tuple[Role, ...]) -> Any:
-    if roles == (Role.PRODUCT,):
+def _result(run: FinishedRun, stages: tuple[str, ...]) -> Any:
+    if stages == (FUSE,):
         return run.cloud()
-    if roles == (Role.WORLD,):
-        return run.by_role(Role.WORLD)
-    return run.of_pairs(*roles) if stage_with(roles[0]).scope == "pair" else run.of_cameras(*roles)
+    if stages == (POSES,):
+        return run.made(POSES)
+    return run.of_pairs(*stages) if stage_named(stages[0]).scope == "pair" else run.of_cameras(*stages)

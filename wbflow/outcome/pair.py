@@ -11,15 +11,14 @@ from typing import Any
 from ..cache.atomic import write_atomic
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import DISPARITY, FRAMES, POSES
 from ..site.load import load_site
 from ..site.models import Site
 from .artifacts import FinishedRun, function
 
 PAIR = ("left", "right")
 
-LAST_STAGE = stage_with(Role.DISPARITY).name
+LAST_STAGE = DISPARITY
 """Where a run of a pair ends."""
 
 
@@ -51,7 +50,7 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
         "cameras": cameras,
         "resolution": resolution,
         "pairs": {"min_angle": 0.0, "max_angle": 180.0, "include": [list(PAIR)]},
-        "stages": {stage_with(Role.WORLD).name: False},
+        "stages": {POSES: False},
         "work": "work",
     }
     write_atomic(out / "site.yaml", json.dumps(description, indent=1).encode())
@@ -60,8 +59,8 @@ def pair_site(left: Path, right: Path, out: Path, resolution: int | None) -> Sit
 
 def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
     """Write what a run of a pair's site made into `out`.  Raises Gone, DamagedArtifact."""
-    left, right = (run.by_role(Role.FRAME, (name,)) for name in PAIR)
-    results = {name: run.by_role(role, PAIR) for name, role in PAIR_RESULTS.items()}
+    left, right = (run.made(FRAMES, (name,)) for name in PAIR)
+    results = {name: run.made(stage, PAIR) for name, stage in PAIR_RESULTS.items()}
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
     made, summary = function(PAIR_FILES)(left, right, **results)

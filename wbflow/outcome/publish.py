@@ -13,8 +13,7 @@ from ..cache import artifact
 from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import with_comments
 from ..cache.signed import Damaged, read_signed, write_signed
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import CALIBRATION, FUSE, PLACE_COMMENTS, POSES
 from ..records.events import TaskEvent
 from ..records.record import RunRecord
 from ..records.run_folder import UnfinishedRun
@@ -59,7 +58,7 @@ def publish(
     told = _told_of_world(night.plan, worked.products, journal)
     unfinished = UnfinishedRun(work, run)
     for task, cloud in worked.products.items():
-        if task.stage == stage_with(Role.PRODUCT).name:
+        if task.stage == FUSE:
             comments = tuple(told.comments) if told and not task.subject else ()
             unfinished.write(cloud_name(task.subject), with_comments(cloud.data, comments))
     cameras = told.calibration if told else {}
@@ -92,12 +91,11 @@ class _World:
 
 
 def _told_of_world(plan: Plan, products: Mapping[Task, Product], journal: Journal) -> _World | None:
-    world = stage_with(Role.WORLD)
-    task = Task(world.name)
+    task = Task(POSES)
     state = plan.states.get(task)
     if task not in products or state is None or state.receipt is None:
         return None
-    functions = [world.calibration, world.comments]
+    functions = [CALIBRATION, PLACE_COMMENTS]
     code = [plan.site.reader.read(dotted).code for dotted in functions]
     memo = plan.cache.work.published(task, state.receipt.key)
     try:

@@ -13,8 +13,19 @@ from .. import __version__
 from ..cache.fingerprint import installed_versions
 from ..cache.layout import cloud_name
 from ..errors import ExitCode
-from ..pipeline.rows import Reports, Role, Stage, WorldReports
-from ..pipeline.stages import STAGES, stage_with
+from ..pipeline.reports import Reports, WorldReports
+from ..pipeline.stages import (
+    DENSE_PAIRS,
+    DISPARITY,
+    FRAMES,
+    FUSE,
+    GEOMETRY,
+    PAIRS,
+    POSES,
+    STAGES,
+    Stage,
+    stage_named,
+)
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
 from ..runner.planner import Plan
 from ..runner.staleness import by_picture
@@ -42,13 +53,13 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         Memory of its largest worker.
     """
     worlds = _worlds(plan)
-    dense = set(_listed(plan, Role.DENSE_PAIRS))
+    dense = set(_listed(plan, DENSE_PAIRS))
     pairs = tuple(_pair(plan, pair, worlds, dense) for pair in _pairs(plan))
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
         views.setdefault(view.camera, []).append(_camera(plan, view.id, worlds))
     cameras = tuple(of_camera(records, _sums()) for records in views.values())
-    product = stage_with(Role.PRODUCT).name
+    product = FUSE
     main = plan.states.get(Task(product))
     others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == product and task.subject)
     return RunRecord(
@@ -96,7 +107,7 @@ def root_cause(plan: Plan, task: Task) -> str | None:
         waiting += new
     kinds = Counter((root.stage, plan.states[root].code) for root in roots)
     kind, count = kinds.most_common(1)[0]
-    if kind[0] == stage_with(Role.FRAME).name:  # too few cameras: the reason says how many there are
+    if kind[0] == FRAMES:  # too few cameras: the reason says how many there are
         return state.reason
     first = next(root for root in roots if (root.stage, plan.states[root].code) == kind)
     more = f" (and {count - 1} more like it)" if count > 1 else ""
@@ -105,7 +116,7 @@ def root_cause(plan: Plan, task: Task) -> str | None:
 
 def _why_no_pairs(plan: Plan) -> str | None:
     """What the pair graph says of most pairs that it dropped."""
-    state = plan.states.get(Task(stage_with(Role.PAIR_GRAPH).name))
+    state = plan.states.get(Task(PAIRS))
     dropped = Counter(edge["reason"] for edge in _figures(state).get("edges", ()))
     if not dropped:
         return None
@@ -154,11 +165,11 @@ def _pair(plan: Plan, pair: tuple[str, str], worlds: _Worlds, dense: Collection[
         if state is None:
             continue
         record = replace(record, figures={**record.figures, **_told(state, reports)})
-        if state.usable and stage.role is Role.DISPARITY:
+        if state.usable and stage.name == DISPARITY:
             record = replace(record, outcome="ok", reason=None, code=None, stage=None)
         elif not state.usable and (record.ok or state.outcome != "skipped"):
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
-    found = plan.states.get(Task(stage_with(Role.GEOMETRY).name, pair))
+    found = plan.states.get(Task(GEOMETRY, pair))
     figures = {"matched": found.usable if found else None, "dense": pair in dense if dense else None}
     record = replace(record, figures={**record.figures, **figures})
     for solved, world in worlds:
@@ -197,15 +208,14 @@ def _entry(figures: Mapping[str, Any], figure: str, subject: str, name: str) -> 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
     """Those that are matched or made dense, in the order of the site file where the latter were chosen anew."""
-    matched, dense = _listed(plan, Role.PAIR_GRAPH), _listed(plan, Role.DENSE_PAIRS)
+    matched, dense = _listed(plan, PAIRS), _listed(plan, DENSE_PAIRS)
     place = {view.id: k for k, view in enumerate(plan.site.views)}
     return sorted({*matched, *dense}, key=lambda pair: [place[view] for view in pair]) if dense else matched
 
 
-def _listed(plan: Plan, role: Role) -> list[tuple[str, str]]:
-    stage = stage_with(role)
-    state = plan.states.get(Task(stage.name))
-    return [tuple(pair) for pair in _figures(state).get(stage.lists, [])] if state and state.usable else []
+def _listed(plan: Plan, stage: str) -> list[tuple[str, str]]:
+    state = plan.states.get(Task(stage))
+    return [tuple(pair) for pair in _figures(state).get("pairs", [])] if state and state.usable else []
 
 
 def _cloud(task: Task, state: State) -> CloudRecord | None:
@@ -218,7 +228,7 @@ def _cloud(task: Task, state: State) -> CloudRecord | None:
 
 def _world(plan: Plan) -> WorldRecord | None:
     """Without the cameras themselves, and without what is said of each camera and pair elsewhere."""
-    stage = stage_with(Role.WORLD)
+    stage = stage_named(POSES)
     state = plan.states.get(Task(stage.name))
     if state is None or not state.usable:
         return None

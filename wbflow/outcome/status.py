@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..cache.store import Preimage, Receipt
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import PAIRS, stage_named
 from ..runner.planner import Plan
 from ..runner.spec import TaskSpec
 from ..task import Task
@@ -76,7 +75,7 @@ class _Costs:
 
 def pairs_to_come(plan: Plan) -> bool:
     """Will pairs be matched that are not listed yet, because the pair graph is not there?"""
-    return not plan.pairs_known() and stage_with(Role.PAIR_GRAPH) in plan.stages()
+    return not plan.pairs_known() and stage_named(PAIRS) in plan.stages()
 
 
 def _why(plan: Plan, spec: TaskSpec) -> str:

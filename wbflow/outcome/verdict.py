@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..errors import ExitCode, counted
-from ..pipeline.rows import Role
-from ..pipeline.stages import STAGES, stage_with
+from ..pipeline.stages import FUSE, STAGES, stage_named
 from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
 from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual
 from ..runner.planner import Plan
@@ -58,7 +57,7 @@ class Facts:
         """Return those of a plan whose tasks have all ended."""
         failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
         stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
-        product = stage_with(Role.PRODUCT) in plan.stages()
+        product = stage_named(FUSE) in plan.stages()
         missing = None
         if plan.until and not product:
             state = plan.states.get(Task(plan.until))

@@ -14,8 +14,8 @@ from typing import Any
 
 from ..cache.functions import FunctionInfo, FunctionReader
 from ..cache.modules import FunctionError
-from .rows import FromSite, FromStage, Need, SiteValue, Stage
 from .signature import Parameter, Signature
+from .stages import Source, Stage
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Binding:
     function: FunctionInfo
     method: FunctionInfo | None
     """Where the function chooses among methods, the chosen one."""
-    needs: dict[str, Need]
+    inputs: dict[str, Source]
     """Inputs that are handed over, by argument name."""
     parameters: dict[str, Parameter]
     """The function's own, and those of the chosen method."""
@@ -48,7 +48,7 @@ class Binding:
 
     def faults(self) -> list[str]:
         """What is wrong with the signatures, in words."""
-        offered = {*self.stage.needs, *self.stage.offers}
+        offered = {*self.stage.inputs, *self.stage.offers}
         found = _faults(self.function, self.stage, offered)
         if self.method and self.stage.method:
             handed_on = _handed_on(self.function.signature, self.stage)
@@ -77,16 +77,16 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     """
     chooser = stage.method if use is None else None
     function = reader.read(use or stage.function, chooser.table if chooser else "")
-    inputs = {**stage.needs, **stage.offers}
+    inputs = {**stage.inputs, **stage.offers}
     own = function.signature
     parameters = {name: p for name, p in own.parameters.items() if name not in inputs}
     if chooser is None:
-        asked = _asked(own) | (set(stage.needs) if own.takes_any else set())
+        asked = _asked(own) | (set(stage.inputs) if own.takes_any else set())
         return Binding(stage, function, None, _wanted(inputs, asked, own), parameters)
     method = reader.read(_chosen(stage, values, parameters, reader))
     given = {*inputs, *chooser.given}
     parameters |= {n: p for n, p in method.signature.parameters.items() if n not in given and n not in parameters}
-    asked = (_asked(own) & set(stage.needs)) | (_asked(method.signature) & _handed_on(own, stage))
+    asked = (_asked(own) & set(stage.inputs)) | (_asked(method.signature) & _handed_on(own, stage))
     return Binding(stage, function, method, _wanted(inputs, asked, own), parameters)
 
 
@@ -94,7 +94,7 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
     """Parameters of each method of a stage's table that the stage has not itself.  Raises FunctionError."""
     if stage.method is None:
         return {}
-    taken = {*stage.needs, *stage.offers, *stage.method.given, *reader.signature(stage.function).parameters}
+    taken = {*stage.inputs, *stage.offers, *stage.method.given, *reader.signature(stage.function).parameters}
     return {
         name: {n: p for n, p in reader.signature(dotted).parameters.items() if n not in taken}
         for name, dotted in reader.table(stage.method.table).items()
@@ -126,25 +126,25 @@ def _handed_on(own: Signature, stage: Stage) -> set[str]:
     """Inputs that a stage's function hands to the method that it chooses: those that it names, and files, which go with the
     parameters that it only passes through."""
     files = {name for name, need in stage.offers.items() if is_file(need)} if own.takes_any else set()
-    return (_asked(own) & {*stage.needs, *stage.offers}) | files
+    return (_asked(own) & {*stage.inputs, *stage.offers}) | files
 
 
-def is_file(need: Need) -> bool:
+def is_file(need: Source) -> bool:
     """Is it a file that the stage's section names?"""
-    return isinstance(need, FromSite) and need.value is SiteValue.FILE
+    return need.kind == "file"
 
 
 def _asked(signature: Signature) -> set[str]:
     return {a.name for a in signature.arguments} | set(signature.parameters)
 
 
-def _wanted(inputs: Mapping[str, Need], names: set[str], own: Signature) -> dict[str, Need]:
+def _wanted(inputs: Mapping[str, Source], names: set[str], own: Signature) -> dict[str, Source]:
     """The inputs of these names.  What the function has no default for must be there, whatever else is."""
     required = {argument.name for argument in own.arguments if argument.required}
     found = {name: need for name, need in inputs.items() if name in names}
     for name in required & set(found):
         need = found[name]
-        if isinstance(need, FromStage) and need.unless:
+        if need.unless:
             found[name] = replace(need, unless=())
     return found
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from ..cache.functions import FunctionReader
 from .binding import method_parameters
 from .docs import ParameterDoc, parameter_docs, summary, unit_of
-from .rows import Stage
 from .signature import Parameter
-from .stages import STAGES
+from .stages import COMPONENT, FUSE, STAGES, Stage
 
 WIDTH = 110
 """Of the lines that are printed."""
@@ -57,7 +56,7 @@ class StageRow:
 def describe(stage: Stage, reader: FunctionReader) -> StageRow:
     """A stage and its methods."""
     _, _, node = reader.modules.function(stage.function)
-    inputs = {*stage.needs, *stage.offers}
+    inputs = {*stage.inputs, *stage.offers}
     own = reader.signature(stage.function).parameters
     docs = parameter_docs(node)
     rows = tuple(_row(p, docs, _elsewhere(stage, name)) for name, p in own.items() if name not in inputs)
@@ -66,7 +65,7 @@ def describe(stage: Stage, reader: FunctionReader) -> StageRow:
         stage.scope,
         stage.function,
         summary(node),
-        tuple(stage.needs),
+        tuple(stage.inputs),
         tuple(stage.offers),
         rows,
         _methods(stage, own, reader),
@@ -104,11 +103,11 @@ def _methods(stage: Stage, own: dict[str, Parameter], reader: FunctionReader) ->
 
 def _elsewhere(stage: Stage, name: str) -> str:
     """Where in a site file a parameter is set that is not set in the stage's section."""
+    if name in stage.site_keys:
+        return f", set by {name} at the top of the site file"
     if stage.section:
         return f", set by {name} in the section {stage.section}"
-    if name in stage.site_parameters:
-        return f", set by {name} at the top of the site file"
-    return ", each component in turn" if name == stage.component_parameter else ""
+    return ", each component in turn" if (stage.name, name) == (FUSE, COMPONENT) else ""
 
 
 def _row(parameter: Parameter, docs: dict[str, ParameterDoc], elsewhere: str) -> ParameterRow:

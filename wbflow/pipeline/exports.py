@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .rows import Role
+from .stages import DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, MATCHES, POSES, RECTIFY, REFINE
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class Export:
     """Text of the option in `wbflow export --help`."""
     function: str
     """Dotted: package.module:function."""
-    needs: Mapping[str, tuple[Role, ...]]
-    """By argument name: the cloud, the world, or of every camera or pair (as a mapping) what the first of these roles gave."""
+    inputs: Mapping[str, tuple[str, ...]]
+    """By argument name: the cloud, the poses, or of every camera or pair (as a mapping) what the first of these stages gave."""
     dated: bool = False
     """Takes the night's date, too, as `day`."""
     extra: str = ""
@@ -33,14 +33,14 @@ class Export:
 EXTRAS: Mapping[str, tuple[str, ...]] = {"las": ("laspy", "lazrs", "pyproj"), "e57": ("pye57",), "geo": ("rasterio", "pyproj")}
 """Packages of the extras that exports may need."""
 
-_CLOUD, _WORLD = (Role.PRODUCT,), (Role.WORLD,)
+_CLOUD, _POSES = (FUSE,), (POSES,)
 
 EXPORTS: tuple[Export, ...] = (
     Export(
         "laz",
         "The cloud as LAZ, on the map where positions are known by latitude and longitude.",
         "wbflow_stages.exports.forms:laz",
-        {"cloud": _CLOUD, "poses": _WORLD},
+        {"cloud": _CLOUD, "poses": _POSES},
         dated=True,
         extra="las",
     ),
@@ -48,51 +48,51 @@ EXPORTS: tuple[Export, ...] = (
         "e57",
         "The cloud as E57, on the map like LAZ; intensity is the confidence.",
         "wbflow_stages.exports.forms:e57",
-        {"cloud": _CLOUD, "poses": _WORLD},
+        {"cloud": _CLOUD, "poses": _POSES},
         extra="e57",
     ),
     Export(
         "heights",
         "Heights seen from above: GeoTIFF where the site is on the map, else PNG and PFM.",
         "wbflow_stages.exports.forms:heights",
-        {"cloud": _CLOUD, "poses": _WORLD},
+        {"cloud": _CLOUD, "poses": _POSES},
         extra_on_the_map="geo",
     ),
     Export(
         "depth",
         "Depth map of each camera: 16-bit PNG and PFM.",
         "wbflow_stages.exports.forms:depth",
-        {"poses": _WORLD, "depths": (Role.REFINED_DEPTH, Role.DEPTH)},
+        {"poses": _POSES, "depths": (REFINE, DEPTH)},
     ),
     Export(
         "mesh",
         "The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.",
         "wbflow_stages.exports.forms:mesh",
-        {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)},
+        {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,)},
     ),
     Export(
         "orthophoto",
         "The site from straight above: GeoTIFF, or PNG with its world file.",
         "wbflow_stages.exports.forms:orthophoto",
-        {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,)},
+        {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,)},
         extra_on_the_map="geo",
     ),
     Export(
         "colmap",
         "Cameras, images and points as a COLMAP model.",
         "wbflow_stages.exports.forms:colmap",
-        {"cloud": _CLOUD, "poses": _WORLD, "frames": (Role.FRAME,), "geometries": (Role.GEOMETRY,)},
+        {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,), "geometries": (GEOMETRY,)},
     ),
 )
 
 PAIR_FILES = "wbflow_stages.exports.pairfiles:pair_files"
 """Makes the files of `wbflow pair` of two frames and what `PAIR_RESULTS` names, and figures for its summary."""
 
-PAIR_RESULTS: Mapping[str, Role] = {
-    "matches": Role.MATCHES,
-    "geometry": Role.GEOMETRY,
-    "rectification": Role.RECTIFICATION,
-    "disparity": Role.DISPARITY,
+PAIR_RESULTS: Mapping[str, str] = {
+    "matches": MATCHES,
+    "geometry": GEOMETRY,
+    "rectification": RECTIFY,
+    "disparity": DISPARITY,
 }
 """By argument name; what a pair did not come to is None."""
 

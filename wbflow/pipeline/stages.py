@@ -1,37 +1,208 @@
-"""The table of stages: what each works on, what it needs, and the function that does it.
+"""The pipeline: its eighteen stages in their order, with their inputs, their functions, and what becomes of their results.
 
-The one place of the engine that names stages, stage functions, and what is in their results.  Everything else asks a row, or asks
-for the stage that plays a role.
+To add a stage, write its function (`stages/`), its row here, and where run.json is to have figures of it, its summary
+(`pipeline.summaries`).  The engine knows the stages by name; what is in their arrays it does not know.
 """
 
 from __future__ import annotations
 
-from .rows import (
-    Entry,
-    Expects,
-    FromPast,
-    FromReference,
-    FromSite,
-    FromStage,
-    Held,
-    Judges,
-    Method,
-    Need,
-    Part,
-    Picture,
-    PointTable,
-    Renamed,
-    Reports,
-    Rework,
-    Role,
-    SiteValue,
-    Stage,
-    Which,
-    WorldReports,
-)
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal
+
+from .reports import Entry, Expects, Reports, WorldReports
+
+FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
+POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
+DEPTH, REFINE, FUSE = "depth", "refine", "fuse"
+"""Names of the stages that the engine knows for more than handing on their results."""
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that says "nothing usable here": it has `reason` and `figures`."""
+
+SITE_TYPES = {
+    "captures": "wbflow_stages.types:Capture",
+    "mask": "wbflow_stages.types:Capture",
+    "privacy": "wbflow_stages.types:Privacy",
+    "lens": "wbflow_stages.types:Lens",
+    "placement": "wbflow_stages.types:Placement",
+    "survey": "wbflow_stages.types:Survey",
+}
+"""What the site file and its captures can give to a stage, and the type that it comes as."""
+
+Scope = Literal["camera", "pair", "site"]
+Of = Literal["own", "left", "right", "every", "around", "near"]
+Condition = Callable[[Any], bool]
+"""A question to the site (`site.site.Site`)."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where an input of a stage comes from."""
+
+    kind: Literal["stage", "site", "file", "reference", "history"]
+    """Another stage; the site file or the captures; a file that the stage's section names; what a stage made in the reference's
+    night (None, or an empty mapping, where there is no reference, or where tonight is its own night); earlier nights."""
+    name: str
+    """Of the stage, or of what the site gives."""
+    of: Of = "own"
+    """The task's own subject; the left or right camera of the pair; every subject that has it, as a mapping; the cameras that the
+    one in question makes dense pairs with ("around"), and a few that make pairs with these ("near", see `Subjects.near`)."""
+    part: str = ""
+    """Only this field of the result; of a mapping that a site-wide stage made, the entry of the camera or pair in question."""
+    optional: bool | Condition = False
+    """It may be missing: then the function gets None, or a mapping that lacks entries."""
+    needed_if: Condition | None = None
+    """Where this is not so, the function gets an empty mapping."""
+    unless: tuple[str, ...] = ()
+    """It may be missing where the inputs of these names are there."""
+
+    @property
+    def joins(self) -> bool:
+        """Is it handed over as a mapping?"""
+        return self.of in {"every", "around", "near"}
+
+    def may_lack(self, site: Any) -> bool:
+        """May it be missing on this site?"""
+        return self.optional(site) if callable(self.optional) else self.optional
+
+
+own = partial(Source, "stage", of="own")
+left = partial(Source, "stage", of="left")
+right = partial(Source, "stage", of="right")
+every = partial(Source, "stage", of="every")
+around = partial(Source, "stage", of="around")
+near = partial(Source, "stage", of="near")
+site = partial(Source, "site")
+reference = partial(Source, "reference")
+
+
+@dataclass(frozen=True)
+class Method:
+    """A stage's choice among functions: one parameter names a row of a table, or any function as package.module:function."""
+
+    parameter: str
+    """The parameter that chooses."""
+    table: str
+    """Dotted name of a dictionary literal: name -> "package.module:function"."""
+    given: tuple[str, ...] = ()
+    """Names of arguments that the stage itself hands to its methods, besides its inputs."""
+
+
+@dataclass(frozen=True)
+class Adapt:
+    """Another function for a stage, that makes its result from the reference's."""
+
+    function: str
+    inputs: Mapping[str, Source]
+
+
+@dataclass(frozen=True)
+class Reuse:
+    """What the reference has to do with a stage's results."""
+
+    shifted: Literal["reuse", "recompute"] | Adapt | None = None
+    """What becomes of the reference's result where a camera has shifted by a known rotation; None: it is never used."""
+    moved: Literal["reuse", "recompute"] | Adapt | None = None
+    """The same where a camera was moved, or is new."""
+    stored: bool = True
+    """The reference keeps a copy of the results."""
+    aggregate: str = ""
+    """Dotted function: results of many nights, as a mapping by night -> one."""
+    too_little: tuple[str, ...] = ()
+    """Pairs are aggregated that were rejected, here or by what rests on it, with one of these codes: one night had too little."""
+
+
+@dataclass(frozen=True)
+class PointTable:
+    """A result that is kept as a PLY file, rather than as an artifact of arrays."""
+
+    columns: str
+    """Dotted function: the result -> its columns by name."""
+    restore: str
+    """Dotted function: columns by name -> the result."""
+    figures: str
+    """Dotted function: the result -> figures that its fields do not tell."""
+
+    suffix = ".ply"
+
+
+@dataclass(frozen=True)
+class Products:
+    """What is made of a stage's result for people; of each, the dotted function that makes it of the result."""
+
+    picture: str = ""
+    """A JPEG file's bytes.  It may also ask by name for inputs of the stage, and for `picture_inputs`."""
+    picture_inputs: Mapping[str, Source] = field(default_factory=dict)
+    large: str = ""
+    """A JPEG file's bytes, of a camera's picture as large as it is, for the report."""
+    marks: str = ""
+    """Bytes: places in these pictures, of a camera or a pair (see `report.seen`)."""
+    view: str = ""
+    """Points for the report's 3-D view, as a stream of bytes."""
+    layer: str = ""
+    """A picture that lies on the report's map, as bytes (see `report.layers`)."""
+    files: str = ""
+    """Names and bytes of files that a run publishes beside its cloud."""
+    title: str = ""
+    """Of its part of the report, where a site-wide stage `reports`."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the pipeline."""
+
+    name: str
+    scope: Scope
+    function: str
+    """Dotted: package.module:function.  What it is handed is decided by the names of its arguments."""
+    inputs: Mapping[str, Source]
+    """By argument name."""
+    offers: Mapping[str, Source] = field(default_factory=dict)
+    """Further inputs that another function in its place, or a method of it, may ask for by argument name."""
+    optional: bool = False
+    """The site file may switch it off."""
+    needed_if: Condition | None = None
+    """It has nothing to do where this is not so."""
+    dense: bool = False
+    """Of pairs: works on the dense ones, rather than on those that are matched."""
+    method: Method | None = None
+    section: str = ""
+    """Its parameters are the section of this name of the site file."""
+    site_keys: tuple[str, ...] = ()
+    """Parameters that are set at the top of the site file, by the same name."""
+    reuse: Reuse = Reuse()
+    products: Products = Products()
+    reports: Reports | None = None
+    world_reports: WorldReports | None = None
+
+    def needed(self) -> set[str]:
+        """The stages without which it can do nothing."""
+        return {source.name for source in self.inputs.values() if source.kind == "stage" and not source.optional}
+
+    @property
+    def table(self) -> PointTable | None:
+        """How its results are kept, where not as artifacts of arrays."""
+        return CLOUD_TABLE if self.name == FUSE else None
+
+    @property
+    def suffix(self) -> str:
+        """Of its artifacts' files."""
+        return self.table.suffix if self.table else ".wbf"
+
+
+CLOUD_TABLE = PointTable(
+    columns="wbflow_stages.io.clouds:cloud_columns",
+    restore="wbflow_stages.io.clouds:cloud_of",
+    figures="wbflow_stages.io.clouds:cloud_figures",
+)
+CALIBRATION = "wbflow_stages.io.cameras:calibration"
+"""The result of `poses` -> the cameras that a run publishes, in the form of a calibration (JSON data)."""
+PLACE_COMMENTS = "wbflow_stages.io.cameras:place_comments"
+"""The result of `poses` -> lines for the header of the cloud."""
+COMPONENT = "component"
+"""The parameter of `fuse` that says which component of cameras it works on; each has a task."""
 
 _OF_A_FRAME = (
     "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "cast", "colour", "noise", "frames_used",
@@ -41,25 +212,9 @@ _OF_COVERAGE = {
     "area_m2": "area", "seen_by_one": "seen_by_one", "seen_by_two": "seen_by_two",
     "angle_deg": "median_angle_deg", "error_m": "median_error", "lost_without": "lost_without",
 }  # fmt: skip
-_SIDES: dict[str, Need] = {"left": FromStage("features", Which.LEFT), "right": FromStage("features", Which.RIGHT)}
-_FRAMES: dict[str, Need] = {"left": FromStage("frames", Which.LEFT), "right": FromStage("frames", Which.RIGHT)}
-_FRAMES_TOO: dict[str, Need] = {f"{side}_frame": need for side, need in _FRAMES.items()}
-_FEATURES_TOO: dict[str, Need] = {f"{side}_features": need for side, need in _SIDES.items()}
-_PLACEMENTS = FromSite(SiteValue.PLACEMENT, Which.ALL)
-_VIEWS = FromStage("frames", Which.ALL, Part("view"))
-_HEALTHS: dict[str, Need] = {"left": FromStage("health", Which.LEFT), "right": FromStage("health", Which.RIGHT)}
-
-_SURFACE: dict[str, Need] = {
-    "frames": FromStage("frames", Which.ALL),
-    "depths": FromStage("depth", Which.ALL),
-    "refined": FromStage("refine", Which.ALL, optional=True),
-    "scene": FromStage("scene", optional=True),
-}
-_OF_REFERENCE = {"poses": "poses", "cloud": "fuse", "frames": "frames", "depths": "depth", "refined": "refine"}
-_REFERENCE_SURFACE: dict[str, Need] = {
-    f"reference_{name}": FromReference(stage, Which.SAME if name in {"poses", "cloud"} else Which.ALL)
-    for name, stage in _OF_REFERENCE.items()
-}
+_OF_GEOMETRY = {
+    "inliers": "x1_count", "angle_deg": "angle_deg", "epipolar_px": "epipolar_px", "probability": "good_probability",
+}  # fmt: skip
 
 
 def _told(*figures: str) -> Reports:
@@ -67,298 +222,295 @@ def _told(*figures: str) -> Reports:
     return Reports({name: name for name in figures})
 
 
-_OF_GEOMETRY = {
-    "inliers": "x1_count", "angle_deg": "angle_deg", "epipolar_px": "epipolar_px", "probability": "good_probability",
-}  # fmt: skip
-_STILL = Held(nudged="kept", moved="kept")
+_SIDES = {"left": left("features"), "right": right("features")}
+_FRAMES = {"left": left("frames"), "right": right("frames")}
+_PAIR_FRAMES = {"left_frame": left("frames"), "right_frame": right("frames")}
+_PAIR_FEATURES = {"left_features": left("features"), "right_features": right("features")}
+_VIEWS = every("frames", part="view")
+_SURFACE = {
+    "frames": every("frames"),
+    "depths": every("depth"),
+    "refined": every("refine", optional=True),
+    "scene": own("scene", optional=True),
+}
+_REFERENCE_SURFACE = {
+    "reference_poses": reference("poses"),
+    "reference_cloud": reference("fuse"),
+    "reference_frames": reference("frames", of="every"),
+    "reference_depths": reference("depth", of="every"),
+    "reference_refined": reference("refine", of="every"),
+}
+_ALWAYS = Reuse(shifted="reuse", moved="reuse")
 """Of results that do not depend on where single cameras look."""
-
-_HOLD = Rework(
+_FEATURES = Reuse(shifted="reuse", moved="recompute")
+_TURNED_GEOMETRY = Adapt(
+    "wbflow_stages.held:turn_geometry", {"pinned": reference("geometry"), "left": left("health"), "right": right("health")}
+)
+_HELD_POSES = Adapt(
     "wbflow_stages.held:hold_poses",
     {
-        "pinned": FromReference("poses"),
-        "healths": FromStage("health", Which.ALL),
+        "pinned": reference("poses"),
+        "healths": every("health"),
         "views": _VIEWS,
-        "geometries": FromStage("geometry", Which.ALL, optional=True),
-        "survey": FromSite(SiteValue.SURVEY),
+        "geometries": every("geometry", optional=True),
+        "survey": site("survey"),
     },
 )
-"""The cameras of the reference stay; one that was nudged is turned, one that was moved is solved from the others."""
+"""The cameras of the reference stay; one that has shifted is turned, one that was moved is solved from the others."""
+
+
+def _some_unposed(site: Any) -> bool:
+    return not site.posed
+
 
 STAGES: tuple[Stage, ...] = (
     Stage(
         "frames",
         scope="camera",
         function="wbflow_stages.frames:clean_frame",
-        needs={
-            "captures": FromSite(SiteValue.CAPTURES),
-            "lens": FromSite(SiteValue.LENS),
-            "mask": FromSite(SiteValue.MASK, optional=True),
-            "privacy": FromSite(SiteValue.PRIVACY, optional=True),
+        inputs={
+            "captures": site("captures"),
+            "lens": site("lens"),
+            "mask": site("mask", optional=True),
+            "privacy": site("privacy", optional=True),
         },
-        role=Role.FRAME,
-        missing="failed",
-        site_parameters=("resolution",),
-        picture=Picture("wbflow_stages.exports.previews:frame_preview"),
-        large="wbflow_stages.exports.previews:frame_large",
+        site_keys=("resolution",),
+        products=Products(
+            picture="wbflow_stages.exports.previews:frame_preview", large="wbflow_stages.exports.previews:frame_large"
+        ),
         reports=Reports({name: name for name in _OF_A_FRAME}, notes="notes"),
     ),
     Stage(
         "health",
         scope="camera",
         function="wbflow_stages.health:examine",
-        needs={
-            "frame": FromStage("frames"),
-            "pinned_frame": FromReference("frames"),
-            "pinned_camera": FromReference("poses", part=Part("cameras")),
-            "usual": FromPast("wbflow_stages.types:Usual", ("shift_x_px", "shift_y_px", "roll_deg")),
+        inputs={
+            "frame": own("frames"),
+            "pinned_frame": reference("frames"),
+            "pinned_camera": reference("poses", part="cameras"),
+            "usual": Source("history", "shifts"),
         },
-        offers={"pinned_features": FromReference("features")},
-        role=Role.HEALTH,
+        offers={"pinned_features": reference("features")},
         optional=True,
         section="health",
-        judges=Judges("state", "text", "figures", "expected", "remedy", "corrected"),
-        kept=False,
+        reuse=Reuse(stored=False),
     ),
     Stage(
         "features",
         scope="camera",
         function="wbflow_stages.features:detect",
-        needs={"frame": FromStage("frames")},
+        inputs={"frame": own("frames")},
+        reuse=_FEATURES,
+        products=Products(marks="wbflow_stages.exports.previews:keypoint_marks"),
         reports=Reports({"keypoints": "xy_count"}, notes="notes", sums=("keypoints",)),
-        marks="wbflow_stages.exports.previews:keypoint_marks",
-        renamed={
-            "keypoints": Renamed("max_keypoints"),
-            "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
-        },
-        held=Held(nudged="kept", moved="anew"),
     ),
     Stage(
         "overlap",
         scope="site",
         function="wbflow_stages.overlap:estimate_overlap",
-        needs={
+        inputs={
             "views": _VIEWS,
-            "placements": _PLACEMENTS,
-            "features": FromStage("features", Which.ALL, unless_posed=True),
+            "placements": site("placement", of="every"),
+            "features": every("features", needed_if=_some_unposed),
         },
-        offers={"frames": FromStage("frames", Which.ALL)},
-        held=_STILL,
+        offers={"frames": every("frames")},
+        reuse=_ALWAYS,
     ),
     Stage(
         "pairs",
         scope="site",
         function="wbflow.pipeline.pairs:select_pairs",
-        needs={"overlap": FromStage("overlap")},
-        role=Role.PAIR_GRAPH,
+        inputs={"overlap": own("overlap")},
         section="pairs",
-        lists="pairs",
+        reuse=_ALWAYS,
         world_reports=WorldReports(camera_notes="crowded"),
-        held=_STILL,
     ),
     Stage(
         "matches",
         scope="pair",
         function="wbflow_stages.matches:match",
-        needs=_SIDES,
-        offers={**_FRAMES_TOO, "model": FromSite(SiteValue.FILE, named="model")},
-        role=Role.MATCHES,
+        inputs=_SIDES,
+        offers={**_PAIR_FRAMES, "model": Source("file", "model")},
         method=Method("matcher", "wbflow_stages.matches:MATCHERS"),
-        renamed={"matcher": Renamed("matcher", {"literal": "hao2011", "dominant": "hao2011-dominance"})},
-        pooled="wbflow_stages.pooled:pool_matches",
-        too_little=("too-few-matches", "too-few-inliers", "clustered"),
+        reuse=Reuse(
+            shifted="reuse",
+            moved="recompute",
+            aggregate="wbflow_stages.pooled:pool_matches",
+            too_little=("too-few-matches", "too-few-inliers", "clustered"),
+        ),
         reports=Reports({"matches": "x1_count"}),
-        held=Held(nudged="kept", moved="anew"),
     ),
     Stage(
         "geometry",
         scope="pair",
         function="wbflow_stages.geometry:estimate_geometry",
-        needs={"matches": FromStage("matches"), **_SIDES},
-        offers=_FRAMES_TOO,
-        role=Role.GEOMETRY,
-        picture=Picture("wbflow_stages.exports.previews:matches_preview", _FRAMES),
-        marks="wbflow_stages.exports.previews:inlier_marks",
+        inputs={"matches": own("matches"), **_SIDES},
+        offers=_PAIR_FRAMES,
+        reuse=Reuse(shifted=_TURNED_GEOMETRY, moved="recompute"),
+        products=Products(
+            picture="wbflow_stages.exports.previews:matches_preview",
+            picture_inputs=_FRAMES,
+            marks="wbflow_stages.exports.previews:inlier_marks",
+        ),
         reports=Reports(_OF_GEOMETRY, rejected={"inliers": "inliers"}),
-        held=Held(Rework("wbflow_stages.held:turn_geometry", {"pinned": FromReference("geometry"), **_HEALTHS}), moved="anew"),
     ),
     Stage(
         "poses",
         scope="site",
         function="wbflow_stages.poses:solve_poses",
-        needs={
+        inputs={
             "views": _VIEWS,
-            "placements": _PLACEMENTS,
-            "geometries": FromStage("geometry", Which.ALL, empty_if_stated=True),
-            "survey": FromSite(SiteValue.SURVEY),
-            "frames_if_rough": FromStage("frames", Which.ALL, only_if_rough=True),
+            "placements": site("placement", of="every"),
+            "geometries": every("geometry", optional=lambda site: site.some_stated),
+            "survey": site("survey"),
+            "frames_if_rough": every("frames", needed_if=lambda site: site.rough),
         },
-        offers={"frames": FromStage("frames", Which.ALL), "features": FromStage("features", Which.ALL)},
-        role=Role.WORLD,
+        offers={"frames": every("frames"), "features": every("features")},
         optional=True,
-        lists="components",
+        reuse=Reuse(shifted=_HELD_POSES, moved=_HELD_POSES),
         world_reports=WorldReports(
             cameras={"pose": Entry("pose_checks"), "verified": Entry("pose_checks", "verified"), "pose_from": Entry("sources")},
             pairs={"poses_px": Entry("pair_checks", "adjusted_px"), "known": Entry("pair_checks", "known")},
             camera_notes="suspects",
             lost_cameras="unsolved",
         ),
-        calibration="wbflow_stages.io.cameras:calibration",
-        comments="wbflow_stages.io.cameras:place_comments",
-        held=Held(_HOLD, _HOLD),
     ),
     Stage(
         "scene",
         scope="site",
         function="wbflow_stages.scene:find_scene",
-        needs={
-            "frames": FromStage("frames", Which.ALL),
-            "cameras": FromStage("poses", part=Part("cameras")),
-        },
+        inputs={"frames": every("frames"), "cameras": own("poses", part="cameras")},
         optional=True,
-        site_parameters=("bounds",),
-        held=_STILL,
+        site_keys=("bounds",),
+        reuse=_ALWAYS,
     ),
     Stage(
         "shared",
         scope="site",
         function="wbflow_stages.shared:find_shared",
-        needs={"poses": FromStage("poses")},
+        inputs={"poses": own("poses")},
         optional=True,
-        unless_posed=True,
-        held=_STILL,
+        needed_if=_some_unposed,
+        reuse=_ALWAYS,
     ),
     Stage(
         "dense_pairs",
         scope="site",
         function="wbflow.pipeline.dense:select_dense_pairs",
-        needs={"shared": FromStage("shared"), "pairs": FromStage("pairs")},
-        role=Role.DENSE_PAIRS,
+        inputs={"shared": own("shared"), "pairs": own("pairs")},
         optional=True,
-        unless_posed=True,
+        needed_if=_some_unposed,
         section="pairs",
-        lists="pairs",
-        held=_STILL,
+        reuse=_ALWAYS,
     ),
     Stage(
         "rectify",
         scope="pair",
         dense=True,
         function="wbflow_stages.rectify:rectify",
-        needs={
-            "geometry": FromStage("geometry", unless=("left", "right")),
-            "left": FromStage("poses", Which.LEFT, Part("cameras"), optional=True),
-            "right": FromStage("poses", Which.RIGHT, Part("cameras"), optional=True),
-            "check": FromStage("poses", part=Part("pair_checks"), optional=True),
-            **_FRAMES_TOO,
-            "scene": FromStage("scene", optional=True),
+        inputs={
+            "geometry": own("geometry", unless=("left", "right")),
+            "left": left("poses", part="cameras", optional=True),
+            "right": right("poses", part="cameras", optional=True),
+            "check": own("poses", part="pair_checks", optional=True),
+            **_PAIR_FRAMES,
+            "scene": own("scene", optional=True),
         },
-        offers=_FEATURES_TOO,
-        role=Role.RECTIFICATION,
+        offers=_PAIR_FEATURES,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
-        renamed={"method": Renamed("method", {"seed": "hao2011", "literal": "hao2011"})},
+        reuse=Reuse(shifted="recompute", moved="recompute"),
         reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_chance", "row_error_px"),
-        held=Held(nudged="anew", moved="anew"),
     ),
     Stage(
         "disparity",
         scope="pair",
         dense=True,
         function="wbflow_stages.disparity:match_dense",
-        needs={
+        inputs={
             **_FRAMES,
-            "rectification": FromStage("rectify"),
-            "reference_rectification": FromReference("rectify"),
-            "reference_disparity": FromReference("disparity"),
+            "rectification": own("rectify"),
+            "reference_rectification": reference("rectify"),
+            "reference_disparity": reference("disparity"),
         },
-        offers={"geometry": FromStage("geometry"), **_FEATURES_TOO},
-        role=Role.DISPARITY,
+        offers={"geometry": own("geometry"), **_PAIR_FEATURES},
         method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
-        renamed={"speck_share": Renamed("speckle_share")},
-        picture=Picture("wbflow_stages.exports.previews:disparity_preview"),
+        products=Products(picture="wbflow_stages.exports.previews:disparity_preview"),
         reports=Reports({"density": "density"}),
     ),
     Stage(
         "depth",
         scope="camera",
         function="wbflow_stages.depth:view_depth",
-        needs={
-            "camera": FromStage("poses", part=Part("cameras")),
-            "cameras": FromStage("poses", Which.AROUND, Part("cameras")),
-            "rectifications": FromStage("rectify", Which.AROUND),
-            "disparities": FromStage("disparity", Which.AROUND),
+        inputs={
+            "camera": own("poses", part="cameras"),
+            "cameras": around("poses", part="cameras"),
+            "rectifications": around("rectify"),
+            "disparities": around("disparity"),
         },
-        offers={"frame": FromStage("frames"), "frames": FromStage("frames", Which.AROUND)},
-        role=Role.DEPTH,
-        pooled="wbflow_stages.pooled:pool_depths",
+        offers={"frame": own("frames"), "frames": around("frames")},
+        reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
     ),
     Stage(
         "refine",
         scope="camera",
         function="wbflow_stages.refine:refine",
-        needs={
-            "frame": FromStage("frames"),
-            "camera": FromStage("poses", part=Part("cameras")),
-            "depth": FromStage("depth"),
-            "frames": FromStage("frames", Which.NEAR),
-            "cameras": FromStage("poses", Which.NEAR, Part("cameras")),
-            "scene": FromStage("scene", optional=True),
-            "reference_camera": FromReference("poses", part=Part("cameras")),
-            "reference_depth": FromReference("refine"),
+        inputs={
+            "frame": own("frames"),
+            "camera": own("poses", part="cameras"),
+            "depth": own("depth"),
+            "frames": near("frames"),
+            "cameras": near("poses", part="cameras"),
+            "scene": own("scene", optional=True),
+            "reference_camera": reference("poses", part="cameras"),
+            "reference_depth": reference("refine"),
         },
-        role=Role.REFINED_DEPTH,
-        pooled="wbflow_stages.pooled:pool_depths",
-        picture=Picture("wbflow_stages.exports.previews:depth_preview"),
         optional=True,
+        reuse=Reuse(aggregate="wbflow_stages.pooled:pool_depths"),
+        products=Products(picture="wbflow_stages.exports.previews:depth_preview"),
     ),
     Stage(
         "fuse",
         scope="site",
         function="wbflow_stages.fuse:fuse",
-        needs={
-            "frames": FromStage("frames", Which.ALL),
-            "cameras": FromStage("poses", part=Part("cameras")),
-            "depths": FromStage("depth", Which.ALL),
-            "refined": FromStage("refine", Which.ALL, optional=True),
+        inputs={
+            "frames": every("frames"),
+            "cameras": own("poses", part="cameras"),
+            "depths": every("depth"),
+            "refined": every("refine", optional=True),
         },
-        role=Role.PRODUCT,
-        component_parameter="component",
-        renamed={"strict": Renamed("min_consistent_pairs")},
-        table=PointTable(
-            columns="wbflow_stages.io.clouds:cloud_columns",
-            restore="wbflow_stages.io.clouds:cloud_of",
-            figures="wbflow_stages.io.clouds:cloud_figures",
-        ),
+        products=Products(picture="wbflow_stages.exports.previews:cloud_preview", view="wbflow_stages.exports.view:cloud_view"),
         world_reports=WorldReports(cameras={"points": Entry("given")}),
-        picture=Picture("wbflow_stages.exports.previews:cloud_preview"),
-        view="wbflow_stages.exports.view:cloud_view",
     ),
     Stage(
         "coverage",
         scope="site",
         function="wbflow_stages.coverage:find_coverage",
-        needs={"poses": FromStage("poses"), **_SURFACE},
+        inputs={"poses": own("poses"), **_SURFACE},
         optional=True,
-        picture=Picture("wbflow_stages.exports.ground:coverage_preview"),
+        reuse=Reuse(stored=False),
+        products=Products(
+            picture="wbflow_stages.exports.ground:coverage_preview",
+            files="wbflow_stages.exports.ground:coverage_files",
+            layer="wbflow_stages.exports.ground:coverage_layer",
+            title="What the cameras see of the ground",
+        ),
         reports=Reports(_OF_COVERAGE, expects=Expects(("area_m2", "seen_by_two"), unit="m²", words="seen by two cameras")),
-        files="wbflow_stages.exports.ground:coverage_files",
-        layer="wbflow_stages.exports.ground:coverage_layer",
-        title="What the cameras see of the ground",
-        kept=False,
     ),
     Stage(
         "changes",
         scope="site",
         function="wbflow_stages.changes:find_changes",
-        needs={"poses": FromStage("poses"), "cloud": FromStage("fuse"), **_SURFACE, **_REFERENCE_SURFACE},
+        inputs={"poses": own("poses"), "cloud": own("fuse"), **_SURFACE, **_REFERENCE_SURFACE},
         optional=True,
-        site_parameters=("zones",),
-        picture=Picture("wbflow_stages.exports.ground:changes_preview"),
+        site_keys=("zones",),
+        reuse=Reuse(stored=False),
+        products=Products(
+            picture="wbflow_stages.exports.ground:changes_preview",
+            files="wbflow_stages.exports.ground:changes_files",
+            view="wbflow_stages.exports.view:changes_view",
+            title="What has changed",
+        ),
         reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
-        files="wbflow_stages.exports.ground:changes_files",
-        view="wbflow_stages.exports.view:changes_view",
-        title="What has changed",
-        kept=False,
     ),
 )
 
@@ -372,30 +524,24 @@ ROUGH_SECONDS = {
 """Seconds: of a task on one core, roughly; for each million pixels (site-wide: of each camera); to compile its kernels, once."""
 
 _BY_NAME = {stage.name: stage for stage in STAGES}
-_BY_ROLE = {stage.role: stage for stage in STAGES if stage.role}
 
 
 def stage_named(name: str) -> Stage:
-    """The row of a stage.  Raises KeyError."""
+    """Return the row of a stage.  Raises KeyError."""
     return _BY_NAME[name]
 
 
-def stage_with(role: Role) -> Stage:
-    """The row of the stage that plays a role."""
-    return _BY_ROLE[role]
-
-
 def ancestors(name: str) -> set[str]:
-    """Names of a stage and of all stages that it needs, directly or not."""
+    """Return the names of a stage and of all stages that it needs, directly or not."""
     found: set[str] = set()
     waiting = [name]
     while waiting:
         stage = stage_named(waiting.pop())
         if stage.name not in found:
             found.add(stage.name)
-            waiting += [need.stage for need in stage.needs.values() if isinstance(need, FromStage)]
+            waiting += [source.name for source in stage.inputs.values() if source.kind == "stage"]
             if stage.scope == "pair":
-                waiting += [stage_with(Role.DENSE_PAIRS if stage.dense else Role.PAIR_GRAPH).name]
-            if stage.held:
-                waiting.append(stage_with(Role.HEALTH).name)
+                waiting.append(DENSE_PAIRS if stage.dense else PAIRS)
+            if stage.reuse.shifted:
+                waiting.append(HEALTH)
     return found

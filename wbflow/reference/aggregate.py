@@ -16,8 +16,7 @@ from ..cache import artifact
 from ..cache.functions import FunctionReader
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
-from ..pipeline.rows import FromStage, Role, Stage, Which
-from ..pipeline.stages import STAGES, stage_with
+from ..pipeline.stages import POSES, STAGES, Stage
 from ..records.events import TaskEvent
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -59,7 +58,7 @@ def pool(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
     nights = _nights(work, reference)
     made: dict[Task, tuple[Receipt, int]] = {}
     then = _reference_s_night(cache, reference, site)
-    for stage in (stage for stage in STAGES if stage.pooled):
+    for stage in (stage for stage in STAGES if stage.reuse.aggregate):
         for subject in _poor(cache, reference, stage) if stage.scope == "pair" else [(camera,) for camera in reference.placed]:
             task = Task(stage.name, subject)
             receipts = _alike(cache, reference, stage, task, nights)
@@ -103,7 +102,7 @@ def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:
     of_pairs = {stage.name, *(other.name for other in _resting_on(stage))}
     rejected = [pinned for task, pinned in reference.artifacts.items() if pinned.outcome == "rejected" and task.stage in of_pairs]
     codes = {pinned.task.subject: receipt.code for pinned in rejected if (receipt := cache.by_key(pinned.task, pinned.key))}
-    return [subject for subject, code in codes.items() if code in stage.too_little]
+    return [subject for subject, code in codes.items() if code in stage.reuse.too_little]
 
 
 def _resting_on(stage: Stage) -> list[Stage]:
@@ -136,10 +135,7 @@ def _alike(
     cache: Cache, reference: Reference, stage: Stage, task: Task, nights: Mapping[str, Mapping[Task, str]]
 ) -> dict[str, Receipt]:
     """A task's receipts by night, as far as they go back to the pose of the reference; what nights share counts once."""
-    world = stage_with(Role.WORLD).name
-    same = [
-        n for n, need in stage.needs.items() if isinstance(need, FromStage) and (need.stage, need.which) == (world, Which.SAME)
-    ]
+    same = [n for n, source in stage.inputs.items() if (source.kind, source.name, source.of) == ("stage", POSES, "own")]
     pinned = reference.artifacts.get(task)
     base = cache.by_key(task, pinned.key) if pinned else None
     own = {keys[task]: date for date, keys in nights.items() if task in keys}
@@ -149,16 +145,16 @@ def _alike(
         for date, receipt in found.items()
         if receipt
         and base
-        and receipt.preimage.function != stage.pooled
+        and receipt.preimage.function != stage.reuse.aggregate
         and all(receipt.preimage.inputs.get(n) == base.preimage.inputs.get(n) for n in same)
     }
 
 
 def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Receipt], reader: FunctionReader) -> Receipt | None:
     """The pooled result, kept in the cache; None where a night's is damaged."""
-    function = reader.read(stage.pooled)
+    function = reader.read(stage.reuse.aggregate)
     any_one = next(iter(receipts.values()))
-    own = {name: digest for name, digest in any_one.preimage.inputs.items() if name in stage.needs}
+    own = {name: digest for name, digest in any_one.preimage.inputs.items() if name in stage.inputs}
     inputs = {**own, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
     preimage = Preimage(task.stage, task.subject, function.dotted, function.code, any_one.preimage.parameters, inputs)
     key = preimage.key()

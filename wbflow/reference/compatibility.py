@@ -8,7 +8,7 @@ from typing import Any
 
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, is_file
-from ..pipeline.rows import FromSite, Held, Rework, Role, SiteValue, Stage, Which
+from ..pipeline.stages import FRAMES, Adapt, Reuse, Stage
 from ..records.reference_folder import Reference
 from ..runner.captures import CaptureFile, file_of_stage
 from ..runner.spec import Files, Value, input_digests
@@ -16,7 +16,7 @@ from ..runner.stated import stated, stated_of_site
 from ..site.models import Site
 from ..task import Task, camera_of
 
-_COMPARED = {SiteValue.LENS, SiteValue.PLACEMENT, SiteValue.SURVEY}
+_COMPARED = {"lens", "placement", "survey"}
 
 Settings = Callable[[Stage, Task], Mapping[str, Any]]
 """What the site file sets for a task, by parameter."""
@@ -55,9 +55,9 @@ def misfit(
     if other := sorted(ids ^ set(reference.cameras)):
         return f"cameras have come or gone since it was pinned: {', '.join(other)}"
     for stage in stages:
-        if not (stage.held or stage.role is Role.FRAME):
+        if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
-        files = {name: named.get(file_of_stage(stage.name, name)) for name, need in bound(stage).needs.items() if is_file(need)}
+        files = {name: named.get(file_of_stage(stage.name, name)) for name, need in bound(stage).inputs.items() if is_file(need)}
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
             receipt = cache.by_key(task, reference.artifacts[task].key)
@@ -71,19 +71,19 @@ def misfit(
 
 def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
     then = receipt.preimage
-    if then.function in _reworks(stage.held):
+    if then.function in _adaptations(stage.reuse):
         return ""
-    if then.function not in {bound.function.dotted, stage.pooled}:
+    if then.function not in {bound.function.dotted, stage.reuse.aggregate}:
         return f"{stage.name}: function {then.function} → {bound.function.dotted}"
     now = {**bound.defaults(), **settings}
     for name, value in now.items():
         new = name not in then.parameters
         if (new and name in settings) or (not new and json.dumps(value) != json.dumps(then.parameters[name])):
             return f"parameter {stage.name}.{name} {then.parameters.get(name)} → {value}"
-    for name, need in bound.needs.items():
-        if isinstance(need, FromSite) and need.value in _COMPARED:
-            everywhere = need.which is Which.ALL or need.value is SiteValue.SURVEY
-            said = stated_of_site(site, need.value) if everywhere else _stated(site, need.value, task)
+    for name, need in bound.inputs.items():
+        if need.kind == "site" and need.name in _COMPARED:
+            everywhere = need.of == "every" or need.name == "survey"
+            said = stated_of_site(site, need.name) if everywhere else _stated(site, need.name, task)
             if said is None:
                 return f"the views of camera {camera_of(task.subject[0])}"
             for entry, digest in input_digests({name: said}).items():
@@ -92,11 +92,11 @@ def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Bind
     return ""
 
 
-def _stated(site: Site, what: SiteValue, task: Task) -> Value | None:
+def _stated(site: Site, what: str, task: Task) -> Value | None:
     """None of a view that its camera has no longer."""
     return next((stated(view, what) for view in site.views if view.id == task.subject[0]), None)
 
 
-def _reworks(held: Held | None) -> set[str]:
+def _adaptations(reuse: Reuse) -> set[str]:
     """Functions that make a result of a stage from that of an earlier reference."""
-    return {place.function for place in (held.nudged, held.moved) if isinstance(place, Rework)} if held else set()
+    return {place.function for place in (reuse.shifted, reuse.moved) if isinstance(place, Adapt)}

@@ -103,7 +103,7 @@ def prepare(night: Night, journal: Journal) -> None:
 
 def _receipts(cache: Cache, run: RunFolder) -> list[Receipt]:
     """Of all that a run made or rejected and the reference keeps."""
-    kept = {stage.name for stage in STAGES if stage.kept}
+    kept = {stage.name for stage in STAGES if stage.reuse.stored}
     found = []
     for task, event in run.tasks().items():
         if task.stage not in kept or event.key is None:

@@ -8,6 +8,12 @@ from ..cache.layout import WorkFolder
 from ..records.record import Health, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
 
+SHIFTS_TYPE = "wbflow_stages.types:Usual"
+"""What the shifts of earlier nights are handed to a stage as; its fields are lists, one number for each night, oldest first..."""
+SHIFTS = ("shift_x_px", "shift_y_px", "roll_deg")
+"""...and their names, which are those of the figures of the camera's health."""
+MOST_NIGHTS = 30
+
 
 @dataclass
 class Past:

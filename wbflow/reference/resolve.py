@@ -1,7 +1,7 @@
 """What tonight takes from the pinned reference: inputs, whole results, and how each camera stands compared with it.
 
-The reference answers for the results of a row with `held` as long as the cameras in question stand as they did; the stage with
-the role HEALTH says of each camera whether it does.
+The reference answers for the results of a stage that says so (`Reuse`) as long as the cameras in question stand as they did; the
+stage `health` says of each camera whether it does.
 """
 
 from __future__ import annotations
@@ -12,22 +12,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..cache.store import Cache, Receipt
-from ..pipeline.rows import FromPast, FromReference, Held, Rework, Role, Stage, Which
-from ..pipeline.stages import STAGES, ancestors, stage_named, stage_with
+from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..records.record import Health
 from ..records.reference_folder import Reference, put_back
 from ..runner.obstacles import Impossible, Waiting, because
-from ..runner.spec import Absent, Input, Joined, Stored, Value
+from ..runner.spec import Absent, Input, Joined, Part, Stored, Value
 from ..runner.state import Cause, State
 from ..runner.stated import subject_of
 from ..task import Subject, Task, camera_of
-from .health_history import Past
+from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, Past
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
-_HEALTH = stage_with(Role.HEALTH).name
+_HEALTH = HEALTH
 FEWEST = 2
 """So many cameras must stand where they did, for the reference to tell where the others are."""
 
@@ -62,12 +61,12 @@ class Pinned:
     _judged: dict[str, tuple[State | None, Health | None]] = field(default_factory=dict, repr=False)
     """What was read from the health of a camera, and of which state of its task."""
 
-    def input(self, need: FromReference, stage: Stage, task: Task) -> Input:
+    def input(self, need: Source, stage: Stage, task: Task) -> Input:
         """An input that the reference holds.  Raises Waiting."""
-        everywhere = need.which is Which.ALL
+        everywhere = need.of == "every"
         if self.reference is None or self._own_night(task.subject or tuple(self.cameras)):
             return Joined({}) if everywhere else Absent()
-        origin = stage_named(need.stage)
+        origin = stage_named(need.name)
         if everywhere and origin.scope != "site":
             tasks = [t for t in self.reference.artifacts if t.stage == origin.name]
             found = {t.subject: self._stored(need, t, False) for t in tasks}
@@ -76,13 +75,13 @@ class Pinned:
         subject = subject_of(origin, need, task)
         return self._stored(need, Task(origin.name, subject), not whole, task.subject)
 
-    def observed(self, need: FromPast, task: Task) -> Input:
+    def observed(self, need: Source, task: Task) -> Input:
         """What earlier nights found of a camera.  Raises Waiting."""
         if self.reference is None or self._own_night(task.subject):
             return Absent()
-        return Value(need.kind, self.past.figures(camera_of(task.subject[0]), need.figures, need.nights))
+        return Value(SHIFTS_TYPE, self.past.figures(camera_of(task.subject[0]), SHIFTS, MOST_NIGHTS))
 
-    def instead(self, stage: Stage, task: Task) -> Receipt | Rework | None:
+    def instead(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What takes the place of working a task out: the reference's result, or another function.
 
         Raises
@@ -92,17 +91,17 @@ class Pinned:
         Impossible
             A camera shows nothing of the site.
         """
-        if stage.held is None or self.reference is None or not any(s.role is Role.HEALTH for s in self.stages):
+        if stage.reuse.shifted is None or self.reference is None or not any(s.name == HEALTH for s in self.stages):
             return None
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self.unfit((camera,))
         if not self._in_force() or self.forced & _held_before(stage):
             return None
-        place = self._place(stage.held, task)
-        if place == "kept":
+        place = self._place(stage.reuse, task)
+        if place == "reuse":
             return self._receipt(task)
-        return place if isinstance(place, Rework) else None
+        return place if isinstance(place, Adapt) else None
 
     def state_of(self, camera: str) -> str:
         """How a camera is; a view that shows nothing is of no use, else it is as its camera is.  Raises Waiting."""
@@ -114,12 +113,12 @@ class Pinned:
 
     def _own_state(self, view: str) -> str:
         """How a view is, by itself.  Raises Waiting."""
-        task = Task(stage_with(Role.HEALTH).name, (view,))
+        task = Task(HEALTH, (view,))
         state = self.states.get(task)
         if state is None:
             raise Waiting(task)
         if not state.usable:
-            frame = self.states.get(Task(stage_with(Role.FRAME).name, (view,)))
+            frame = self.states.get(Task(FRAMES, (view,)))
             return "ok" if frame and frame.usable else "obscured"
         health = self._read(view, state)
         return health.state if health else "ok"
@@ -136,7 +135,7 @@ class Pinned:
         return next((health for health in of_use if not health.ok), next(iter(of_use or found), None))
 
     def _own_health(self, view: str) -> Health | None:
-        return self._read(view, self.states.get(Task(stage_with(Role.HEALTH).name, (view,))))
+        return self._read(view, self.states.get(Task(HEALTH, (view,))))
 
     def _views_of(self, camera: str) -> Sequence[str]:
         """A camera's views, or those of the camera of a view; most have one."""
@@ -168,7 +167,7 @@ class Pinned:
         camera = next((c for c in subject if c in self.useless()), subject[0])
         if health := self.known.get(camera_of(camera)) or self._own_health(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
-        frame = Task(stage_with(Role.FRAME).name, (camera,))
+        frame = Task(FRAMES, (camera,))
         return because(frame, self.states[frame])
 
     def settled(self, task: Task) -> None:
@@ -189,16 +188,16 @@ class Pinned:
             left = {t: p for t, p in self.reference.artifacts.items() if t != task}
             self.reference = dataclasses.replace(self.reference, artifacts=left)
 
-    def _place(self, held: Held, task: Task) -> Any:
+    def _place(self, reuse: Reuse, task: Task) -> Any:
         if self._all_own is None:
             self._all_own = self._own_night(tuple(self.cameras))
         if self._all_own:
-            return "kept"
+            return "reuse"
         cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
         standing = {self._standing(c) for c in cameras}
         if _LOST in standing:
-            return "kept" if self._of_many_nights(task) and {self.state_of(c) for c in cameras} == {"ok"} else held.moved
-        return held.nudged if _TURNED in standing else "kept"
+            return "reuse" if self._of_many_nights(task) and {self.state_of(c) for c in cameras} == {"ok"} else reuse.moved
+        return reuse.shifted if _TURNED in standing else "reuse"
 
     def _of_many_nights(self, task: Task) -> bool:
         """Is the reference's result of a pair pooled from many nights, or made from one that is?
@@ -207,8 +206,8 @@ class Pinned:
         """
         receipt = self._receipt(task)
         for stage in STAGES if receipt and len(task.subject) == 2 else ():
-            pooled = self._receipt(Task(stage.name, task.subject)) if stage.pooled and stage.scope == "pair" else None
-            if pooled and receipt and pooled.preimage.function == stage.pooled:
+            pooled = self._receipt(Task(stage.name, task.subject)) if stage.reuse.aggregate and stage.scope == "pair" else None
+            if pooled and receipt and pooled.preimage.function == stage.reuse.aggregate:
                 return pooled.digest in {receipt.digest, *receipt.preimage.inputs.values()}
         return False
 
@@ -217,10 +216,9 @@ class Pinned:
         if self.reference is None or camera_of(camera) not in self.reference.placed:
             return _LOST
         state = self.state_of(camera)
-        judges = stage_with(Role.HEALTH).judges
         for view in self._views_of(camera):
-            task = self.states.get(Task(stage_with(Role.HEALTH).name, (view,)))
-            if task and task.usable and task.receipt and judges and task.receipt.figures.get(judges.corrected):
+            task = self.states.get(Task(HEALTH, (view,)))
+            if task and task.usable and task.receipt and task.receipt.figures.get("corrected"):
                 return _TURNED
         return _STILL if state == "ok" else _LOST
 
@@ -234,7 +232,7 @@ class Pinned:
         """Are the frames of these cameras those of the reference itself?"""
         if self.reference is None:
             return False
-        frame = stage_with(Role.FRAME).name
+        frame = FRAMES
         keys = [(self.frame_keys.get((c,)), self.reference.artifacts.get(Task(frame, (c,)))) for c in cameras]
         return all(pinned is not None and key == pinned.key for key, pinned in keys)
 
@@ -242,28 +240,25 @@ class Pinned:
         pinned = self.reference.artifacts.get(task) if self.reference else None
         return self.cache.by_key(task, pinned.key) if pinned else None
 
-    def _stored(self, need: FromReference, upstream: Task, entry: bool, subject: Subject = ()) -> Input:
+    def _stored(self, need: Source, upstream: Task, entry: bool, subject: Subject = ()) -> Input:
         receipt = self._receipt(upstream)
         if receipt is None or receipt.outcome == "rejected":
             return Absent()
-        part = need.part
-        if part and entry:
-            part = dataclasses.replace(part, entry="--".join(subject))
+        part = Part(need.part, "--".join(subject) if entry else None) if need.part else None
         if part and str(part) not in receipt.parts:
             return Absent()
         return Stored(upstream, part).resolved(receipt)
 
 
 def judged(state: State | None) -> Health | None:
-    """What a task of the stage with the role HEALTH found."""
-    judges = stage_with(Role.HEALTH).judges
-    if state is None or not state.usable or state.receipt is None or judges is None:
+    """What a task of the stage `health` found."""
+    if state is None or not state.usable or state.receipt is None:
         return None
     told = state.receipt.figures
-    numbers = told.get(judges.figures) or {}, told.get(judges.expected) or {}
-    return Health(told[judges.state], told.get(judges.text) or "", *numbers, told.get(judges.remedy) or "")
+    numbers = told.get("figures") or {}, told.get("expected") or {}
+    return Health(told["state"], told.get("text") or "", *numbers, told.get("remedy") or "")
 
 
 def _held_before(stage: Stage) -> set[str]:
     """Names of a stage and of those before it that the reference may answer for."""
-    return {name for name in ancestors(stage.name) if stage_named(name).held}
+    return {name for name in ancestors(stage.name) if stage_named(name).reuse.shifted}

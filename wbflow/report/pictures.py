@@ -21,8 +21,7 @@ from ..cache.shown import Shown
 from ..cache.untrusted import read_outside
 from ..errors import WbflowError
 from ..outcome.artifacts import function
-from ..pipeline.rows import FromSite, Role, SiteValue
-from ..pipeline.stages import STAGES, stage_named, stage_with
+from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task, camera_of, view_name
 from .data import ReportData
@@ -32,7 +31,6 @@ from .scene import Scene
 ROOM = 6_000_000
 """Bytes of small pictures in a page; the page links to the files of the others."""
 _EXPECTED = (WbflowError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError, ImportError, OSError, MemoryError)
-_PRIVATE = FromSite(SiteValue.PRIVACY, optional=True)
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Pictures:
 
     def _frame(self, camera: str) -> Task:
         """Return the task of a camera's frame: of several views the first, which shows the middle."""
-        whole, first = (Task(stage_with(Role.FRAME).name, (name,)) for name in (camera, view_name(camera, 1)))
+        whole, first = (Task(FRAMES, (name,)) for name in (camera, view_name(camera, 1)))
         return first if first in self.data.tasks else whole
 
     def of_last_good(self, camera: str) -> Picture | None:
@@ -91,7 +89,7 @@ class Pictures:
         cache, tonight = self.data.cache, self.data.tasks.get(task)
         then = cache.by_key(task, key)
         now = cache.by_key(task, tonight.key) if tonight and tonight.key else None
-        private = [name for name, need in stage_with(Role.FRAME).needs.items() if need == _PRIVATE]
+        private = [name for name, need in stage_named(FRAMES).inputs.items() if (need.kind, need.name) == ("site", "privacy")]
         if then is None or now is None:
             return False
         return all(then.preimage.inputs.get(name) == now.preimage.inputs.get(name) for name in private)
@@ -154,7 +152,7 @@ class Points:
 
     @property
     def kind(self) -> str:
-        return "product" if self.stage == stage_with(Role.PRODUCT).name else "change"
+        return "product" if self.stage == FUSE else "change"
 
     @property
     def base64(self) -> str:
@@ -163,7 +161,7 @@ class Points:
 
 def points_of(extracts: Extracts) -> list[Points]:
     """Return the points of the night's results, the product's first."""
-    found = ((stage.name, extracts.of(Task(stage.name), stage.view)) for stage in STAGES)
+    found = ((stage.name, extracts.of(Task(stage.name), stage.products.view)) for stage in STAGES)
     return [Points(name, _split(data)[0], data) for name, data in found if data]
 
 
@@ -186,7 +184,7 @@ def layers_of(extracts: Extracts, scene: Scene, drawn: Map) -> list[Layer]:
     """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world."""
     found = []
     for stage in STAGES:
-        if data := extracts.of(Task(stage.name), stage.layer):
+        if data := extracts.of(Task(stage.name), stage.products.layer):
             head, picture = _split(data)
             url = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
             (x, y), right, down = (drawn.spot(scene.to(corner)) for corner in head["corners"])
@@ -224,9 +222,9 @@ def large_pictures(extracts: Extracts, data: ReportData, room: int) -> list[Larg
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     found: list[LargePicture] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
-        first, whole = (Task(stage_with(Role.FRAME).name, (view,)) for view in (view_name(camera, 1), camera))
+        first, whole = (Task(FRAMES, (view,)) for view in (view_name(camera, 1), camera))
         frame = first if first in data.keys else whole
-        picture = extracts.of(frame, stage_with(Role.FRAME).large)
+        picture = extracts.of(frame, stage_named(FRAMES).products.large)
         if not picture:
             continue
         view = frame.subject[0]
@@ -241,25 +239,29 @@ def large_pictures(extracts: Extracts, data: ReportData, room: int) -> list[Larg
 
 def _keypoints(marks_of: Callable[[Task, str], bytes], camera: str) -> Iterator[bytes]:
     for stage in STAGES:
-        if stage.marks and stage.scope == "camera":
-            yield marks_of(Task(stage.name, (camera,)), stage.marks)
+        if stage.products.marks and stage.scope == "camera":
+            yield marks_of(Task(stage.name, (camera,)), stage.products.marks)
 
 
 def _inliers(marks_of: Callable[[Task, str], bytes], data: ReportData, view: str) -> Iterator[bytes]:
     for stage in STAGES:
-        for pair in data.record.pairs_of(camera_of(view)) if stage.marks and stage.scope == "pair" else ():
-            both = marks_of(Task(stage.name, (pair.left, pair.right)), stage.marks) if view in {pair.left, pair.right} else b""
+        for pair in data.record.pairs_of(camera_of(view)) if stage.products.marks and stage.scope == "pair" else ():
+            both = (
+                marks_of(Task(stage.name, (pair.left, pair.right)), stage.products.marks)
+                if view in {pair.left, pair.right}
+                else b""
+            )
             half = len(both) // 2
             yield both[:half] if pair.left == view else both[half:]
 
 
 def _keypoint_note(data: ReportData, view: str) -> str:
     """A camera that has not moved keeps the keypoints of the reference's picture."""
-    cache, frame = data.cache, Task(stage_with(Role.FRAME).name, (view,))
+    cache, frame = data.cache, Task(FRAMES, (view,))
     shown = cache.by_key(frame, data.keys[frame])
     for stage in STAGES:
         task = Task(stage.name, (view,))
-        made = cache.by_key(task, data.keys[task]) if stage.marks and task in data.keys else None
+        made = cache.by_key(task, data.keys[task]) if stage.products.marks and task in data.keys else None
         if made and shown and shown.digest not in made.preimage.inputs.values():
             when = f" of {data.reference_date}" if data.reference_date else ""
             return f"found in the reference's picture{when}: the camera has not moved"

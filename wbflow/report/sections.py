@@ -10,8 +10,7 @@ from typing import Any
 from ..cache.store import Preimage, Receipt
 from ..outcome.beside import number, shown
 from ..outcome.record import reported
-from ..pipeline.rows import Stage
-from ..pipeline.stages import STAGES
+from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import meaning
 from ..records.record import CameraRecord, PairRecord
 from ..task import Task
@@ -148,7 +147,9 @@ def _shares(data: ReportData, camera: str) -> Iterator[Cell]:
         results = data.record.later.get(stage.name)
         for name, value in results.items() if isinstance(results, Mapping) else ():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera), float):
-                yield Cell(meaning(name).title, meaning(name).words or f"{stage.title}: {name}", f"{100 * share:.1f} %", "")
+                yield Cell(
+                    meaning(name).title, meaning(name).words or f"{stage.products.title}: {name}", f"{100 * share:.1f} %", ""
+                )
 
 
 def pair_columns(data: ReportData) -> list[str]:
@@ -194,8 +195,9 @@ def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
     """Return the pictures of each pair that has any."""
     found = []
+    drawn = [stage.name for stage in STAGES if stage.scope == "pair" and stage.products.picture]
     for pair in data.record.pairs:
-        tasks = (Task(stage.name, (pair.left, pair.right)) for stage in STAGES if stage.scope == "pair" and stage.picture)
+        tasks = (Task(name, (pair.left, pair.right)) for name in drawn)
         pictures = [picture for task in tasks if (picture := album.of_task(task, str(task)))]
         if pictures:
             found.append((pair.name, pictures))
@@ -213,11 +215,14 @@ def parts(data: ReportData, album: Pictures) -> list[Part]:
             unit = "m" if data.record.poses is None or data.record.poses.metric else ""
             things = tuple(thing for value in results.values() for thing in _things(value, files, album, since, unit))
             reason, gone = str(results.get("reason") or ""), _gone(since, unit) if since else ""
+            title = stage.products.title
             if results.get("compared") is False:
-                found.append(Part(stage.title, reason, None, (), (), files, "There was nothing to compare this night with."))
+                found.append(
+                    Part(stage.products.title, reason, None, (), (), files, "There was nothing to compare this night with.")
+                )
                 continue
-            picture = album.of_task(Task(stage.name), stage.title)
-            found.append(Part(stage.title, reason, picture, tuple(shown(results)), things, files, gone))
+            picture = album.of_task(Task(stage.name), title)
+            found.append(Part(title, reason, picture, tuple(shown(results)), things, files, gone))
     return found
 
 

@@ -13,8 +13,7 @@ from ..cache.layout import WorkFolder
 from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
 from ..errors import WbflowError
 from ..outcome.history import Entry, history
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import FUSE
 from ..records.findings import Finding
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
@@ -130,7 +129,7 @@ def _picture(work: WorkFolder) -> str:
     """Return the picture of the last cloud."""
     try:
         run = RunFolder.of(work, work.latest_good.name)
-        event = run.tasks().get(task := Task(stage_with(Role.PRODUCT).name))
+        event = run.tasks().get(task := Task(FUSE))
     except NoSuchRun:
         return ""
     path = work.picture(task, event.key) if event and event.key else None

@@ -6,11 +6,10 @@ import heapq
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import DENSE_PAIRS, PAIRS, POSES
 from ..task import Task
 
-_DECIDE = frozenset(Task(stage_with(role).name) for role in (Role.PAIR_GRAPH, Role.WORLD, Role.DENSE_PAIRS))
+_DECIDE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
 """What these come to decides which tasks there are."""
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import datetime
 from dataclasses import dataclass
 
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_named
+from ..pipeline.stages import DEPTH, stage_named
 from ..task import Task
 from .planner import Plan
 from .spec import TaskSpec
@@ -46,4 +45,4 @@ class Deadline:
 def _puts_together(task: Task) -> bool:
     """Does a task join what others have made into what is published?"""
     stage = stage_named(task.stage)
-    return stage.scope == "site" or stage.role is Role.DEPTH
+    return stage.scope == "site" or stage.name == DEPTH

@@ -7,21 +7,16 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from ..cache.store import Receipt
-from ..pipeline.rows import FromPast, FromReference, FromSite, FromStage, Need, Part, Role, SiteValue, Stage, Which
-from ..pipeline.site_types import SITE_TYPES
-from ..pipeline.stages import stage_named, stage_with
+from ..pipeline.stages import FRAMES, HEALTH, PAIRS, SITE_TYPES, Source, Stage, stage_named
 from ..reference.resolve import Pinned
 from ..site.models import Camera, Site
 from ..task import Subject, Task
 from .captures import CaptureFile, file_of_stage
 from .obstacles import Impossible, Waiting, because
-from .spec import Absent, Files, Input, Joined, Stored, Value
+from .spec import Absent, Files, Input, Joined, Part, Stored, Value
 from .state import Cause, State
 from .stated import side, stated, stated_of_site, subject_of
 from .subjects import Subjects
-
-_MANY = frozenset({Which.ALL, Which.AROUND, Which.NEAR})
-"""What is handed on as a mapping."""
 
 
 @dataclass
@@ -41,7 +36,7 @@ class Inputs:
     _resolved: dict[tuple[Task, Part | None], tuple[Receipt, Stored]] = field(default_factory=dict, repr=False)
     """Inputs that were found before, and the receipts that they are of: a frame is an input of many tasks."""
 
-    def of(self, stage: Stage, task: Task, needs: Mapping[str, Need], among: set[Task]) -> dict[str, Input]:
+    def of(self, stage: Stage, task: Task, needs: Mapping[str, Source], among: set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.
 
         Parameters
@@ -64,23 +59,23 @@ class Inputs:
             try:
                 found[name] = self.one(stage, task, need, among)
             except Impossible as error:
-                if not (isinstance(need, FromStage) and need.unless):
+                if not need.unless:
                     raise
                 found[name], impossible[name] = Absent(), error
         for name, why in impossible.items():
             need = needs[name]
-            if isinstance(need, FromStage) and any(isinstance(found.get(other, Absent()), Absent) for other in need.unless):
+            if any(isinstance(found.get(other, Absent()), Absent) for other in need.unless):
                 raise why
         return found
 
-    def one(self, stage: Stage, task: Task, need: Need, among: set[Task]) -> Input:
+    def one(self, stage: Stage, task: Task, need: Source, among: set[Task]) -> Input:
         """An input of a task.
 
         Parameters
         ----------
         stage, task : Stage, Task
             Whose.
-        need : Need
+        need : Source
             What it needs.
         among : set of Task
             An input made by one of these may still be unresolved.
@@ -90,43 +85,43 @@ class Inputs:
         Waiting, Impossible
             It depends on what is not settled yet, or will not come.
         """
-        if isinstance(need, FromSite):
+        if need.kind == "site":
             return self._from_site(need, task)
-        if isinstance(need, FromReference):
+        if need.kind == "file":
+            return self._named(need.name, file_of_stage(task.stage, need.name))
+        if need.kind == "reference":
             return self.pinned.input(need, stage, task)
-        if isinstance(need, FromPast):
+        if need.kind == "history":
             return self.pinned.observed(need, task)
         if self._needless(need):
             return Joined({})
-        origin = stage_named(need.stage)
-        if need.which in _MANY:
+        origin = stage_named(need.name)
+        if need.joins:
             return self._join(origin, need, task)
-        part = need.part
-        if part and origin.scope == "site" and stage.scope != "site":
-            camera = side(need, task)
-            part = Part(part.field, "--".join(camera or task.subject))
+        entry = "--".join(side(need, task) or task.subject) if origin.scope == "site" and stage.scope != "site" else None
+        part = Part(need.part, entry) if need.part else None
         return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, among)
 
-    def upstreams(self, task: Task, needs: Mapping[str, Need]) -> list[Task]:
+    def upstreams(self, task: Task, needs: Mapping[str, Source]) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found: list[Task] = []
         for need in needs.values():
-            if not isinstance(need, FromStage) or self._needless(need):
+            if need.kind != "stage" or self._needless(need):
                 continue
-            origin = stage_named(need.stage)
-            if need.optional and need.stage not in self.stages:
+            origin = stage_named(need.name)
+            if need.may_lack(self.site) and need.name not in self.stages:
                 continue
-            if need.which in _MANY and origin.scope != "site":
+            if need.joins and origin.scope != "site":
                 found += self.subjects.joined(origin, need, task)
             else:
                 found.append(Task(origin.name, subject_of(origin, need, task)))
         return list(dict.fromkeys(found))
 
-    def _needless(self, need: FromStage) -> bool:
-        """Does what the site file says of poses make it an empty mapping?"""
-        return (need.unless_posed and self.site.posed) or (need.only_if_rough and not self.site.rough)
+    def _needless(self, need: Source) -> bool:
+        """Does what the site file says make it an empty mapping?"""
+        return need.needed_if is not None and not need.needed_if(self.site)
 
-    def _stored(self, upstream: Task, need: FromStage, part: Part | None, among: set[Task]) -> Input:
+    def _stored(self, upstream: Task, need: Source, part: Part | None, among: set[Task]) -> Input:
         if upstream in among:
             return Stored(upstream, part)
         if need.optional and upstream.stage not in self.stages:
@@ -135,15 +130,15 @@ class Inputs:
         if state is None:
             if not self.subjects.unmatched(upstream):
                 raise Waiting(upstream)
-            if need.optional:
+            if need.may_lack(self.site):
                 return Absent()
             raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
         if not state.usable or state.receipt is None:
-            if need.optional:
+            if need.may_lack(self.site):
                 return Absent()
             raise because(upstream, state)
         if part and str(part) not in state.receipt.parts:
-            if need.optional:
+            if need.may_lack(self.site):
                 return Absent()
             raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
         return self._found(upstream, part, state.receipt)
@@ -155,40 +150,39 @@ class Inputs:
             self._resolved[upstream, part] = known
         return known[1]
 
-    def _join(self, origin: Stage, need: FromStage, task: Task) -> Input:
-        if need.optional and need.stage not in self.stages:
+    def _join(self, origin: Stage, need: Source, task: Task) -> Input:
+        if need.may_lack(self.site) and need.name not in self.stages:
             return Joined({})
-        of_pairs = origin.scope == "pair" or need.which in {Which.AROUND, Which.NEAR}
+        of_pairs = origin.scope == "pair" or need.of in {"around", "near"}
         if of_pairs and self.subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
         if origin.scope == "site":
             return self._entries(origin, need, task)
         items: dict[Subject, Value | Stored] = {}
         faults: list[Impossible] = []
-        joined = self.subjects.joined(origin, need, task)
+        joined, part = self.subjects.joined(origin, need, task), Part(need.part) if need.part else None
         for upstream in reversed(joined):  # most are settled in order: who waits for the last one is not asked for each
             if upstream not in self.states:
                 raise Waiting(upstream)
-        useless = self.pinned.useless() if stage_named(task.stage).role is not Role.HEALTH else frozenset()
+        useless = self.pinned.useless() if task.stage != HEALTH else frozenset()
         for upstream in joined:
             state = self.states[upstream]
             if useless & set(upstream.subject):
                 faults.append(self.pinned.unfit(upstream.subject))
-            elif state.usable and state.receipt and (not need.part or str(need.part) in state.receipt.parts):
-                items[upstream.subject] = self._found(upstream, need.part, state.receipt)
+            elif state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
+                items[upstream.subject] = self._found(upstream, part, state.receipt)
             else:
                 faults.append(because(upstream, state))
-        if not items and not need.optional and not (need.empty_if_stated and self.site.some_given):
+        if not items and not need.may_lack(self.site):
             raise self._nothing(origin, faults)
         return Joined(items)
 
-    def _entries(self, origin: Stage, need: FromStage, task: Task) -> Input:
+    def _entries(self, origin: Stage, need: Source, task: Task) -> Input:
         """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question, or near it."""
-        assert need.part
         items: dict[Subject, Value | Stored] = {}
         optional = dataclasses.replace(need, optional=True)
-        for camera in self.subjects.among(need.which, task.subject[0]):
-            stored = self._stored(Task(origin.name), optional, Part(need.part.field, camera), set())
+        for camera in self.subjects.among(need.of, task.subject[0]):
+            stored = self._stored(Task(origin.name), optional, Part(need.part, camera), set())
             if isinstance(stored, Stored):
                 items[camera,] = stored
         if not items:
@@ -197,7 +191,7 @@ class Inputs:
 
     def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
         """Why a stage that joins many has none to join."""
-        frame, graph = stage_with(Role.FRAME).name, Task(stage_with(Role.PAIR_GRAPH).name)
+        frame, graph = FRAMES, Task(PAIRS)
         first = f": {faults[0]}" if faults else ""
         frames = {view.id: self.states.get(Task(frame, (view.id,))) for view in self.site.views}
         views = [view for view in self.site.views if (state := frames[view.id]) and state.usable]
@@ -216,27 +210,25 @@ class Inputs:
             return Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
         return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
 
-    def _from_site(self, need: FromSite, task: Task) -> Input:
-        what = need.value
-        if what is SiteValue.SURVEY or need.which is Which.ALL:
+    def _from_site(self, need: Source, task: Task) -> Input:
+        what = need.name
+        if what == "survey" or need.of == "every":
             return stated_of_site(self.site, what)
-        if what is SiteValue.FILE:
-            return self._named(what, need.named, file_of_stage(task.stage, need.named))
         camera = self.subjects.camera(task.subject[0])
-        if what is SiteValue.MASK:
-            return self._named(what, "mask", camera.camera)
-        if what is SiteValue.PRIVACY and not camera.privacy.counts:
+        if what == "mask":
+            return self._named("mask", camera.camera)
+        if what == "privacy" and not camera.privacy.counts:
             return Absent()
-        if what is SiteValue.CAPTURES:
+        if what == "captures":
             return Files(SITE_TYPES[what], self._captured(camera))
         return stated(camera, what)
 
-    def _named(self, what: SiteValue, words: str, key: str) -> Input:
+    def _named(self, words: str, key: str) -> Input:
         """A file that the site file names.  words: what it is."""
         file = self.named.get(key)
         if file and not file.digest:
             raise Impossible(f"{words} {file.name} {file.fault}", Cause.BAD_INPUT)
-        return Files(SITE_TYPES[what], (file,), single=True) if file else Absent()
+        return Files(SITE_TYPES["captures"], (file,), single=True) if file else Absent()
 
     def _captured(self, camera: Camera) -> tuple[CaptureFile, ...]:
         """A camera's files that can be read."""

@@ -11,8 +11,7 @@ from typing import Any
 from ..cache.disk import DiskFloor
 from ..cache.room import REMEDY
 from ..cache.store import DamagedArtifact, Receipt
-from ..pipeline.rows import Role
-from ..pipeline.stages import stage_with
+from ..pipeline.stages import FUSE, POSES
 from ..task import Task
 from .changes import Changes
 from .context import Night
@@ -151,7 +150,7 @@ def _finish(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: 
 
 def _products(plan: Plan) -> dict[Task, Product]:
     """What is published of a plan that is settled.  Raises DamagedArtifact."""
-    published = {stage_with(Role.WORLD).name, stage_with(Role.PRODUCT).name}
+    published = {POSES, FUSE}
     found = {}
     for task, state in plan.states.items():
         if task.stage in published and state.usable and state.receipt:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ..pipeline.rows import Stage
-from ..pipeline.stages import ROUGH_SECONDS
+from ..pipeline.stages import ROUGH_SECONDS, Stage
 from ..records.costs import Past
 from ..records.events import StageOutlook
 from .planner import Plan

@@ -15,8 +15,7 @@ from typing import Any
 from ..cache.pictures import is_drawn
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
-from ..pipeline.rows import Rework, Role, Stage
-from ..pipeline.stages import STAGES, ancestors, stage_named, stage_with
+from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, STAGES, Adapt, Stage, ancestors, stage_named
 from ..records.record import Health
 from ..records.reference_folder import Reference
 from ..reference.compatibility import misfit
@@ -73,11 +72,11 @@ class Plan:
         self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
         self._folder = self.site.file.resolve().parent
         off = {name for name, stage in settings.items() if not stage.enabled}
-        off |= {stage.name for stage in STAGES if stage.unless_posed and self.site.posed}
+        off |= {stage.name for stage in STAGES if stage.needed_if and not stage.needed_if(self.site)}
         for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
             off |= {stage.name} if stage.optional and off & stage.needed() else set()
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
-        self._subjects = Subjects(self.site, self.states, any(stage.role is Role.DENSE_PAIRS for stage in self._stages))
+        self._subjects = Subjects(self.site, self.states, any(stage.name == DENSE_PAIRS for stage in self._stages))
         if self.reference:
             self.misfit = misfit(
                 self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache, self.named
@@ -178,7 +177,7 @@ class Plan:
         """
         stage = stage_named(task.stage)
         instead = self._pinned.instead(stage, task)
-        return self._spec(stage, task, rework=None if isinstance(instead, Receipt) else instead)
+        return self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead)
 
     def likely_pairs(self, dense: bool = False) -> int | None:
         """About how many pairs will be matched, or made dense; None where that is known."""
@@ -186,7 +185,7 @@ class Plan:
             return None
         if (matched := self._subjects.pairs()) is not None:
             return len(matched)
-        stage = stage_with(Role.PAIR_GRAPH)
+        stage = stage_named(PAIRS)
         count = len(self.site.views)
         wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")
         most = count * (count - 1) // 2
@@ -194,7 +193,7 @@ class Plan:
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
-        return self._from.upstreams(task, self._bound(stage_named(task.stage)).needs)
+        return self._from.upstreams(task, self._bound(stage_named(task.stage)).inputs)
 
     def health(self, camera: str) -> Health | None:
         """What became of a camera; None where nobody knows."""
@@ -216,17 +215,17 @@ class Plan:
             if isinstance(instead, Receipt):
                 self._found(task, cached_state(instead))
                 return
-            spec = self._spec(stage, task, rework=instead)
+            spec = self._spec(stage, task, adapt=instead)
         except Waiting as waiting:
             self.waiting[task] = waiting.task
             self._agenda.wait(task, waiting.task)
             return
         except Impossible as impossible:
-            self._found(task, State(stage.missing, str(impossible), impossible.code))
+            self._found(task, State("failed" if stage.name == FRAMES else "skipped", str(impossible), impossible.code))
             return
         preimage = spec.preimage()
         key = preimage.key()
-        if stage.role is Role.FRAME:
+        if stage.name == FRAMES:
             self._pinned.note_frame(task.subject, key)
         receipt = None if spec.force else self.cache.find(preimage, key)
         if receipt is None:
@@ -242,11 +241,11 @@ class Plan:
         self._pinned.settled(task)
         self._agenda.settled(task)
 
-    def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, rework: Rework | None = None) -> TaskSpec:
-        """The spec of a task; inputs made by tasks `among` may still be unresolved.  rework: what takes the function's place."""
-        bound = self._bound(stage, rework)
-        inputs = self._from.of(stage, task, bound.needs, among or set())
-        parameters, left_to_function = self._parameters(stage, task, rework)
+    def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, adapt: Adapt | None = None) -> TaskSpec:
+        """The spec of a task; inputs made by tasks `among` may still be unresolved.  adapt: what takes the function's place."""
+        bound = self._bound(stage, adapt)
+        inputs = self._from.of(stage, task, bound.inputs, among or set())
+        parameters, left_to_function = self._parameters(stage, task, adapt)
         return TaskSpec(
             task,
             bound.function.dotted,
@@ -263,15 +262,15 @@ class Plan:
 
     def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
         """How a task's result is shown: with those of its inputs that the function asks for."""
-        if not stage.picture:
+        if not stage.products.picture:
             return None
-        info = self._read(stage.picture.function)
+        info = self._read(stage.products.picture)
         result, *asked = (argument.name for argument in info.signature.arguments)
         drawn: dict[str, Input] = {}
         for name in asked:
-            if name in stage.picture.needs:
+            if name in stage.products.picture_inputs:
                 try:
-                    drawn[name] = self._from.one(stage, task, stage.picture.needs[name], among)
+                    drawn[name] = self._from.one(stage, task, stage.products.picture_inputs[name], among)
                 except (Waiting, Impossible):
                     drawn[name] = Absent()
             elif name in inputs:
@@ -280,30 +279,30 @@ class Plan:
 
     def _view(self, stage: Stage, task: Task) -> ViewSpec | None:
         """How a result's points are packed: the page shows those of the main component."""
-        if not stage.view or task.subject:
+        if not stage.products.view or task.subject:
             return None
-        info = self._read(stage.view)
+        info = self._read(stage.products.view)
         return ViewSpec(info.dotted, info.code)
 
-    def _bound(self, stage: Stage, rework: Rework | None = None) -> Binding:
-        name = rework.function if rework else stage.name
+    def _bound(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
+        name = adapt.function if adapt else stage.name
         if name not in self._bindings:
             settings = self.site.stages.get(stage.name)
             use, values = (settings.use, settings.parameters) if settings else (None, {})
-            if rework:
+            if adapt:
                 use, values = None, {}
-                stage = dataclasses.replace(stage, function=rework.function, needs=rework.needs, offers={}, method=None)
+                stage = dataclasses.replace(stage, function=adapt.function, inputs=adapt.inputs, offers={}, method=None)
             self._bindings[name] = bind(stage, use, values, self.site.reader)
         return self._bindings[name]
 
-    def _parameters(self, stage: Stage, task: Task, rework: Rework | None) -> tuple[dict[str, Any], dict[str, str]]:
+    def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> tuple[dict[str, Any], dict[str, str]]:
         """Parameters of a task, and the text of those that its function works out: the same for all subjects of a stage."""
-        name = rework.function if rework else stage.name
+        name = adapt.function if adapt else stage.name
         known = self._known_parameters.get(name)
-        if known is None or stage.component_parameter:
-            bound = self._bound(stage, rework)
+        if known is None or stage.name == FUSE:
+            bound = self._bound(stage, adapt)
             stated = self._stated_parameters(stage, task)
-            stated = stated if rework is None else {name: v for name, v in stated.items() if name in bound.parameters}
+            stated = stated if adapt is None else {name: v for name, v in stated.items() if name in bound.parameters}
             left = {name: text for name, text in bound.left_to_function().items() if name not in stated}
             known = self._known_parameters[name] = bound.defaults() | stated, left
         return known
@@ -311,10 +310,10 @@ class Plan:
     def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
         values: dict[str, Any] = dict(getattr(self.site, stage.section)) if stage.section else {}
-        values |= {name: getattr(self.site, name) for name in stage.site_parameters}
-        if stage.component_parameter:
+        values |= {name: getattr(self.site, name) for name in stage.site_keys}
+        if stage.name == FUSE:
             numbers = range(1, self._subjects.components())
-            values[stage.component_parameter] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
+            values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
         known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..cache import artifact
 from ..cache.store import Preimage, Receipt
-from ..pipeline.rows import Part, PointTable
+from ..pipeline.stages import PointTable
 from ..task import Subject, Task
 from .captures import CaptureFile
 
@@ -38,6 +38,24 @@ class Files:
 
     def digest(self) -> str:
         return artifact.digest(json.dumps([f.digest for f in self.files]).encode())
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an artifact that can be needed on its own (see `artifact.parts`)."""
+
+    field: str
+    """A field of the artifact."""
+    entry: str | None = None
+    """The entry of a mapping field: a camera's id, or "left--right"; None: all of it."""
+
+    def __str__(self) -> str:
+        return f"{self.field}[{self.entry}]" if self.entry is not None else self.field
+
+    def of(self, result: Any) -> Any:
+        """The part of an artifact."""
+        value = getattr(result, self.field)
+        return value if self.entry is None else value[self.entry]
 
 
 @dataclass(frozen=True)

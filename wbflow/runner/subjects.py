@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from ..pipeline.rows import FromStage, Role, Stage, Which
-from ..pipeline.stages import stage_named, stage_with
+from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, POSES, Source, Stage, stage_named
 from ..site.models import Camera, Site
 from ..task import Task, component_name
 from .state import State
@@ -39,7 +38,7 @@ class Subjects:
             return [Task(stage.name, (view.id,)) for view in self.site.views]
         if stage.scope == "pair":
             return [Task(stage.name, pair) for pair in self.pairs(stage.dense) or ()]
-        if stage.component_parameter:
+        if stage.name == FUSE:
             return [Task(stage.name, ())] + [Task(stage.name, (component_name(k),)) for k in range(1, self.components())]
         return [Task(stage.name, ())]
 
@@ -59,7 +58,7 @@ class Subjects:
         if state is None:
             return 0
         if self._groups is None or self._groups[0] is not state:
-            self._groups = state, sum(len(group) > 1 for group in _listed(Role.WORLD, state))
+            self._groups = state, sum(len(group) > 1 for group in _listed("components", state))
         return self._groups[1]
 
     def around(self, camera: str) -> list[str]:
@@ -76,19 +75,19 @@ class Subjects:
         more = sorted(shared.keys() - {camera, *partners}, key=lambda other: (-shared[other], self._position[other]))
         return sorted([*partners, *more[: max(0, _NEAR - len(partners))]], key=self._position.__getitem__)
 
-    def among(self, which: Which, camera: str) -> list[str]:
+    def among(self, of: str, camera: str) -> list[str]:
         """The cameras around one, or near it."""
-        return self.near(camera) if which is Which.NEAR else self.around(camera)
+        return self.near(camera) if of == "near" else self.around(camera)
 
-    def joined(self, origin: Stage, need: FromStage, task: Task) -> list[Task]:
+    def joined(self, origin: Stage, need: Source, task: Task) -> list[Task]:
         """The tasks whose artifacts an input joins."""
-        if need.which is Which.ALL:
+        if need.of == "every":
             return self.tasks(origin)
         camera = task.subject[0]
         if origin.scope == "pair":
             graph = self._known_graph(origin.dense)
             return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
-        return [Task(origin.name, (c,)) for c in self.among(need.which, camera)]
+        return [Task(origin.name, (c,)) for c in self.among(need.of, camera)]
 
     def camera(self, camera: str) -> Camera:
         """What the site file says of a camera, or of one of its views."""
@@ -101,15 +100,15 @@ class Subjects:
 
     def _known_graph(self, dense: bool) -> _Graph | None:
         """The pair graph, indexed once for each result of its task; None while that is not settled."""
-        role = Role.DENSE_PAIRS if dense and self.chosen_anew else Role.PAIR_GRAPH
-        task = Task(stage_with(role).name)
+        name = DENSE_PAIRS if dense and self.chosen_anew else PAIRS
+        task = Task(name)
         state = self.states.get(task)
         if state is None:
             return None
-        if role is Role.DENSE_PAIRS and not state.usable:
+        if name == DENSE_PAIRS and not state.usable:
             return self._known_graph(dense=False)
         if task not in self._graphs or self._graphs[task].state is not state:
-            self._graphs[task] = graph = _Graph(state, [tuple(pair) for pair in _listed(role, state)])
+            self._graphs[task] = graph = _Graph(state, [tuple(pair) for pair in _listed("pairs", state)])
             for pair in graph.pairs:
                 for camera in pair:
                     graph.of.setdefault(camera, []).append(pair)
@@ -127,9 +126,9 @@ class _Graph:
     """The pairs of each camera."""
 
 
-_WORLD = Task(stage_with(Role.WORLD).name)
+_WORLD = Task(POSES)
 
 
-def _listed(role: Role, state: State) -> list[Any]:
-    """What a site-wide stage lists (see `Stage.lists`)."""
-    return list(state.receipt.figures.get(stage_with(role).lists, ())) if state.usable and state.receipt else []
+def _listed(figure: str, state: State) -> list[Any]:
+    """A figure of a site-wide result that is a list."""
+    return list(state.receipt.figures.get(figure, ())) if state.usable and state.receipt else []

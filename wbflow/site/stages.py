@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import difflib
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,33 @@ from ..cache.modules import FunctionError
 from ..cache.untrusted import is_file as is_file_on_disk
 from ..errors import printable
 from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file
-from ..pipeline.rows import Stage
-from ..pipeline.stages import STAGES
+from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from .cameras import beside
 from .explain import similar
 from .locations import Document, Location, Problems, SiteProblem
 from .models import StageSettings
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """A parameter that had another name, or other values, in an earlier version; still accepted, with a note."""
+
+    now: str
+    values: Mapping[str, str] = field(default_factory=dict)
+    """New value by old value."""
+
+
+RENAMED: Mapping[str, Mapping[str, Renamed]] = {
+    "features": {
+        "keypoints": Renamed("max_keypoints"),
+        "light": Renamed("preprocessing", {"plain": "none", "robust": "clahe"}),
+    },
+    "matches": {"matcher": Renamed("matcher", {"literal": "hao2011", "dominant": "hao2011-dominance"})},
+    "rectify": {"method": Renamed("method", {"seed": "hao2011", "literal": "hao2011"})},
+    "disparity": {"speck_share": Renamed("speckle_share")},
+    "fuse": {"strict": Renamed("min_consistent_pairs")},
+}
+"""By stage and by the parameter's old name."""
 
 
 def read_stages(
@@ -103,7 +126,7 @@ class _Section:
         found: dict[str, Path] = {}
         chosen = bound.method or bound.function
         required = {argument.name for argument in chosen.signature.arguments if argument.required}
-        for name in [name for name, need in bound.needs.items() if is_file(need)]:
+        for name in [name for name, need in bound.inputs.items() if is_file(need)]:
             stated, location = values.pop(name, None), ("stages", self.stage.name, name)
             if stated is None:
                 if name in required:
@@ -123,12 +146,13 @@ class _Section:
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; present name by old name."""
-        if not self.stage.renamed.keys() & values:
+        renamed = RENAMED.get(self.stage.name, {})
+        if not renamed.keys() & values:
             return {}
         known = set(self.reader.signature(use or self.stage.function).parameters)
         known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
         found = {}
-        for old, row in self.stage.renamed.items():
+        for old, row in renamed.items():
             if old not in values or row.now not in known or (row.now != old and old in known):
                 continue
             value = values[old]
@@ -151,7 +175,7 @@ class _Section:
         """Parameters that are set elsewhere in the site file, or by the plan."""
         if self.stage.section:
             return set(bound.parameters)
-        return {*self.stage.site_parameters, self.stage.component_parameter} - {""}
+        return {*self.stage.site_keys, *([COMPONENT] if self.stage.name == FUSE else [])}
 
     def _check(self, bound: Binding, key: str, value: Any, written: str) -> None:
         """One parameter.  written: what it is called in the file."""
@@ -159,9 +183,7 @@ class _Section:
         parameter = bound.parameters.get(key)
         if key in fed and parameter:
             where = f"in the section {self.stage.section}" if self.stage.section else "at the top of the file"
-            remedy = (
-                f"set {key} {where}" if key != self.stage.component_parameter else "leave it out: each component has its turn"
-            )
+            remedy = f"set {key} {where}" if key != COMPONENT else "leave it out: each component has its turn"
             self._problem(written, f"{key!r} is not set here", remedy, key=True)
         elif parameter is None:
             self._unknown(bound, key, written, [name for name in bound.parameters if name not in fed])

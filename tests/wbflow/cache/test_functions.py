@@ -79,14 +79,14 @@ def test_every_stage_function_takes_what_the_table_gives_it(stage: object) -> No
     import importlib
     import inspect
 
-    from wbflow.pipeline.rows import Stage
+    from wbflow.pipeline.stages import Stage
 
     assert isinstance(stage, Stage)
     module, _, name = stage.function.partition(":")
     signature = inspect.signature(getattr(importlib.import_module(module), name))
     keyword_only = {p.name: p.default for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY}
     inputs = [p for p in signature.parameters.values() if p.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD]
-    assert {p.name for p in inputs if p.default is p.empty} <= set(stage.needs) <= {p.name for p in inputs}
+    assert {p.name for p in inputs if p.default is p.empty} <= set(stage.inputs) <= {p.name for p in inputs}
     read = FunctionReader().read(stage.function).signature.parameters
     assert {name: p.default for name, p in read.items()} == keyword_only
-    assert set(keyword_only) & set(stage.needs) == set()
+    assert set(keyword_only) & set(stage.inputs) == set()

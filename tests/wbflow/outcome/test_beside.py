@@ -11,7 +11,8 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from wbflow.outcome.beside import shown
 from wbflow.pipeline import stages as pipeline
-from wbflow.pipeline.rows import Reports
+from wbflow.pipeline.reports import Reports
+from wbflow.pipeline.stages import Products
 
 STAGE = """
 from wbflow_stages.types import Poses, Scene
@@ -26,7 +27,7 @@ def files(result):
     if %s:
         raise ValueError("no map has the place")
 """
-ROW = next(row for row in pipeline.STAGES if row.files)
+ROW = next(row for row in pipeline.STAGES if row.products.files)
 """A row that publishes files, on which no other rests."""
 
 
@@ -38,7 +39,7 @@ def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     site["stages"][ROW.name] = {"use": "toylook:look"}
     toy.file.write_text(json.dumps(site))
     (toy.folder / "toylook.py").write_text(STAGE)
-    mine = dataclasses.replace(ROW, files="toyfiles:files", picture=None, reports=Reports({"box": "box"}), title="The toy")
+    mine = dataclasses.replace(ROW, products=Products(files="toyfiles:files", title="The toy"), reports=Reports({"box": "box"}))
     rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
     for module in ("wbflow.runner.planner", "wbflow.outcome.beside", "wbflow.report.sections"):
         monkeypatch.setattr(f"{module}.STAGES", rows)

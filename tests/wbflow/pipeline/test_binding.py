@@ -9,7 +9,7 @@ import pytest
 from wbflow.cache.functions import FunctionReader
 from wbflow.cache.modules import FunctionError
 from wbflow.pipeline.binding import Binding, bind, method_parameters
-from wbflow.pipeline.rows import FromStage, Method, Stage
+from wbflow.pipeline.stages import Method, Stage, own
 
 STAGE = '''\
 METHODS = {"plain": "beside:plain", "rich": "beside:rich"}
@@ -33,8 +33,8 @@ ROW = Stage(
     "toy",
     scope="pair",
     function="beside:work",
-    needs={"left": FromStage("a"), "right": FromStage("a")},
-    offers={"frame": FromStage("b")},
+    inputs={"left": own("a"), "right": own("a")},
+    offers={"frame": own("b")},
     method=Method("how", "beside:METHODS"),
 )
 
@@ -56,8 +56,8 @@ def test_the_parameters_are_the_stage_s_and_the_chosen_method_s(reader: Function
 
 
 def test_an_offer_is_handed_over_only_when_the_method_asks(reader: FunctionReader) -> None:
-    assert set(bound(reader).needs) == {"left", "right"}
-    assert set(bound(reader, how="rich").needs) == {"left", "right", "frame"}
+    assert set(bound(reader).inputs) == {"left", "right"}
+    assert set(bound(reader, how="rich").inputs) == {"left", "right", "frame"}
 
 
 def test_each_method_has_a_fingerprint_of_its_own(reader: FunctionReader, tmp_path: Path) -> None:

@@ -11,27 +11,26 @@ from click.testing import CliRunner
 from wbflow.cache.functions import FunctionReader
 from wbflow.cli.main import main
 from wbflow.pipeline.describe import describe
-from wbflow.pipeline.rows import Role, Stage
-from wbflow.pipeline.stages import STAGES, stage_with
+from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_named
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
 def test_every_parameter_of_every_stage_has_a_meaning(stage: Stage) -> None:
     row = describe(stage, FunctionReader())
     assert row.meaning
-    assert [p.name for p in row.parameters if not p.meaning and p.name != stage.component_parameter] == []
+    assert [p.name for p in row.parameters if not p.meaning and p.name != "component"] == []
     assert all(p.default for p in row.parameters)
     assert [(m.name, p.name) for m in row.methods for p in m.parameters if not p.meaning] == []
 
 
 def test_units_come_from_the_docstring_or_the_name() -> None:
-    row = describe(stage_with(Role.DISPARITY), FunctionReader())
+    row = describe(stage_named(DISPARITY), FunctionReader())
     units = {p.name: p.unit for p in row.parameters}
     assert units["tolerance_px"] == "pixels"
 
 
 def test_methods_are_listed_with_parameters_of_their_own() -> None:
-    row = describe(stage_with(Role.MATCHES), FunctionReader())
+    row = describe(stage_named(MATCHES), FunctionReader())
     methods = {method.name: method for method in row.methods}
     assert methods["structural"].chosen
     assert "ratio" in {p.name for p in methods["mutual"].parameters}

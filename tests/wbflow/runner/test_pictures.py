@@ -29,13 +29,11 @@ def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
     import dataclasses
 
     from wbflow.pipeline import stages as pipeline
-    from wbflow.pipeline.rows import Role
 
     module = toy.folder / "painter.py"
     module.write_text(ORIGINAL)
-    stage = pipeline.stage_with(Role.GEOMETRY)
-    assert stage.picture
-    mine = dataclasses.replace(stage, picture=dataclasses.replace(stage.picture, function="painter:show"))
+    stage = pipeline.stage_named("geometry")
+    mine = dataclasses.replace(stage, products=dataclasses.replace(stage.products, picture="painter:show"))
     rows = tuple(mine if row is stage else row for row in pipeline.STAGES)
     monkeypatch.setattr("wbflow.runner.planner.STAGES", rows)
     return module

@@ -5,8 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-from wbflow.pipeline.rows import Role
-from wbflow.pipeline.stages import stage_with
+from wbflow.pipeline.stages import PAIRS, stage_named
 from wbflow.runner.state import State
 from wbflow.runner.subjects import Subjects
 from wbflow.task import Task
@@ -14,8 +13,8 @@ from wbflow.task import Task
 
 def subjects(cameras: str, pairs: list[str]) -> Subjects:
     """Of a site with cameras of one letter each and these pairs."""
-    graph = stage_with(Role.PAIR_GRAPH)
-    receipt: Any = SimpleNamespace(figures={graph.lists: [list(pair) for pair in pairs]})
+    graph = stage_named(PAIRS)
+    receipt: Any = SimpleNamespace(figures={"pairs": [list(pair) for pair in pairs]})
     site: Any = SimpleNamespace(views=[SimpleNamespace(id=camera) for camera in cameras])
     return Subjects(cast(Any, site), {Task(graph.name): State("ran", receipt=receipt)})
 

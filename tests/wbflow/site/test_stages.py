@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import pytest
 
-from wbflow.pipeline import stages as pipeline
-from wbflow.pipeline.rows import Renamed
+from wbflow.pipeline.stages import STAGES
 from wbflow.site.load import Site, load_site
 from wbflow.site.locations import SiteError
+from wbflow.site.stages import RENAMED, Renamed
 
 SITE = """\
 site: yard
@@ -61,8 +60,7 @@ def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None
 
 def test_old_names_and_values_are_understood_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     renamed = {"range": Renamed("range_margin"), "method": Renamed("method", {"seed": "hao2011"})}
-    rows = tuple(dataclasses.replace(row, renamed=renamed) if row.name == "rectify" else row for row in pipeline.STAGES)
-    monkeypatch.setattr("wbflow.site.stages.STAGES", rows)
+    monkeypatch.setattr("wbflow.site.stages.RENAMED", {"rectify": renamed})
     site = loaded(tmp_path, "rectify: {range: 0.2, method: seed}")
     assert site.stages["rectify"].parameters == {"range_margin": 0.2, "method": "hao2011"}
     first, second = map(str, site.notes)
@@ -100,10 +98,10 @@ def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
     from wbflow.pipeline.binding import method_parameters
 
     reader = FunctionReader()
-    for stage in pipeline.STAGES:
+    for stage in STAGES:
         known = set(reader.signature(stage.function).parameters)
         known |= {name for parameters in method_parameters(stage, reader).values() for name in parameters}
-        for old, row in stage.renamed.items():
+        for old, row in RENAMED.get(stage.name, {}).items():
             assert row.now in known or old in known, (stage.name, old)
 
 
