@@ -361,7 +361,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={
             "views": _VIEWS,
             "placements": site("placement", of="every"),
-            "geometries": every("geometry", optional=lambda site: site.some_stated),
+            "geometries": every("geometry", optional=lambda site: site.some_given),
             "survey": site("survey"),
             "frames_if_rough": every("frames", needed_if=lambda site: site.rough),
         },
