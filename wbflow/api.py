@@ -28,7 +28,7 @@ from .outcome.through import through
 from .records.events import Event, Listener, Watcher
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
-from .runner.arrivals import arrivals
+from .runner.context import arrivals
 from .runner.interrupt import terminate_as_interrupt
 from .runner.journal import Costs, Journal
 from .runner.options import Options

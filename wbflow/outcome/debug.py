@@ -15,10 +15,9 @@ from ..errors import UsageError
 from ..pipeline.exports import PLAIN_FILES
 from ..pipeline.stages import DENSE_PAIRS, PAIRS, stage_named
 from ..runner.context import open_night
-from ..runner.obstacles import Impossible, Waiting
 from ..runner.planner import Plan
 from ..runner.spec import Input, Stored, TaskSpec
-from ..runner.state import State
+from ..runner.state import Impossible, State, Waiting
 from ..runner.worker import arguments_of
 from ..site.models import Site
 from ..task import Task

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..reference.create import prepare
-from ..runner.arrivals import Arrivals
-from ..runner.context import open_night
+from ..runner.context import Arrivals, open_night
 from ..runner.journal import Costs, Journal
 from ..runner.loop import work
 from ..runner.options import Options

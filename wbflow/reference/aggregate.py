@@ -20,9 +20,8 @@ from ..pipeline.stages import POSES, STAGES, Stage
 from ..records.events import TaskEvent
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..runner.obstacles import Impossible, Waiting
 from ..runner.planner import Plan
-from ..runner.state import cached_state
+from ..runner.state import Impossible, Waiting, cached_state
 from ..runner.worker import run_chain
 from ..site.models import Site
 from ..task import Subject, Task, camera_of

@@ -11,8 +11,7 @@ from ..pipeline.binding import Binding, is_file
 from ..pipeline.stages import FRAMES, Adapt, Reuse, Stage
 from ..records.reference_folder import Reference
 from ..runner.captures import CaptureFile, file_of_stage
-from ..runner.spec import Files, Value, input_digests
-from ..runner.stated import stated, stated_of_site
+from ..runner.spec import Files, Value, input_digests, stated, stated_of_site
 from ..site.models import Site
 from ..task import Task, camera_of
 

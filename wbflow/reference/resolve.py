@@ -15,10 +15,8 @@ from ..cache.store import Cache, Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..records.record import Health
 from ..records.reference_folder import Reference, put_back
-from ..runner.obstacles import Impossible, Waiting, because
-from ..runner.spec import Absent, Input, Joined, Part, Stored, Value
-from ..runner.state import Cause, State
-from ..runner.stated import subject_of
+from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
+from ..runner.state import Cause, Impossible, State, Waiting, because
 from ..task import Subject, Task, camera_of
 from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, Past
 

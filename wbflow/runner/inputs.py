@@ -12,10 +12,8 @@ from ..reference.resolve import Pinned
 from ..site.models import Camera, Site
 from ..task import Subject, Task
 from .captures import CaptureFile, file_of_stage
-from .obstacles import Impossible, Waiting, because
-from .spec import Absent, Files, Input, Joined, Part, Stored, Value
-from .state import Cause, State
-from .stated import side, stated, stated_of_site, subject_of
+from .spec import Absent, Files, Input, Joined, Part, Stored, Value, side, stated, stated_of_site, subject_of
+from .state import Cause, Impossible, State, Waiting, because
 from .subjects import Subjects
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import datetime
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import takewhile
+from pathlib import Path
 from typing import Any
 
 from ..cache.disk import DiskFloor
 from ..cache.room import REMEDY
 from ..cache.store import DamagedArtifact, Receipt
-from ..pipeline.stages import FUSE, POSES
+from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
 from ..task import Task
-from .changes import Changes
 from .context import Night
-from .deadline import Deadline
 from .dispatch import Dispatcher
 from .journal import Costs, Journal
 from .options import Options
@@ -179,3 +179,70 @@ class _Repairs:
         else:
             self.journal.repaired(f"{reason}; made again", task=task)
             self.plan.forget(task)
+
+
+MOST_LOOKS = 3
+"""How often a file that changes is looked at again in one run."""
+
+
+@dataclass
+class Changes:
+    """Looks again at captures, masks and models that have been replaced since their digests were taken: what they hold now is
+    planned with, and nothing is kept under what they held before."""
+
+    night: Night
+    journal: Journal
+    _looks: Counter[Path] = field(default_factory=Counter)
+
+    def look_again(self, done: Done) -> None:
+        """A task has found a file changed: the plan goes on with what it holds now.
+
+        Parameters
+        ----------
+        done : Done
+            With the file.
+        """
+        assert done.changed is not None
+        self._looks[done.changed] += 1
+        if self._looks[done.changed] > MOST_LOOKS:
+            why = f"{done.changed} keeps changing: is it still being written?"
+            self.night.plan.settle(done.task, State("failed", why, Cause.BAD_INPUT))
+            return
+        self.journal.warn(f"{done.reason}; what it holds now is used", task=done.task)
+        self.night.look_again(done.changed)
+
+
+@dataclass
+class Deadline:
+    """When a run stops beginning work that can wait for another night."""
+
+    at: datetime.datetime | None = None
+    """Local time; None: never."""
+    struck: bool = False
+    """Has it been noticed that it is over?"""
+
+    @property
+    def over(self) -> bool:
+        """Is it later than that?"""
+        return self.at is not None and datetime.datetime.now() >= self.at
+
+    def settle(self, plan: Plan) -> bool:
+        """Give up what is ready and adds to the night; is there such?"""
+        given_up = [task for task in plan.ready if not _puts_together(task)]
+        assert self.at is not None
+        for task in given_up:
+            plan.settle(task, State("skipped", f"the run was to stop at {self.at:%H:%M}", Cause.STOPPED))
+        return bool(given_up)
+
+    def shortened(self, lane: list[TaskSpec]) -> list[TaskSpec]:
+        """What of a lane is still done."""
+        if not self.struck:
+            return lane
+        wanted = [spec for spec in lane if _puts_together(spec.task) and not spec.redraw]
+        return wanted if wanted[:1] == lane[:1] else []
+
+
+def _puts_together(task: Task) -> bool:
+    """Does a task join what others have made into what is published?"""
+    stage = stage_named(task.stage)
+    return stage.scope == "site" or stage.name == DEPTH

@@ -9,7 +9,8 @@ from typing import Any
 
 from ..cache import artifact
 from ..cache.store import Preimage, Receipt
-from ..pipeline.stages import PointTable
+from ..pipeline.stages import SITE_TYPES, PointTable, Source, Stage
+from ..site.models import Camera, Site, plain
 from ..task import Subject, Task
 from .captures import CaptureFile
 
@@ -162,3 +163,29 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
         else:
             digests[name] = "" if isinstance(value, Absent) else value.digest()
     return digests
+
+
+def stated(camera: Camera, what: str) -> Value:
+    """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
+    if what == "privacy":
+        return Value(SITE_TYPES[what], plain(camera.privacy))
+    return Value(SITE_TYPES[what], plain(camera.lens if what == "lens" else camera.placement))
+
+
+def stated_of_site(site: Site, what: str) -> Value | Joined:
+    """The same of all cameras, by id; or the `SURVEY`."""
+    if what == "survey":
+        return Value(SITE_TYPES[what], plain(site.survey))
+    return Joined({(camera.id,): stated(camera, what) for camera in site.views})
+
+
+def side(need: Source, task: Task) -> Subject:
+    """The left or right camera of a pair, where one of them is meant."""
+    return {"left": task.subject[:1], "right": task.subject[1:]}.get(need.of, ())
+
+
+def subject_of(origin: Stage, need: Source, task: Task) -> Subject:
+    """Of which subject an input is that is not joined."""
+    if origin.scope == "site":
+        return ()
+    return task.subject if need.of == "own" else side(need, task)
