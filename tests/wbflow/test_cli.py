@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -236,3 +238,23 @@ def test_wait_waits_for_the_other_run(toy: ToySite) -> None:
     second = toy.wbflow("run", "--wait", "--json", "--jobs", "1")
     assert first.wait() == 0
     assert json.loads(second.stdout)["tasks"]["ran"] == 0
+
+
+@pytest.mark.parametrize("command", [["report"], ["clean", "--keep", "3"]])
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS])
+def test_a_work_folder_that_may_not_be_written_is_a_plain_error(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch, command: list[str], number: int
+) -> None:
+    toy.run()
+    for name, value in toy.env().items():
+        monkeypatch.setenv(name, value)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number), str(toy.work))
+
+    monkeypatch.setattr("wbflow.records.run_folder.write_atomic", refuse)
+    monkeypatch.setattr("wbflow.cache.writing.hold", refuse)
+    result = CliRunner().invoke(main, [command[0], str(toy.file), *command[1:]])
+    assert result.exit_code == 1
+    assert f"{toy.work}: {os.strerror(number)}" in result.output and "check the rights on the work folder" in result.output
+    assert "wbflow itself failed" not in result.output

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import itertools
 import os
 import shutil
 from collections.abc import Iterator
@@ -267,13 +268,24 @@ class WorkFolder:
     def turn(self, link: Path, run: str) -> None:
         """Turn a link beside the runs, such as `latest`, to a run with one rename: whoever looks sees the old run or the new one.
 
-        Nothing is ever written or removed through the link.  Raises OSError.
+        Nothing is ever written or removed through the link.  A copy of the work folder may hold a folder there: it is set aside.
+        Raises OSError.
         """
         fresh = self.unfinished_run(link.name).folder
+        if fresh.is_dir() and not fresh.is_symlink():
+            shutil.rmtree(fresh)
         fresh.unlink(missing_ok=True)
+        if link.is_dir() and not link.is_symlink():
+            self._set_aside(link)
         fresh.symlink_to(run)
         fresh.replace(link)
         sync_folder(self.runs)
+
+    def _set_aside(self, folder: Path) -> None:
+        """Move a folder that stands where a link belongs to the quarantine: nothing of it is lost."""
+        self.quarantine.mkdir(parents=True, exist_ok=True)
+        places = (self.quarantine / f"{folder.name}-{number}" for number in itertools.count(1))
+        folder.rename(next(place for place in places if not place.exists()))
 
     def led_to(self, link: Path) -> str | None:
         """The run that a link leads to; None where there is no link, or no whole run behind it."""
@@ -283,7 +295,8 @@ class WorkFolder:
     def run_ids(self) -> list[str]:
         """Every published run, oldest first."""
         found = (p for p in self.runs.glob("*") if RunPaths(p).record.is_file() and not p.is_symlink())
-        return sorted(p.name for p in found if not p.name.startswith("."))
+        links = {self.latest.name, self.latest_good.name}  # folders in a copy of the work folder
+        return sorted(p.name for p in found if not p.name.startswith(".") and p.name not in links)
 
     def newest_runs(self) -> list[str]:
         """Those in which an earlier form of a product is looked for (there are nights that make none), newest first."""

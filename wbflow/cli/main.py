@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 
 import click
 
 from .. import __version__
+from ..cache.room import FULL, REMEDY
 from ..errors import ExitCode, WbflowError
 from . import reference, results, setup
 from . import run as night
 from .common import stop
+
+_UNWRITABLE = {errno.EACCES, errno.EPERM, errno.EROFS}
 
 
 class _Commands(click.Group):
@@ -41,6 +45,9 @@ class _Commands(click.Group):
         except Exception as error:
             if _wants_tracebacks():
                 raise
+            if isinstance(error, OSError) and error.errno in _UNWRITABLE | FULL:
+                remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
+                stop(ExitCode.FAILED, f"{error.filename or 'the work folder'}: {error.strerror}\n  {remedy}")
             stop(ExitCode.FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from typing import Any
 
 from tests.helpers.toy_site import ToySite
@@ -83,3 +84,18 @@ def test_what_is_expected_stands_in_the_site_file(toy: ToySite) -> None:
     assert kinds(toy.run()) == [("camera-lost", ["roof"])]
     toy.file.write_text(json.dumps(site | {"expect": {"pionts": 0.3}}))
     assert "did you mean 'points'?" in toy.wbflow("run").stderr
+
+
+def test_a_copy_of_a_work_folder_without_links_takes_the_next_night(toy: ToySite) -> None:
+    """`cp -rL` makes folders of `latest` and `latest-good`."""
+    first = toy.run()
+    for name in ("latest", "latest-good"):
+        link = toy.work / "runs" / name
+        copy = shutil.copytree(link, toy.work / f"copy-{name}")
+        link.unlink()
+        copy.rename(link)
+    second = toy.run()
+    runs = toy.work / "runs"
+    assert [(runs / name).readlink().name for name in ("latest", "latest-good")] == [second["run"]] * 2
+    assert (runs / first["run"] / "run.json").is_file()
+    assert {path.name for path in (toy.work / "quarantine").iterdir()} == {"latest-1", "latest-good-1"}
