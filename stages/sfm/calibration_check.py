@@ -48,6 +48,7 @@ LEAST_LOSS = 30.0
 COUNTED = 50
 HARMFUL_PX = 0.4
 """Cameras that move points by less than this (median, in pixels along the epipolar line) spoil no cloud."""
+FARTHEST_PX = 1e4
 LARGEST_SITE = 12
 """Exchanged poses are looked for among so many cameras at most."""
 STEPS = 20
@@ -191,14 +192,14 @@ def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Match
 
 def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
     """How far points move along the epipolar lines between two worlds, in pixels: median over the matches of the pairs that
-    change; infinite where they lie behind a camera."""
+    change; `FARTHEST_PX` where they lie behind a camera."""
     found = []
     for matches in evidence:
         if all(stated.cameras[n] is right.cameras[n] for n in matches.pair) and right.k1 == stated.k1:
             continue
         (z, gain), (other, _) = (_depths(world, matches) for world in (stated, right))
         with np.errstate(invalid="ignore", divide="ignore"):
-            found.append(np.nan_to_num(np.abs(z - other) / gain, nan=np.inf))
+            found.append(np.minimum(np.nan_to_num(np.abs(z - other) / gain, nan=FARTHEST_PX), FARTHEST_PX))
     return float(np.median(np.concatenate(found))) if found else 0.0
 
 

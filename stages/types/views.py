@@ -84,6 +84,10 @@ class Frame:
     """Share of the captures' structured parts in which every second row is from another moment, or shifted (median)."""
     blocking: float = 1.0
     """How many times stronger edges are at the borders of the captures' coded blocks than within them."""
+    blur_px: float = float("nan")
+    """Standard deviation of the blur of the frame's sharper edges, pixels; nan where it has no edges."""
+    coarseness: float = 1.0
+    """`blocking` as far as it is left at working resolution."""
     cast: float = 1.0
     """Mean of the strongest of red, green and blue over that of the weakest, in the captures."""
     colour: float = 1.0

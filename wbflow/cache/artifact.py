@@ -136,7 +136,7 @@ def parts(value: Any) -> dict[str, str]:
 
 
 def figures(value: Any) -> dict[str, Any]:
-    """Plain fields of a dataclass by name: scalars, tuples and mappings of them or of small dataclasses; rows of its arrays as
+    """Plain fields of a dataclass by name: scalars, tuples, small dataclasses and mappings of them; rows of its arrays as
     `<field>_count`."""
     found: dict[str, Any] = {}
     for name in _kept(value):
@@ -145,6 +145,8 @@ def figures(value: Any) -> dict[str, Any]:
             found[name] = field
         elif isinstance(field, Mapping) and all(map(_is_small, field.values())):
             found[name] = {key: figures(entry) for key, entry in field.items()}
+        elif dataclasses.is_dataclass(field) and all(_is_plain(getattr(field, f.name)) for f in dataclasses.fields(field)):
+            found[name] = figures(field)
         elif hasattr(field, "shape") and field.shape:
             found[f"{name}_count"] = int(field.shape[0])
     return found

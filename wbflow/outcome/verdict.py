@@ -9,6 +9,7 @@ nights with the same settings) or, without these, than its own plan expected.  A
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -27,6 +28,13 @@ from .record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
+SOFT_PX = 1.3
+"""Pictures whose sharper edges are blurred by more (standard deviation, pixels) are soft: photographs reduced to a quarter and
+rendered scenes have 0.0 to 0.6, a sensor's own pixels 1.0."""
+COARSE = 1.8
+"""So are pictures on whose steps JPEG's blocks stand out more than this at working resolution: quality 50 has 1.1 to 1.4."""
+SOFT_SHARE = 1 / 3
+"""Of the cameras in use: fewer soft ones are a matter of these cameras."""
 MOST_LETTERS = 200
 """A reason has at most so many letters in a finding."""
 _EXIT_CODES: Mapping[Level, ExitCode] = {
@@ -290,6 +298,55 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
     return replace(trouble, text=text, remedy=remedy)
 
 
+def check_pictures(night: Night) -> Iterator[Finding]:
+    """Are many pictures too blurred, or coded too coarsely, to be measured in?"""
+    used = [camera for camera in night.record.cameras if camera.ok]
+    soft = [camera for camera in used if _number(camera, "blur_px") > SOFT_PX or _number(camera, "coarseness") > COARSE]
+    if soft and len(soft) >= SOFT_SHARE * len(used):
+        blur, coarse = (max(_number(camera, name) for camera in soft) for name in ("blur_px", "coarseness"))
+        figures = {"blur_px": blur, "coarseness": coarse}
+        names = tuple(camera.id for camera in soft)
+        yield finding("pictures-soft", names, figures, blur_px=blur, coarseness=coarse, cameras=_names(names))
+
+
+def _number(camera: CameraRecord, figure: str) -> float:
+    value = camera.figures.get(figure)
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
+def check_calibration(night: Night) -> Iterator[Finding]:
+    """Do the matches contradict what the site states of lenses and poses?"""
+    check = night.record.poses.calibration if night.record.poses else {}
+    if check.get("contradicted"):
+        figures = {name: check[name] for name in ("misfit", "better", "off_px")}
+        words = {"misfit": math.sqrt(check["misfit"]), "explanation": _explanation(check)}
+        yield finding("calibration-contradicted", tuple(check["cameras"]), figures, None, None, **words)
+
+
+def _explanation(check: Mapping[str, Any]) -> str:
+    """What would explain the matches best, in words."""
+    amount, cameras = check["amount"], " and ".join(check["cameras"])
+    size = math.hypot(*amount)
+
+    def longer(log_scale: float) -> str:
+        return f"{100 * abs(math.expm1(log_scale)):.1f} % {'longer' if log_scale > 0 else 'shorter'}"
+
+    causes: dict[str, Callable[[], str]] = {
+        "focal-lengths": lambda: f"all focal lengths {longer(amount[0])}",
+        "distortion": lambda: f"a radial distortion that is left in all pictures (k1 off by {amount[0]:+.3f})",
+        "focal-lengths-and-distortion": lambda: f"all focal lengths {longer(amount[0])} and k1 off by {amount[1]:+.3f}",
+        "principal-points": lambda: f"all principal points shifted by {100 * size:.1f} % of the focal length",
+        "focal-length": lambda: f"the focal length of {cameras} {longer(amount[0])}",
+        "turned": lambda: f"{cameras} turned by {math.degrees(size):.2f} degrees",
+        "moved": lambda: f"{cameras} moved by {100 * size:.1f} % of the distance between cameras",
+        "exchanged": lambda: f"the poses of {cameras} exchanged",
+    }
+    cause = check["cause"]
+    if cause.startswith("mirrored-"):
+        causes[cause] = lambda: f"positions mirrored in {cause[-1]}"
+    return f"{causes[cause]()} would fit {check['better']:.1f} times better" if cause else "no single cause explains that"
+
+
 def check_poses(night: Night) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
     poses = night.record.poses
@@ -385,5 +442,14 @@ def shortened(reason: str) -> str:
 
 
 Check = Callable[[Night], Iterator[Finding]]
-CHECKS: tuple[Check, ...] = (check_end, check_store, check_cameras, check_poses, check_tasks, check_amounts)
+CHECKS: tuple[Check, ...] = (
+    check_end,
+    check_store,
+    check_cameras,
+    check_pictures,
+    check_calibration,
+    check_poses,
+    check_tasks,
+    check_amounts,
+)
 """What is looked at, in the order in which it is reported."""

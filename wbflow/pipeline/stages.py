@@ -205,8 +205,8 @@ COMPONENT = "component"
 """The parameter of `fuse` that says which component of cameras it works on; each has a task."""
 
 _OF_A_FRAME = (
-    "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "cast", "colour", "noise", "frames_used",
-    "doubtful", "unchanged", "taken_first", "taken_last", "taken_in_order",
+    "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "blur_px", "coarseness", "cast", "colour",
+    "noise", "frames_used", "doubtful", "unchanged", "taken_first", "taken_last", "taken_in_order",
 )  # fmt: skip
 _OF_COVERAGE = {
     "area_m2": "area", "seen_by_one": "seen_by_one", "seen_by_two": "seen_by_two",

@@ -212,6 +212,23 @@ FINDINGS: Mapping[str, FindingType] = {
             "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see",
         ),
         FindingType(
+            "pictures-soft",
+            "degraded",
+            "Many pictures are too blurred, or coded too coarsely, to be measured in; `sigma_mm` may be too small.",
+            "pictures are too soft to be measured in: {cameras}; edges are blurred by up to {blur_px:.1f} px, and blocks of "
+            "their coding stand out by a factor of up to {coarseness:.1f}: points may be off by more than they say",
+            "look at focus, glass, exposure time and the quality at which captures are coded; or lower `resolution`",
+        ),
+        FindingType(
+            "calibration-contradicted",
+            "degraded",
+            "Tonight's matches contradict the stated lenses or poses as a whole.",
+            "the matches contradict the stated calibration: they lie {misfit:.1f} times as far from where it has them as "
+            "noise explains; {explanation}",
+            "calibrate the lenses again (wbflow calibrate), measure the poses again, or name the calibration that belongs to these "
+            "captures; without `calibration:` lenses and poses are solved",
+        ),
+        FindingType(
             "poses-inconsistent",
             "degraded",
             "Matches contradict each other, and the solved poses rest on some of them.",

@@ -204,6 +204,12 @@ class WorldRecord:
         return strained
 
     @property
+    def calibration(self) -> Figures:
+        """How the stated calibration as a whole agrees with the matches (`stages.types.CalibrationCheck`); {} where nothing can
+        tell."""
+        return self.figures.get("calibration") or {}
+
+    @property
     def joins(self) -> tuple[str, ...]:
         """What would join the worlds that share no pair."""
         return tuple(self.figures.get("joins") or ())

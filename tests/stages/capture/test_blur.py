@@ -1,0 +1,37 @@
+"""The blur of a picture is measured in pixels, whatever it shows and however dark or noisy it is."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.helpers.synthetic_site import small_yard
+from wbflow_stages.capture.image_statistics import blur_px
+
+
+@pytest.fixture(scope="module")
+def picture() -> np.ndarray:
+    return np.asarray(small_yard().cameras[0].captures[0])
+
+
+def measured(image: np.ndarray) -> float:
+    return blur_px(np.clip(image, 0, 255).astype(np.uint8), np.ones(image.shape[:2], bool))
+
+
+@pytest.mark.parametrize("contrast", [1.0, 0.4])
+@pytest.mark.parametrize("noise", [0.0, 5.0])
+def test_a_sharp_picture_is_sharp(picture: np.ndarray, contrast: float, noise: float) -> None:
+    noisy = np.random.default_rng(0).normal(0, noise, picture.shape)
+    assert measured(100 * (1 - contrast) + contrast * picture.astype(np.float64) + noisy) < 0.7
+
+
+@pytest.mark.parametrize("contrast", [1.0, 0.4])
+@pytest.mark.parametrize("sigma", [1.5, 2.0])
+def test_blur_is_told_to_a_third(picture: np.ndarray, sigma: float, contrast: float) -> None:
+    blurred = cv2.GaussianBlur(picture, (0, 0), sigma).astype(np.float64)
+    assert measured(100 * (1 - contrast) + contrast * blurred) == pytest.approx(sigma, rel=0.34)
+
+
+def test_a_picture_without_edges_has_no_blur() -> None:
+    assert np.isnan(measured(np.full((90, 160, 3), 120.0)))
