@@ -53,8 +53,6 @@ def heights(cloud: Cloud, poses: Poses) -> Files:
 
 def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
     """depth/<camera>.png and .pfm of every camera of the main component that has a depth map; depth/depth.json."""
-    from .forms import depth_files
-
     told = {}
     for name, camera in _main_cameras(poses).items():
         if name in depths:
