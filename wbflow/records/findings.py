@@ -225,8 +225,8 @@ FINDINGS: Mapping[str, FindingType] = {
             "Tonight's matches contradict the stated lenses or poses as a whole.",
             "the matches contradict the stated calibration: they lie {misfit:.1f} times as far from where it has them as "
             "noise explains; {explanation}",
-            "calibrate the lenses again (wbflow calibrate), measure the poses again, or name the calibration that belongs to these "
-            "captures; without `calibration:` lenses and poses are solved",
+            "calibrate the lenses again (wbflow calibrate), measure the poses again, or name the calibration that belongs to "
+            "these captures; without `calibration:` lenses and poses are solved",
         ),
         FindingType(
             "poses-inconsistent",
