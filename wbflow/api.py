@@ -19,12 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .cache.layout import WorkFolder
-from .cache.room import FULL, REMEDY
-from .cache.sizes import bytes_of
+from .cache.room import FULL, REMEDY, bytes_of
 from .errors import UsageError, WbflowError
-from .outcome.afterwards import mend_ledger
 from .outcome.artifacts import FinishedRun, function, task_named
-from .outcome.through import through
+from .outcome.through import mend_ledger, through
 from .records.events import Event, Listener, Watcher
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh

@@ -13,7 +13,7 @@ import numpy as np
 
 from wbflow.api import load_site
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.shown import Shown
+from wbflow.cache.previews import Shown
 from wbflow.cache.store import Cache
 from wbflow.pipeline.stages import FUSE, GEOMETRY, STAGES, stage_named
 from wbflow.records.events import Event, TaskEvent

@@ -14,8 +14,29 @@ from ..records.events import TaskEvent
 from ..records.ledger import Ledger
 from ..records.reference_folder import BadReference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder
-from .keep import Keep
 from .layout import WorkFolder
+
+
+@dataclass(frozen=True)
+class Keep:
+    """What stays; None: all of it."""
+
+    runs: int | None = None
+    """Artifacts that so many of the newest runs use."""
+    nights: int | None = None
+    """Artifacts that runs of so many of the newest nights use."""
+    bytes: int | None = None
+    """So much of the cache: the artifacts of older runs go first, those of the newest and of the last good one never."""
+    clouds: int | None = None
+    """Published clouds of so many of the newest nights."""
+    reports: int | None = None
+    """Reports and logs of so many of the newest nights."""
+
+    @property
+    def everything(self) -> bool:
+        """Is nothing ever removed?"""
+        return self == Keep()
+
 
 _QUARANTINED = 20
 """So many damaged files are kept, for whoever wants to know why, when nobody has asked for a cleaning."""

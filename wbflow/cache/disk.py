@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from ..records.ledger import Ledger
 from ..task import Task
 from .layout import WorkFolder
-from .room import free_bytes
-from .sizes import in_words
+from .room import free_bytes, in_words
 
 FLOOR = 16_000_000
 """Bytes that stay free whatever tasks are expected to take: the run has to be published."""

@@ -215,8 +215,8 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     wbflow clean site.yaml --keep 7 --clouds 30
     """
     folder = load(site, work).work_folder
+    from ..cache.cleanup import Keep
     from ..cache.cleanup import clean as remove
-    from ..cache.keep import Keep
     from ..records.run_folder import hold_to_write
 
     with hold_to_write(folder, wait=False):

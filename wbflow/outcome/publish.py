@@ -26,7 +26,7 @@ from .artifacts import FinishedRun, function
 from .baseline import Baseline
 from .beside import files_beside, told_beside
 from .metrics import metrics
-from .record import run_record
+from .run_record import run_record
 from .verdict import judge_run
 
 

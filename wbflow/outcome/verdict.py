@@ -24,7 +24,7 @@ from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from .baseline import Baseline, figures_of, reference_usual, settings_of, with_appearance
-from .record import root_cause
+from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""

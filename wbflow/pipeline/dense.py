@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Any
 
-from .choice import MOST_AT_A_CAMERA
-from .evidence import Pair, worth
+from .choice import MOST_AT_A_CAMERA, Pair, worth
 from .pairs import Edge, PairGraph, groups, select_pairs
 
 

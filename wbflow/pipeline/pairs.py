@@ -15,8 +15,19 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from ..task import camera_of
-from .choice import MOST_AT_A_CAMERA, choose, of_little_use
-from .evidence import ALL_KNOWN, MOST_DROPPED, Evidence, Known, Pair, cameras_of, evidence_of, unfit
+from .choice import (
+    ALL_KNOWN,
+    MOST_AT_A_CAMERA,
+    MOST_DROPPED,
+    Evidence,
+    Known,
+    Pair,
+    cameras_of,
+    choose,
+    evidence_of,
+    of_little_use,
+    unfit,
+)
 
 if TYPE_CHECKING:
     import networkx as nx

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.codec import result_of
-from ..cache.shown import Shown
+from ..cache.previews import Shown
 from ..cache.untrusted import read_outside
 from ..errors import WbflowError
 from ..outcome.artifacts import function

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..cache.store import Preimage, Receipt
 from ..outcome.beside import number, shown
-from ..outcome.record import reported
+from ..outcome.run_record import reported
 from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import meaning
 from ..records.record import CameraRecord, PairRecord

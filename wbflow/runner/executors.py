@@ -21,7 +21,7 @@ from .. import __version__
 from ..cache.fingerprint import FOLLOWED, LIBRARIES, installed_version
 from ..cache.functions import FunctionReader
 from ..cache.modules import FunctionError
-from ..cache.sizes import in_words
+from ..cache.room import in_words
 from ..errors import UsageError, WbflowError
 from . import limits, worker
 from .spec import TaskSpec

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..cache.pictures import is_drawn
+from ..cache.previews import is_drawn
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
 from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named

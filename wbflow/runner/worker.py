@@ -21,10 +21,9 @@ from typing import Any, TextIO
 from ..cache import artifact
 from ..cache.codec import result_bytes, result_of
 from ..cache.digests import ChangedFile
-from ..cache.pictures import Drawing, write_drawing
 from ..cache.plugins import load, offer
+from ..cache.previews import Drawing, Shown, write_drawing
 from ..cache.room import FULL, REMEDY
-from ..cache.shown import Shown
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable

@@ -20,7 +20,7 @@ from .explain import did_you_mean, explained, similar, without_faults
 from .geodesy import local_frame, read_survey
 from .locations import Document, Location, Problems, SiteError, SiteProblem, load_yaml
 from .models import Camera, Site, SiteFile, StageSettings
-from .stages import read_stages
+from .stage_settings import read_stages
 
 __all__ = ["Camera", "Site", "StageSettings", "load_site"]
 

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cache.cleanup import clean
-from wbflow.cache.keep import Keep
+from wbflow.cache.cleanup import Keep, clean
 from wbflow.cache.layout import WorkFolder
 
 

@@ -9,7 +9,7 @@ import pytest
 from wbflow.pipeline.stages import STAGES
 from wbflow.site.load import Site, load_site
 from wbflow.site.locations import SiteError
-from wbflow.site.stages import RENAMED, Renamed
+from wbflow.site.stage_settings import RENAMED, Renamed
 
 SITE = """\
 site: yard
@@ -60,7 +60,7 @@ def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None
 
 def test_old_names_and_values_are_understood_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     renamed = {"range": Renamed("range_margin"), "method": Renamed("method", {"seed": "hao2011"})}
-    monkeypatch.setattr("wbflow.site.stages.RENAMED", {"rectify": renamed})
+    monkeypatch.setattr("wbflow.site.stage_settings.RENAMED", {"rectify": renamed})
     site = loaded(tmp_path, "rectify: {range: 0.2, method: seed}")
     assert site.stages["rectify"].parameters == {"range_margin": 0.2, "method": "hao2011"}
     first, second = map(str, site.notes)

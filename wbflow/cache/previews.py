@@ -11,6 +11,7 @@ from .atomic import write_atomic
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, write_signed
 from .store import Cache
+from .untrusted import read_outside
 
 
 @dataclass(frozen=True)
@@ -81,3 +82,32 @@ def write_drawing(work: WorkFolder, task: Task, key: str, drawing: Drawing, pict
     path = work.drawing_name(task, key)
     known = replace(drawing, picture=digest(picture) if picture is not None else None)
     write_signed(path, work.place(path), vars(known), lasts=False)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a function makes of a result."""
+
+    work: WorkFolder
+    """Where it is kept."""
+    task: Task
+    """Whose result is shown."""
+    key: str
+    """Of that result."""
+    code: str
+    """Fingerprint of the function."""
+
+    def kept(self) -> bytes | None:
+        """What was made by the function as it is now; None where that was not kept, or is not whole."""
+        try:
+            told, _, made = read_outside(self.work.view(self.task, self.key)).partition(b"\n")
+        except OSError:
+            return None
+        return made if told == self._head(made) else None
+
+    def keep(self, made: bytes) -> None:
+        """Keep what was made.  Raises OSError: it can be made again."""
+        write_atomic(self.work.view(self.task, self.key), self._head(made) + b"\n" + made, lasts=False, ours=True)
+
+    def _head(self, made: bytes) -> bytes:
+        return f"{self.code} {digest(made)}".encode()
