@@ -27,8 +27,8 @@ from .records.events import Event, Listener, Watcher
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
 from .runner.context import arrivals
-from .runner.interrupt import terminate_as_interrupt
 from .runner.journal import Costs, Journal
+from .runner.loop import terminate_as_interrupt
 from .runner.options import Options
 from .site.load import load_site as read_site
 from .site.models import Site

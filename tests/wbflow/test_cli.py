@@ -253,7 +253,7 @@ def test_a_work_folder_that_may_not_be_written_is_a_plain_error(
         raise OSError(number, os.strerror(number), str(toy.work))
 
     monkeypatch.setattr("wbflow.records.run_folder.write_atomic", refuse)
-    monkeypatch.setattr("wbflow.cache.writing.hold", refuse)
+    monkeypatch.setattr("wbflow.records.run_folder.hold", refuse)
     result = CliRunner().invoke(main, [command[0], str(toy.file), *command[1:]])
     assert result.exit_code == 1
     assert f"{toy.work}: {os.strerror(number)}" in result.output and "check the rights on the work folder" in result.output

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pipeline.signature import Argument, Parameter, Signature, read_signature, read_table
-from .fingerprint import ModuleCode, fingerprint, function_digest, module_code
-from .modules import Modules
+from .fingerprint import ModuleCode, Modules, fingerprint, function_digest, module_code
 from .signed import Damaged, read_signed, write_signed
 
 _FORM = 2

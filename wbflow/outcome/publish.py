@@ -25,7 +25,7 @@ from ..task import Task
 from .artifacts import FinishedRun, function
 from .baseline import Baseline
 from .beside import files_beside, told_beside
-from .metrics import metrics
+from .notify import metrics
 from .run_record import run_record
 from .verdict import judge_run
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from ..cache.fingerprint import FunctionError
 from ..cache.functions import FunctionInfo, FunctionReader
-from ..cache.modules import FunctionError
 from .signature import Parameter, Signature
 from .stages import Source, Stage
 

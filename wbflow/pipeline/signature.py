@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..cache.modules import FunctionError, Modules, Names
+from ..cache.fingerprint import FunctionError, Modules, Names
 from ..cache.plugins import offer
 
 _PLAIN = {"int": (int,), "float": (int, float), "bool": (bool,), "str": (str,)}

@@ -396,7 +396,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         "dense_pairs",
         scope="site",
-        function="wbflow.pipeline.dense:select_dense_pairs",
+        function="wbflow.pipeline.pairs:select_dense_pairs",
         inputs={"shared": own("shared"), "pairs": own("pairs")},
         optional=True,
         needed_if=_some_unposed,

@@ -12,7 +12,7 @@ _MOST = 20_000
 
 
 @dataclass(frozen=True)
-class Past:
+class TaskCosts:
     """By stage and by task."""
 
     stages: dict[str, float] = field(default_factory=dict)
@@ -33,10 +33,10 @@ class Past:
         return self.tasks_mb.get(task, max(others, self.stages_mb.get(stage, 0.0)))
 
 
-def read_past(work: WorkFolder) -> Past:
+def read_costs(work: WorkFolder) -> TaskCosts:
     """The costs that a work folder's ledger knows; reading changes nothing."""
     if not work.ledger.is_file():
-        return Past()
+        return TaskCosts()
     query = f"select stage, task, wall, peak_mb from artifacts where wall is not null order by finished desc limit {_MOST}"
     try:
         database = sqlite3.connect(f"{work.ledger.resolve().as_uri()}?mode=ro", uri=True, timeout=1.0)
@@ -45,11 +45,11 @@ def read_past(work: WorkFolder) -> Past:
         finally:
             database.close()
     except (sqlite3.Error, ValueError, TypeError):
-        return Past()
+        return TaskCosts()
     import statistics  # here: it takes a while
 
     stages: dict[str, list[float]] = {}
-    past = Past()
+    past = TaskCosts()
     for stage, task, wall, held in rows:
         stages.setdefault(stage, []).append(wall)
         past.tasks.setdefault(task, wall)

@@ -16,7 +16,7 @@ MOST_NIGHTS = 30
 
 
 @dataclass
-class Past:
+class ShiftHistory:
     """The nights before tonight that were compared with the same reference."""
 
     work: WorkFolder | None = None

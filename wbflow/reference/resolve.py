@@ -18,7 +18,7 @@ from ..records.reference_folder import Reference, put_back
 from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
 from ..runner.state import Cause, Impossible, State, Waiting, because
 from ..task import Subject, Task, camera_of
-from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, Past
+from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, ShiftHistory
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
@@ -41,7 +41,7 @@ class Pinned:
     states: dict[Task, State]
     """Settled tasks: the plan's own, which it changes."""
     reference: Reference | None = None
-    past: Past = field(default_factory=Past)
+    past: ShiftHistory = field(default_factory=ShiftHistory)
     forced: frozenset[str] = frozenset()
     """Stages that are to be done again."""
     known: Mapping[str, Health] = field(default_factory=dict)

@@ -6,9 +6,8 @@ import datetime
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..cache.digests import Digests
+from ..cache.digests import Digests, Seen
 from ..cache.layout import WorkFolder
-from ..cache.seen import Seen
 from ..cache.store import Cache
 from ..records.events import ArrivalsEvent, Watcher
 from ..records.record import Health

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
-from ..records.costs import read_past
+from ..records.costs import read_costs
 from ..task import Task
 from . import limits
 from .executors import Cluster, Mount, OtherCode, Processes, WorkerLost
@@ -68,7 +68,7 @@ class Dispatcher:
     def submit(self, chains: list[list[TaskSpec]]) -> None:
         """Queue chains."""
         if self._executor is None:  # here: a night with nothing to do has no use for one
-            self._limits = Limits(self._options.memory or limits.memory(), self._options.time_limit, read_past(self._cache.work))
+            self._limits = Limits(self._options.memory or limits.memory(), self._options.time_limit, read_costs(self._cache.work))
             self._executor = _executor(self._options, self._limits)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:

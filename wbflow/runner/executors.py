@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..cache.fingerprint import FOLLOWED, LIBRARIES, installed_version
+from ..cache.fingerprint import FOLLOWED, LIBRARIES, FunctionError, installed_version
 from ..cache.functions import FunctionReader
-from ..cache.modules import FunctionError
 from ..cache.room import in_words
 from ..errors import UsageError, WbflowError
 from . import limits, worker

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..cache.store import Damage
-from ..records.costs import Past, read_past
+from ..records.costs import TaskCosts, read_costs
 from ..records.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
@@ -35,7 +35,7 @@ class Journal:
     behind: Callable[[], Finding | None] = lambda: None
     """Sees to it that what was done is where it is to go besides; what a person has to know of that."""
     _told: set[Task] = field(default_factory=set)
-    _past: Past | None = None
+    _past: TaskCosts | None = None
     """Read when there is something to do."""
 
     def tell(self, plan: Plan) -> None:
@@ -48,13 +48,13 @@ class Journal:
         """Tell who watches what there is to do; a night that finds everything in the cache has nothing to tell."""
         if self.watch is None:
             return
-        from .outlook import anything_left, outlook  # here: it knows plans, and there are nights without one
+        from .planner import anything_left, outlook  # here: it knows plans, and there are nights without one
 
         first = not plan.cache.work.functions_memo.is_file()  # then a plan takes a while, and all there is has to be done
         if self._past is None and not (first or anything_left(plan)):
             return
         if self._past is None:
-            self._past = read_past(plan.cache.work)
+            self._past = read_costs(plan.cache.work)
         self.watch(PlannedEvent(outlook(plan, self._past), self.workers, now()))
 
     def begun(self, task: Task) -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import resource
+import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..records.costs import Past
+from ..cache.layout import WorkFolder
+from ..cache.room import free_bytes, in_words
+from ..records.costs import TaskCosts
+from ..records.ledger import Ledger
 from ..task import Task
 
 SHORTEST = 600.0
@@ -33,7 +37,7 @@ class Limits:
     """Bytes that all workers together may hold; 0: no limit."""
     seconds: float | None = None
     """For every task; None: by what its stage took before."""
-    past: Past = field(default_factory=Past)
+    past: TaskCosts = field(default_factory=TaskCosts)
     seen_mb: dict[str, float] = field(default_factory=dict)
     """MB that tasks of a stage held at most in this run."""
 
@@ -115,3 +119,35 @@ def _group_limits() -> Iterator[int]:
     for file in [*(folder / "memory.max" for folder in _groups()), _GROUPS / "memory" / "memory.limit_in_bytes"]:
         with suppress(OSError, ValueError):  # "max": there is no limit
             yield int(file.read_text())
+
+
+FLOOR = 16_000_000
+"""Bytes that stay free whatever tasks are expected to take: the run has to be published."""
+MARGIN = 1.2
+"""Nights differ."""
+
+
+@dataclass
+class DiskFloor:
+    """Looks whether there is room for what comes next, by what such tasks have left before."""
+
+    work: WorkFolder
+    _usual: dict[str, float] | None = field(default=None)
+
+    def lacks(self, tasks: Iterable[Task]) -> str | None:
+        """What is missing for some tasks, in words; None where there is room."""
+        if self._usual is None:
+            self._usual = _usual_bytes(self.work)
+        need = round(MARGIN * sum(self._usual.get(task.stage, 0.0) for task in tasks)) + FLOOR
+        free = free_bytes(self.work.root)
+        if free >= need:
+            return None
+        return f"the disk is nearly full: about {in_words(need)} needed to go on, {in_words(free)} free in {self.work.root}"
+
+
+def _usual_bytes(work: WorkFolder) -> dict[str, float]:
+    try:
+        with Ledger(work) as ledger:
+            return ledger.usual_bytes()
+    except (sqlite3.Error, OSError):  # then only the floor is kept
+        return {}

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import datetime
+import signal
+import threading
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from ..cache.disk import DiskFloor
 from ..cache.room import REMEDY
 from ..cache.store import DamagedArtifact, Receipt
 from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
@@ -18,6 +20,7 @@ from ..task import Task
 from .context import Night
 from .dispatch import Dispatcher
 from .journal import Costs, Journal
+from .limits import DiskFloor
 from .options import Options
 from .planner import Plan
 from .spec import TaskSpec
@@ -246,3 +249,22 @@ def _puts_together(task: Task) -> bool:
     """Does a task join what others have made into what is published?"""
     stage = stage_named(task.stage)
     return stage.scope == "site" or stage.name == DEPTH
+
+
+@contextmanager
+def terminate_as_interrupt() -> Iterator[None]:
+    """SIGTERM (systemd, cron's timeout) and SIGHUP (a terminal closed) end a run as Ctrl-C does: what is finished is kept."""
+
+    def interrupt(signum: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only that one is told of signals
+        yield
+        return
+    heeded = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores one
+    before = {heard: signal.signal(heard, interrupt) for heard in heeded}
+    try:
+        yield
+    finally:
+        for heard, handler in before.items():
+            signal.signal(heard, handler)

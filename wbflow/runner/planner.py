@@ -16,11 +16,26 @@ from typing import Any
 from ..cache.previews import is_drawn
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
-from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
+from ..pipeline.stages import (
+    COMPONENT,
+    DENSE_PAIRS,
+    FRAMES,
+    FUSE,
+    PAIRS,
+    POSES,
+    ROUGH_SECONDS,
+    STAGES,
+    Adapt,
+    Stage,
+    ancestors,
+    stage_named,
+)
+from ..records.costs import TaskCosts
+from ..records.events import StageOutlook
 from ..records.record import Health
 from ..records.reference_folder import Reference
 from ..reference.compatibility import misfit
-from ..reference.health_history import Past
+from ..reference.health_history import ShiftHistory
 from ..reference.resolve import Pinned
 from ..site.models import Site
 from ..task import Task, component_name, names_of
@@ -136,7 +151,7 @@ class Plan:
                 self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache, self.named
             )
         self.reference = None if self.misfit else self.reference
-        past = Past(self.cache.work, self.night, self.reference.run) if self.reference else Past()
+        past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
         cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
@@ -371,3 +386,43 @@ class Plan:
         known = self._bound(stage).parameters
         settings = self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
+
+
+_ACROSS, _ASPECT = 1600, 0.6
+"""Pixels along a picture's longer side where nothing is stated, and the shorter side's share of it."""
+
+
+def outlook(plan: Plan, past: TaskCosts) -> tuple[StageOutlook, ...]:
+    """How much there is of each stage, how much of it is settled, and what a task of it takes.
+
+    Parameters
+    ----------
+    plan : Plan
+        As it stands.
+    past : TaskCosts
+        What tasks took before.
+    """
+    found = []
+    for stage in plan.stages():
+        tasks = plan.tasks(stage)
+        settled = sum(task in plan.states for task in tasks)
+        known = stage.name in past.stages
+        walls = [past.expected(stage.name, str(task)) for task in tasks if task not in plan.states] if known else []
+        seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, _rough(plan, stage))
+        count = (plan.likely_pairs(stage.dense) if stage.scope == "pair" else None) or len(tasks)
+        compiles = 0.0 if known else sum(ROUGH_SECONDS[stage.name][2:])
+        found.append(StageOutlook(stage.name, count, settled, seconds, known, compiles))
+    return tuple(found)
+
+
+def _rough(plan: Plan, stage: Stage) -> float:
+    """What a task of a stage takes that nobody has timed yet."""
+    fixed, each, *_ = ROUGH_SECONDS[stage.name]
+    stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
+    across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
+    return fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)
+
+
+def anything_left(plan: Plan) -> bool:
+    """Is there a task that is not settled, or may there come one?"""
+    return bool(plan.ready or plan.waiting or plan.busy)

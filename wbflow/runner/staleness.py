@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..cache.artifact import digest
-from ..cache.digests import Digests
-from ..cache.seen import Seen
+from ..cache.digests import Digests, Seen
 from ..records.record import Health
 from ..site.models import Camera, Site
 from .captures import CaptureFile, captures_of, pattern_of

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from ..errors import printable
-from ..pipeline.choice import MOST_AT_A_CAMERA
+from ..pipeline.pairs import MOST_AT_A_CAMERA
 from .geodesy import POSITION_REMEDY
 from .locations import Document, Location, SiteProblem
 from .models import CUSTOM, LENS_MODELS, SiteFile

@@ -13,7 +13,7 @@ from ..cache.functions import FunctionReader
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
 from ..errors import printable
-from ..pipeline.choice import MOST_AT_A_CAMERA
+from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
 from .cameras import beside, is_name, read_cameras, views_of
 from .explain import did_you_mean, explained, similar, without_faults

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..cache.fingerprint import FunctionError
 from ..cache.functions import FunctionReader
-from ..cache.modules import FunctionError
 from ..cache.untrusted import is_file as is_file_on_disk
 from ..errors import printable
 from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file

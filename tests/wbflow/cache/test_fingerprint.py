@@ -110,7 +110,7 @@ def test_another_method_in_the_table_changes_nothing(package: Package) -> None:
 
 
 def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package) -> None:
-    from wbflow.cache.modules import Modules
+    from wbflow.cache.fingerprint import Modules
 
     package.write(
         stage="from wbflow_stages.matching.nearest_neighbour import match_mutual\n\ndef work(left):\n    return match_mutual\n"

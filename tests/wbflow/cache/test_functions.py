@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from wbflow.cache.fingerprint import FunctionError
 from wbflow.cache.functions import FunctionReader
-from wbflow.cache.modules import FunctionError
 from wbflow.pipeline.stages import STAGES
 
 

@@ -13,8 +13,7 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
 from wbflow.cache.layout import WorkFolder
-from wbflow.outcome.metrics import metrics
-from wbflow.outcome.notify import MOST_WORDS, NotTold, notify, summary
+from wbflow.outcome.notify import MOST_WORDS, NotTold, metrics, notify, summary
 from wbflow.records.record import Health, RunRecord
 from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError

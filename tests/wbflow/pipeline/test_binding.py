@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from wbflow.cache.fingerprint import FunctionError
 from wbflow.cache.functions import FunctionReader
-from wbflow.cache.modules import FunctionError
 from wbflow.pipeline.binding import Binding, bind, method_parameters
 from wbflow.pipeline.stages import Method, Stage, own
 

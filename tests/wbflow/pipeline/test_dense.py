@@ -7,8 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from wbflow.pipeline.dense import select_dense_pairs
-from wbflow.pipeline.pairs import PairGraph, select_pairs
+from wbflow.pipeline.pairs import PairGraph, select_dense_pairs, select_pairs
 from wbflow_stages.types import Overlap
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbflow.pipeline.choice import MOST_AT_A_CAMERA
-from wbflow.pipeline.pairs import PairGraph, select_pairs
+from wbflow.pipeline.pairs import MOST_AT_A_CAMERA, PairGraph, select_pairs
 from wbflow_stages.types import Overlap
 
 

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.main import main
-from wbflow.records.costs import Past
+from wbflow.records.costs import TaskCosts
 from wbflow.runner import limits
 from wbflow.runner.dispatch import Dispatcher
 from wbflow.runner.executors import Processes
@@ -180,7 +180,7 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
 
 
 def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
-    past = Past({"quick": 0.1, "slow": 300.0, "endless": 1e5})
+    past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
     known = Limits(past=past)
     assert known.seconds_for("quick") == limits.SHORTEST
     assert known.seconds_for("slow") == limits.TIMES * 300
@@ -201,7 +201,7 @@ def test_tasks_that_do_not_fit_side_by_side_are_done_one_after_the_other(wicked:
 
 def test_what_tasks_held_before_and_tonight_tells_what_fits() -> None:
     fuse, gate, roof = Task("fuse"), Task("depth", ("gate",)), Task("depth", ("roof",))
-    past = Past(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
+    past = TaskCosts(stages_mb={"fuse": 900.0, "depth": 100.0}, tasks_mb={str(gate): 300.0})
     holding = Limits(memory=1000 * 2**20, past=past)
     assert holding.fits([], [fuse]) and holding.fits([[fuse]], [roof])
     assert not holding.fits([[fuse]], [gate]), "it held 300 MB the last time"

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
-from wbflow.cache.digests import Digests
-from wbflow.cache.seen import Seen
+from wbflow.cache.digests import Digests, Seen
 from wbflow.runner.captures import find_captures
 from wbflow.runner.staleness import Delivered, by_picture, look_at
 from wbflow.site.load import Site, load_site
