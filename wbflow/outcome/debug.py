@@ -34,15 +34,15 @@ _SCRIPT = '''\
 """{task}, night of {night}, alone: what it is handed lies in inputs/, its parameters in task.json."""
 from pathlib import Path
 
-from wbflow.outcome import alone
+from wbflow.outcome import debug
 
 here = Path(__file__).resolve().parent
-alone.as_a_worker(here)  # one thread, as in a run
+debug.as_a_worker(here)  # one thread, as in a run
 from {module} import {name} as stage  # noqa: E402
 
-result = stage(**alone.inputs(here), **alone.parameters(here))
+result = stage(**debug.inputs(here), **debug.parameters(here))
 print(result)
-print(alone.keep(here, result))
+print(debug.keep(here, result))
 '''
 
 
