@@ -51,6 +51,8 @@ HARMFUL_PX = 0.4
 FARTHEST_PX = 1e4
 LARGEST_SITE = 12
 """Exchanged poses are looked for among so many cameras at most."""
+LARGEST_ZOOM = 3.0
+"""Logarithm of the largest factor of focal lengths that is tried."""
 STEPS = 20
 
 
@@ -278,7 +280,7 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
 
 def _zoomed(camera: Camera, log_scale: float) -> Camera:
     K = camera.K.copy()
-    K[:2, :2] *= np.exp(log_scale)
+    K[:2, :2] *= np.exp(np.clip(log_scale, -LARGEST_ZOOM, LARGEST_ZOOM))
     return replace(camera, K=K)
 
 
