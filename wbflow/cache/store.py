@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +18,10 @@ from typing import Any
 from ..errors import WbflowError
 from ..task import Task
 from . import artifact
-from .atomic import Prepared, clear, prepare, put, sync_all, write_atomic
+from .atomic import clear, write_atomic
 from .digests import Stamp, stamp_at
 from .layout import WorkFolder
-from .signed import Damaged, read_signed, signed, write_signed
+from .signed import Damaged, read_signed, write_signed
 from .untrusted import read_outside
 
 
@@ -183,34 +183,6 @@ class Cache:
         if data is not None and receipt.file:
             write_atomic(self._name(receipt, receipt.file), data, settle=False, ours=True)
         write_signed(*self._told(receipt))
-
-    def prepare(self, receipt: Receipt, data: bytes | bytearray | None) -> Prepared:
-        """The same of one of many: it is not done before `settle` has put its receipt into its place.  Raises OSError."""
-        if data is not None and receipt.file:
-            write_atomic(self._name(receipt, receipt.file), data, lasts=False, ours=True)
-        place, of, told = self._told(receipt)
-        return prepare(place, signed(of, told))
-
-    def settle(self, receipts: Iterable[Prepared] = ()) -> None:
-        """Put receipts into their places, once all that was written lasts.  Raises OSError."""
-        waiting = list(receipts)
-        try:
-            sync_all(self.work.cache)
-            while waiting:
-                put(waiting.pop(0), ours=True)
-        finally:
-            for one in waiting:
-                one.drop()
-
-    def assure(self, receipt: Receipt) -> None:
-        """Keep a receipt that its worker may have been lost with before it was in its place.  Raises OSError."""
-        place, of, told = self._told(receipt)
-        known = self._read(receipt.preimage.task, place)
-        if known and known.digest == receipt.digest:
-            return
-        sync_all(self.work.cache)
-        write_signed(place, of, told)
-        self.tidy(receipt.preimage.task)
 
     def tidy(self, task: Task) -> None:
         """Clear away what a worker that is gone has left half-written of a task."""
