@@ -97,7 +97,7 @@ def find_changes(
     sigmas : a surface has changed where it lies so many standard deviations off.
     registration_m : standard deviation in metres of tonight's world against that of then: nearly nothing for cameras that stay.
     alike : places whose pictures correlate better on both nights have not changed, 0 to 1.
-    least_area_m2 : surface of the smallest change that is told of, square metres; None: what some hundred points of the cloud
+    least_area_m2 : surface of the smallest change that is reported, square metres; None: what some hundred points of the cloud
         cover.
     cell_m : edge of the ground's cells in metres; None: twice the points' spacing, as 1, 2 or 5 times a power of ten.
     """
@@ -186,21 +186,21 @@ def _put_together(
         if cameras:
             crops[str(k)] = _crop(side.core[cluster.rows], cameras[0], nights)
     gone = blob_of[1] > 0
-    told = gone | (before.unknown & ~before.changed)
-    labels = np.where(blob_of[0] > 0, NEW, np.where(now.unknown, UNKNOWN, SAME)), np.where(gone, VANISHED, UNKNOWN)[told]
+    reported = gone | (before.unknown & ~before.changed)
+    labels = np.where(blob_of[0] > 0, NEW, np.where(now.unknown, UNKNOWN, SAME)), np.where(gone, VANISHED, UNKNOWN)[reported]
     clouds = [night.cloud.colors[side.rows] for night, side in zip(nights, (now, before), strict=True)]
     compared = int((~now.unknown).sum() + gone.sum())
     changed = int((blob_of[0] > 0).sum() + gone.sum())
     return Changes(
         True,
         changes,
-        np.vstack([now.core, before.core[told]]),
-        np.vstack([clouds[0], clouds[1][told]]),
-        np.concatenate([now.distance, before.distance[told]]).astype(np.float32),
-        np.concatenate([now.sigma, before.sigma[told]]).astype(np.float32),
-        np.concatenate([now.significance, before.significance[told]]).astype(np.float32),
+        np.vstack([now.core, before.core[reported]]),
+        np.vstack([clouds[0], clouds[1][reported]]),
+        np.concatenate([now.distance, before.distance[reported]]).astype(np.float32),
+        np.concatenate([now.sigma, before.sigma[reported]]).astype(np.float32),
+        np.concatenate([now.significance, before.significance[reported]]).astype(np.float32),
         np.concatenate(labels).astype(np.uint8),
-        np.concatenate([blob_of[0], blob_of[1][told]]),
+        np.concatenate([blob_of[0], blob_of[1][reported]]),
         grid,
         difference,
         crops,

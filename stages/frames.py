@@ -84,7 +84,7 @@ def clean_frame(
                 raise
             faults.append(error)
     if not clean:
-        raise BadCapture(f"none of this night's captures can be used: {_told(faults)}")
+        raise BadCapture(f"none of this night's captures can be used: {_listed(faults)}")
     notes = [f"{fault}; left out" for fault in faults]
     clean = _spread(_most_common_size(clean, notes), max_captures)
     used = [f"{max_captures} of {len(captures)} captures used"] if len(captures) > max_captures else []
@@ -99,7 +99,7 @@ class _Asked:
     denoise: bool
 
 
-def _told(faults: Sequence[BadCapture]) -> str:
+def _listed(faults: Sequence[BadCapture]) -> str:
     """What is wrong, once for each kind."""
     alike: dict[type, list[BadCapture]] = {}
     for fault in faults:

@@ -123,7 +123,7 @@ def estimate_geometry(
     warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
     accepted = _accepted(inliers, found, support, evidence, score)
     return replace(
-        accepted, matches=len(before.x1), noise_px=noise[found.inliers].astype(np.float32), **_told(lenses), warnings=warnings
+        accepted, matches=len(before.x1), noise_px=noise[found.inliers].astype(np.float32), **_lens(lenses), warnings=warnings
     )
 
 
@@ -325,7 +325,7 @@ def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
     return View(view1.width, view1.height), View(view2.width, view2.height)
 
 
-def _told(lenses: TwoCameras | None) -> dict[str, Any]:
+def _lens(lenses: TwoCameras | None) -> dict[str, Any]:
     """The fields of `Geometry` that say which lenses go with F."""
     return {} if lenses is None else {"lens1": lenses.K1, "lens2": lenses.K2, "implausibility": lenses.implausibility}
 

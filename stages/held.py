@@ -107,16 +107,16 @@ def hold_poses(
 def _shared(healths: Mapping[str, CameraHealth], views: Mapping[str, View]) -> dict[str, CameraHealth]:
     """The same, but all views of one camera turn as that one which knows it best: by the patches that were found again."""
     found = dict(healths)
-    told = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
-    for name in told:
+    usable = {n: health for n, health in healths.items() if n in views and health.state not in {"obscured", "wrong-scene"}}
+    for name in usable:
         own = views[name].lens
-        alike = [n for n in told if same_camera(views[name], views[n])]
-        best = max(alike, key=lambda n: (told[n].corrected or _lost(told[n]), _patches(told[n])), default=name)
-        theirs, turn = views[best].lens, told[best].turn
+        alike = [n for n in usable if same_camera(views[name], views[n])]
+        best = max(alike, key=lambda n: (usable[n].corrected or _lost(usable[n]), _patches(usable[n])), default=name)
+        theirs, turn = views[best].lens, usable[best].turn
         if best != name and own and theirs and own.turn is not None and theirs.turn is not None:
             to_own = own.turn @ theirs.turn.T
             turned = None if turn is None else to_own @ turn @ to_own.T
-            found[name] = replace(told[best], turn=turned, homography=told[name].homography)
+            found[name] = replace(usable[best], turn=turned, homography=usable[name].homography)
     return found
 
 

@@ -24,7 +24,7 @@ _STROKE, _WHITE = 50.0, 170.0
 """Grey levels by which a stroke stands out, and that it has at least."""
 _ROLLED, _STEADY = 60.0, 25.0
 """Grey levels by which a digit's strokes change at least, and those of a letter at most."""
-_LEAST_ROLLED, _LEAST_STEADY, _TOLD = 8, 0.25, 0.7
+_LEAST_ROLLED, _LEAST_STEADY, _LEAST_READ = 8, 0.25, 0.7
 """Pixels of digits; share of the strokes that stay; share of them that do one or the other."""
 
 Box = tuple[int, int, int, int]
@@ -64,6 +64,6 @@ def _line(grey: Sequence[Uint8s], usable: Bools, highest: float) -> Box | None:
         digits, letters = int(rolled[box].sum()), int(steady[box].sum())
         if h > highest or w < _LONG * h or digits < _LEAST_ROLLED:
             continue
-        if letters >= _LEAST_STEADY * count and digits + letters >= _TOLD * count:
+        if letters >= _LEAST_STEADY * count and digits + letters >= _LEAST_READ * count:
             return x, y, w, h
     return None

@@ -35,7 +35,7 @@ _FOOT = 0.25
 """Cells where a thing has less than this share of its height lie at its foot, and don't count for its sides."""
 
 
-_TOLD = 0.5
+_LEAST_MEASURED = 0.5
 """What has distances for more than this share of its points is judged by them."""
 
 _CLEAR = 3.0
@@ -118,8 +118,8 @@ def _median_ncc(side: Evidence, rows: Int64s) -> float:
 
 def _swept_volume(side: Evidence, rows: Int64s, surface: float) -> float:
     """Volume that a surface has swept along its normals: for a strip of wall it is less than heights over the footprint give."""
-    told = side.measured[rows]
-    return surface * float(side.distance[rows][told].mean()) if told.mean() > _TOLD else float("inf")
+    measured = side.measured[rows]
+    return surface * float(side.distance[rows][measured].mean()) if measured.mean() > _LEAST_MEASURED else float("inf")
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:

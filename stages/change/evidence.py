@@ -135,8 +135,8 @@ def judged(side: Evidence, own: Epoch, other: Epoch, spacing: float, *, noise: f
     sight, sigma = side.sight, side.sigma * noise
     nearer = side.measured & (side.distance > sigmas * sigma)
     same = side.measured & (np.abs(side.distance) <= CONFIDENCE * sigma)
-    told = sight.through.astype(int) + sight.agreeing + sight.hidden
-    needed = np.minimum(2, np.maximum(told, 1))
+    informative = sight.through.astype(int) + sight.agreeing + sight.hidden
+    needed = np.minimum(2, np.maximum(informative, 1))
     free = (sight.through >= needed) & (sight.through > _THROUGH * sight.agreeing) & ~same
     with np.errstate(invalid="ignore"):
         free &= sight.gap > sigmas * noise * sight.doubt
@@ -199,14 +199,14 @@ def _likeness(X: Float64s, offset: Float64s, sigma: Float64s, own: Epoch, other:
     both = [name for name in own.seeing if name in other.cameras and name in own.frames and name in other.frames]
     if not both or not len(X):
         return np.full(len(X), np.nan, np.float32)
-    told = np.stack([ncc(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in both])
-    for row, name in zip(told, both, strict=True):
+    similarities = np.stack([ncc(X, seen_by(X, sigma, own, n), own.photograph(n), other.photograph(n)) for n in both])
+    for row, name in zip(similarities, both, strict=True):
         (here, _), (there, _) = project(own.cameras[name], X), project(own.cameras[name], X - offset)
         with np.errstate(invalid="ignore"):
             row[(row > alike) & (np.linalg.norm(here - there, axis=1) < _APART_PX)] = np.nan
-    known = np.isfinite(told).any(axis=0)
+    known = np.isfinite(similarities).any(axis=0)
     found = np.full(len(X), np.nan, np.float32)
-    found[known] = np.nanmedian(told[:, known], axis=0)
+    found[known] = np.nanmedian(similarities[:, known], axis=0)
     return found
 
 

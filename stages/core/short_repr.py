@@ -21,8 +21,8 @@ def short_repr(kind: Kind) -> Kind:
 
 
 def _shown(self: Any) -> str:
-    told = [f"{f.name}={_short(getattr(self, f.name))}" for f in dataclasses.fields(self) if f.repr and not _is_default(self, f)]
-    return f"{type(self).__name__}({', '.join(told)})"
+    shown = [f"{f.name}={_short(getattr(self, f.name))}" for f in dataclasses.fields(self) if f.repr and not _is_default(self, f)]
+    return f"{type(self).__name__}({', '.join(shown)})"
 
 
 def _is_default(value: Any, field: dataclasses.Field[Any]) -> bool:

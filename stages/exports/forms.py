@@ -46,24 +46,24 @@ def heights(cloud: Cloud, poses: Poses) -> Files:
     if georeference is not None:
         yield "heights.tif", geotiff(height_map(georeference.points(points)), georeference.epsg)
         return
-    files, told = plain_files(height_map(points))
+    files, metadata = plain_files(height_map(points))
     yield from files.items()
-    yield "heights.json", _json(told | {"unit": _unit(poses), "first_row": "largest y"})
+    yield "heights.json", _json(metadata | {"unit": _unit(poses), "first_row": "largest y"})
 
 
 def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
     """depth/<camera>.png and .pfm of every camera of the main component that has a depth map; depth/depth.json."""
-    told = {}
+    entries = {}
     for name, camera in _main_cameras(poses).items():
         if name in depths:
             files, steps = depth_files(depths[name])
             for suffix, data in files.items():
                 yield f"depth/{name}{suffix}", data
             pinhole = {"K": camera.K.tolist(), "R": camera.R.tolist(), "C": camera.C.tolist()}
-            told[name] = {"png_steps_per_unit": steps, "width": camera.width, "height": camera.height, **pinhole}
-    if not told:
+            entries[name] = {"png_steps_per_unit": steps, "width": camera.width, "height": camera.height, **pinhole}
+    if not entries:
         raise ValueError("no camera has a depth map")
-    yield "depth/depth.json", _json({"unit": _unit(poses), "cameras": told})
+    yield "depth/depth.json", _json({"unit": _unit(poses), "cameras": entries})
 
 
 def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:

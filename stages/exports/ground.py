@@ -45,8 +45,8 @@ def coverage_layer(coverage: Coverage) -> bytes:
     image = np.dstack([colours[..., ::-1], np.where(known, 255, 0).astype(np.uint8)])
     names = [f"{k}{' or more' if k == len(_STEPS) - 1 else ''}" for k in range(len(_STEPS))]
     legend = [[name, f"#{r:02x}{g:02x}{b:02x}"] for name, (r, g, b) in zip(names, _STEPS, strict=True)]
-    told = {"corners": (np.array(ends) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
-    head = json.dumps(told).encode()
+    metadata = {"corners": (np.array(ends) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
+    head = json.dumps(metadata).encode()
     return struct.pack("<I", len(head)) + head + cv2.imencode(".png", image)[1].tobytes()
 
 
@@ -173,7 +173,7 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
     if not changes.compared:
         return
     yield "changes.ply", changes_columns(changes)
-    yield "changes.json", (json.dumps(changes_told(changes), indent=1) + "\n").encode()
+    yield "changes.json", (json.dumps(changes_data(changes), indent=1) + "\n").encode()
     for number, image in changes.crops.items():
         yield f"change-{number}.jpg", jpeg(image).tobytes()
     if changes.crs:
@@ -194,7 +194,7 @@ def changes_columns(changes: Changes) -> Columns:
     }
 
 
-def changes_told(changes: Changes) -> dict[str, Any]:
+def changes_data(changes: Changes) -> dict[str, Any]:
     """changes.json: each change with its number, and what the comparison as a whole could see."""
     rows = []
     for number, change in changes.changes.items():

@@ -77,10 +77,10 @@ def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float |
     lowest = float(known.min())
     values, steps = stepped(heights.heights, lowest)
     rows, columns = heights.heights.shape
-    told = {"left": heights.left, "top": heights.top, "cell": heights.cell, "rows": rows, "columns": columns}
-    told |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
+    metadata = {"left": heights.left, "top": heights.top, "cell": heights.cell, "rows": rows, "columns": columns}
+    metadata |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
     world = world_file(heights.left, heights.top, heights.cell)
-    return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, told
+    return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, metadata
 
 
 def geotiff(heights: HeightMap, epsg: int) -> bytes:

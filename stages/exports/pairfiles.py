@@ -39,8 +39,8 @@ def pair_files(
     summary: dict[str, Any] = {}
     if rectification is not None:
         files |= rectified_files(rectification, left, right)
-        told = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
-        summary |= {f"rectification_{name}": _plain(getattr(rectification, name)) for name in told}
+        names = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
+        summary |= {f"rectification_{name}": _plain(getattr(rectification, name)) for name in names}
         if disparity is not None:
             made, offset = disparity_files(disparity, rectification, left, right)
             files |= made

@@ -123,7 +123,7 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
     coded = np.rint((points - low) / step).astype(np.uint16)
     apart = np.diff(coded, axis=0, prepend=np.zeros((1, 3), np.uint16))  # modulo 65536
     planes = [apart & 255, apart >> 8, colors]
-    told = []
+    legends = []
     for name, (values, unit) in layers.items():
         known = values[np.isfinite(values)]
         low_value, high_value = (float(v) for v in np.percentile(known, [1, 98])) if len(known) else (0.0, 1.0)
@@ -132,7 +132,7 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
         spread = max(high_value - low_value, 1e-12)
         share = np.nan_to_num((values - low_value) / spread, nan=1.0).clip(0, 1)
         planes.append(np.rint(share * _RAMP)[:, None])
-        told.append({"name": name, "unit": unit, "low": round(low_value, 4), "high": round(high_value, 4)})
+        legends.append({"name": name, "unit": unit, "low": round(low_value, 4), "high": round(high_value, 4)})
     sample = np.round(points[:: 1 + len(points) // _SAMPLE], 3).tolist()
     head = {
         "n": len(points),
@@ -141,7 +141,7 @@ def _stream(points: Float64s, colors: Uint8s, layers: Layers, voxel: float, tota
         "low": low.tolist(),
         "step": step,
         "voxel": float(voxel),
-        "layers": told,
+        "layers": legends,
     }
     raw = b"".join(np.ascontiguousarray(plane.T.astype(np.uint8)).tobytes() for plane in planes)
     words = json.dumps(head).encode()

@@ -134,8 +134,8 @@ def _run(model: Capture, interface: ModelInterface, pictures: list[Float32s]) ->
             net.setInput(value, name)
         outputs = [np.asarray(output) for output in net.forward(list(names))]
     except cv2.error as error:
-        said = " ".join(str(error).split())[-300:]
-        raise ValueError(f"{model.name}: OpenCV {cv2.__version__} cannot run it: {said}") from None
+        message = " ".join(str(error).split())[-300:]
+        raise ValueError(f"{model.name}: OpenCV {cv2.__version__} cannot run it: {message}") from None
     finally:
         cv2.setNumThreads(threads)
     return _sorted_out(model.name, outputs)

@@ -136,7 +136,7 @@ def _laid(regions: TexturelessRegions, found: Sequence[RegionPlane], known: Floa
 
 
 def _add(laid: _Laid, planes: Float32s, sigma: Float32s) -> None:
-    """Planes (3, h, w) that regions have by sight, with their sigma (h, w), where no depths have told one."""
+    """Planes (3, h, w) that regions have by sight, with their sigma (h, w), where no depths give one."""
     take = np.isfinite(sigma) & np.isnan(laid.sigma)
     laid.planes[:, take] = planes[:, take]
     laid.sigma[take] = np.hypot(sigma[take], np.float32(_SHARED_PX))
@@ -147,7 +147,7 @@ def _noisy(laid: _Laid, support: Support, scale: np.float32, spacing: int) -> Bo
     """(h, w): do single depths err by more than one source does as a whole?"""
     moves = _around(np.where(laid.anchors, np.sqrt(support.parallax), np.float32(0)), spacing)
     moves /= scale * np.maximum(_around(laid.anchors, spacing), 1)
-    with np.errstate(invalid="ignore"):  # where no depth has told the plane, and none is near
+    with np.errstate(invalid="ignore"):  # where no depth gives the plane, and none is near
         return np.isinf(laid.spread) | (laid.spread * moves > _CHANCE_PX)
 
 

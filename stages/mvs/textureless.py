@@ -122,8 +122,8 @@ def planes_of_regions(regions: TexturelessRegions, known: Float32s, spacing: int
     """
     alike = CORRELATED / _EVERY
     rng = np.random.default_rng(1)
-    told = (regions.number > 0) & np.isfinite(known)
-    y, x = (spacing * among for among in np.nonzero(told[::spacing, ::spacing]))
+    known_there = (regions.number > 0) & np.isfinite(known)
+    y, x = (spacing * among for among in np.nonzero(known_there[::spacing, ::spacing]))
     asked = (x + y) // spacing % _EVERY == 0
     y, x = y[asked], x[asked]
     of = regions.number[y, x]

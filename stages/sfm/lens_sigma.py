@@ -56,12 +56,12 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
     for view in [view for view in place if view in model.lenses]:
         where, camera = np.ix_(place[view], place[view]), model.cameras[view]
         share = _AT_LEAST * min(1.0, _LONG_SIDE / max(camera.width, camera.height))
-        both = _told(camera, by_noise[where]), _told(camera, by_parts[where] * share**2)
+        both = _lens_sigma(camera, by_noise[where]), _lens_sigma(camera, by_parts[where] * share**2)
         found[view] = max(both, key=lambda sigma: sigma.border_px)
     return found
 
 
-def _told(camera: Camera, covariance: Float64s) -> LensSigma:
+def _lens_sigma(camera: Camera, covariance: Float64s) -> LensSigma:
     """From the covariance (5, 5) of cx, cy, f, k1, k2."""
     border, everywhere = _pixels(camera, 0.02, True), _pixels(camera, 0.02, False)
     (turn, of), (turn_b, of_b) = _slopes_at(camera, everywhere), _slopes_at(camera, border)

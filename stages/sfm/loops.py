@@ -307,8 +307,8 @@ def _exact_beliefs(prior: Float64s, members: Int64s, closed: Bools, usual: Habit
         likelihood[one] += odds
     for sides, closes in zip(members, closed.tolist(), strict=True):
         of_right, of_wrong = usual.closed_right, usual.closed_wrong
-        said = (of_right, of_wrong) if closes else (1 - of_right, 1 - of_wrong)
-        likelihood += np.where(right[:, sides].all(axis=1), *np.log(said))
+        chances = (of_right, of_wrong) if closes else (1 - of_right, 1 - of_wrong)
+        likelihood += np.where(right[:, sides].all(axis=1), *np.log(chances))
     weight = np.exp(likelihood - likelihood.max())
     share = [(weight[one].sum() + 1e-12) / (weight[~one].sum() + 1e-12) for one in right.T]
     return np.asarray(np.log(share), dtype=np.float64)

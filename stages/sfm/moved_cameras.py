@@ -107,18 +107,18 @@ def _starts(
     name: str, cameras: Mapping[str, Camera], pairs: Mapping[Pair, Geometry], triplets: list[Triplet]
 ) -> Iterator[tuple[Camera, Mapping[Pair, Geometry], list[Triplet]]]:
     """Yield poses to begin with, each with the constraints that give it."""
-    told = {pair: said for pair, g in pairs.items() if (said := _told(name, cameras, pair, g)) is not None}
-    for a, b in combinations(told, 2):
-        if angle_between_deg(told[a][0], told[b][0]) <= AGREE_DEG:
-            C = _crossing(cameras[name], *told[a][1:], *told[b][1:])
+    views = {pair: view for pair, g in pairs.items() if (view := _from(name, cameras, pair, g)) is not None}
+    for a, b in combinations(views, 2):
+        if angle_between_deg(views[a][0], views[b][0]) <= AGREE_DEG:
+            C = _crossing(cameras[name], *views[a][1:], *views[b][1:])
             if C is not None:
                 three = [triplet for triplet in triplets if {*a, *b} == set(triplet.cameras)]
-                yield replace(cameras[name], R=told[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, three
+                yield replace(cameras[name], R=views[a][0], C=C), {pair: pairs[pair] for pair in (a, b)}, three
     for triplet in triplets:
         yield cameras[name], {pair: g for pair, g in pairs.items() if set(pair) <= set(triplet.cameras)}, [triplet]
 
 
-def _told(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
+def _from(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
     """R of a camera as a pair tells it, the partner's centre, and the direction (3,) from there to the camera."""
     R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
     if R is None or t is None:
@@ -133,7 +133,7 @@ def _told(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geomet
 
 def _crossing(camera: Camera, A: Float64s, a: Float64s, B: Float64s, b: Float64s) -> Float64s | None:
     """(3,) where two directions a from A and b from B meet; None where that is behind one of them."""
-    if np.linalg.norm(np.cross(a, b)) < PARALLEL:  # the partners are in line with the camera: as far as it is said to be
+    if np.linalg.norm(np.cross(a, b)) < PARALLEL:  # the partners are in line with the camera: as far as it is stated to be
         return np.asarray(A + a * np.linalg.norm(camera.C - A), dtype=np.float64)
     (s, t), *_ = np.linalg.lstsq(np.column_stack([a, -b]), B - A, rcond=None)
     return np.asarray(0.5 * (A + s * a + B + t * b), dtype=np.float64) if min(s, t) > 0 else None

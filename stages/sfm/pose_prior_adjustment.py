@@ -281,12 +281,12 @@ class AdjustedPoses:
         return cls(dict(cameras), places, np.diag(np.square(np.array(own, dtype=np.float64).reshape(-1))))
 
     def with_images(self, cameras: dict[str, Camera], places: Mapping[str, Place], covariance: Float64s) -> AdjustedPoses:
-        """These cameras, with what the images have told of some of them."""
+        """These cameras, some of them as the images place them."""
         n = len(self.covariance)
         both = np.zeros((n + len(covariance),) * 2)
         both[:n, :n], both[n:, n:] = self.covariance, covariance
-        told = {name: Place(n + place.first, place.turn) for name, place in places.items()}
-        return AdjustedPoses(cameras, {**self.places, **told}, both)
+        adjusted = {name: Place(n + place.first, place.turn) for name, place in places.items()}
+        return AdjustedPoses(cameras, {**self.places, **adjusted}, both)
 
     def row_sigmas_px(self, pair: Pair, x1: Float64s, x2: Float64s) -> Float64s:
         """(n,) standard deviation of how far points x1, x2 (n, 2) of two cameras are from the epipolar lines, to first order."""

@@ -60,11 +60,11 @@ def inconsistency(model: Model, geometries: Mapping[Edge, Geometry]) -> float:
     if not own.use.any():
         return float("nan")
     apart, together = (_errors(own, cameras) for cameras in (own.cameras, asked))
-    told = np.isfinite(apart) & np.isfinite(together)
-    if not told.any():
+    finite = np.isfinite(apart) & np.isfinite(together)
+    if not finite.any():
         return float("nan")
-    scale = OUTLIER * max(float(np.median(apart[told])) / RAYLEIGH, LEAST_PX)
-    loss = 2 * OUTLIER**2 * (np.hypot(1, together[told] / scale) - np.hypot(1, apart[told] / scale))
+    scale = OUTLIER * max(float(np.median(apart[finite])) / RAYLEIGH, LEAST_PX)
+    loss = 2 * OUTLIER**2 * (np.hypot(1, together[finite] / scale) - np.hypot(1, apart[finite] / scale))
     return float(max(loss.sum(), 0.0)) / _freedoms(own)
 
 

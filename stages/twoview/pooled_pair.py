@@ -77,11 +77,11 @@ def pooled_evidence(
     if night.i1 is None or night.i2 is None or keep.sum() < FEWEST:
         return replace(own, distinct_cells=0, distinct_share=0.0, agreement=0.0)
     pairs = searched_view_pairs(night, left, right)
-    told = pair_evidence(left, right, pairs, night.i1[keep], night.i2[keep], found, seed)
-    rival, more = told.rival, own.inliers / told.inliers
+    evidence = pair_evidence(left, right, pairs, night.i1[keep], night.i2[keep], found, seed)
+    rival, more = evidence.rival, own.inliers / evidence.inliers
     if rival is not None:
         rival = replace(rival, inliers=round(more * rival.inliers), elsewhere=round(more * rival.elsewhere))
-    return replace(told, inliers=own.inliers, half_rotation_deg=own.half_rotation_deg, angle_deg=own.angle_deg, rival=rival)
+    return replace(evidence, inliers=own.inliers, half_rotation_deg=own.half_rotation_deg, angle_deg=own.angle_deg, rival=rival)
 
 
 def _keypoint_at(features: Features, x: Float64s) -> Int32s:
