@@ -17,7 +17,7 @@ from ..errors import WbflowError, printable
 from ..records.costs import read_costs
 from ..task import Task
 from . import limits
-from .executors import Cluster, Mount, OtherCode, Processes, WorkerLost
+from .executors import Cluster, OtherCode, Processes, WorkerLost, worker_roots
 from .journal import Journal
 from .limits import Limits
 from .options import Options
@@ -187,7 +187,7 @@ def _executor(options: Options, limit: Limits) -> Executor:
     if options.backend == "threading":  # they start at once, and nothing protects the run from what a stage does
         return ThreadPoolExecutor(options.jobs)
     if options.backend == "dask":
-        return Cluster(options.scheduler or "", [Mount.parse(root) for root in options.worker_roots])
+        return Cluster(options.scheduler or "", worker_roots(options.worker_roots))
     return Processes(options.jobs, limit.memory)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import importlib.util
+import importlib
 import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,11 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..cache.fingerprint import FOLLOWED, LIBRARIES, FunctionError, installed_version
+from ..cache.fingerprint import FunctionError
 from ..cache.functions import FunctionReader
 from ..cache.room import in_words
 from ..errors import UsageError, WbflowError
-from . import limits, worker
+from ..pipeline.binding import bind
+from ..pipeline.stages import stage_named
+from . import worker
 from .spec import TaskSpec
 from .state import Cause
 
@@ -49,9 +50,9 @@ class WorkerLost(Exception):
 class Processes(Executor):
     """Worker processes of joblib's loky, kept warm.
 
-    Each worker is a pool of its own, so that a call that ends its process costs nobody else; the pool is then made anew.  All
-    workers together may hold so much memory: beyond it idle ones are ended, then the one that holds most.  Every call has a
-    worker at once: the caller submits no more than `jobs` at a time.
+    Each worker is a pool of its own, so that a call that ends its process affects no other call.  All workers together may hold
+    a limited amount of memory: beyond it idle ones are ended, then the one that holds most.  The caller submits no more than
+    `jobs` calls at a time.
     """
 
     def __init__(self, jobs: int, memory: int) -> None:
@@ -60,7 +61,6 @@ class Processes(Executor):
         self._memory = memory
         self._workers: list[_Worker] = []
         self._idle: list[_Worker] = []
-        self._kills = limits.kills_for_memory()
         self._closed = threading.Event()
         self._watcher = threading.Thread(target=self._watch, daemon=True)
         self._watcher.start()
@@ -69,12 +69,12 @@ class Processes(Executor):
         """Call a function in a worker.  The future raises `WorkerLost` if the process ends instead."""
         outcome: Future[Any] = Future()
         outcome.set_running_or_notify_cancel()
-        hand = self._idle.pop() if self._idle else self._start()
-        hand.started.add_done_callback(lambda _: self._begin(hand, outcome, functools.partial(function, *args, **kwargs)))
+        chosen = self._idle.pop() if self._idle else self._start()
+        chosen.started.add_done_callback(lambda _: self._begin(chosen, outcome, functools.partial(function, *args, **kwargs)))
         return outcome
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End all workers, and what they have started, whatever they are at."""
+        """End all workers and the processes that they have started."""
         self._closed.set()
         self._watcher.join()
         for each in list(self._workers):
@@ -98,57 +98,51 @@ class Processes(Executor):
         self._workers.append(_Worker(pool, started))
         return self._workers[-1]
 
-    def _begin(self, hand: _Worker, outcome: Future[Any], call: Callable[[], Any]) -> None:
-        """Hand a call to a worker that has started: until then nobody reads what it is sent, and a long call would block."""
-        from joblib.externals.loky.process_executor import BrokenProcessPool
-
-        if failure := hand.started.exception():
+    def _begin(self, chosen: _Worker, outcome: Future[Any], call: Callable[[], Any]) -> None:
+        """Submit a call to a worker that has started: loky would wait for ever for one that dies before it reads a long call."""
+        if failure := chosen.started.exception():
             why = f"no worker process can be started: {_ending(failure)}"
             outcome.set_exception(WbflowError(why, remedy="its output says why; is wbflow installed for this Python?"))
             return
-        hand.most = 0
+        chosen.most = 0
         try:
-            hand.pool.submit(call).add_done_callback(lambda inner: self._end(hand, outcome, inner))
-        except BrokenProcessPool as error:
-            self._lost(hand, outcome, error)
+            chosen.pool.submit(call).add_done_callback(lambda inner: self._end(chosen, outcome, inner))
+        except RuntimeError as error:  # its process has ended since its last call
+            self._lost(chosen, outcome, error)
 
-    def _end(self, hand: _Worker, outcome: Future[Any], inner: Future[Any]) -> None:
+    def _end(self, chosen: _Worker, outcome: Future[Any], inner: Future[Any]) -> None:
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
         error = inner.exception()
         if isinstance(error, BrokenProcessPool):
-            self._lost(hand, outcome, error)
+            self._lost(chosen, outcome, error)
             return
-        self._idle.append(hand)
+        self._idle.append(chosen)
         if error:
             outcome.set_exception(error)
         else:
             outcome.set_result(inner.result())
 
-    def _lost(self, hand: _Worker, outcome: Future[Any], error: BaseException) -> None:
-        hand.end_group()
+    def _lost(self, chosen: _Worker, outcome: Future[Any], error: BaseException) -> None:
+        chosen.end_group()
         with suppress(ValueError):
-            self._workers.remove(hand)
-        why, cause, held = _ending(error), Cause.WORKER_LOST, in_words(hand.most)
-        kills, before = limits.kills_for_memory(), self._kills
-        self._kills = kills
-        if hand.over:
+            self._workers.remove(chosen)
+        why, cause, held = _ending(error), Cause.WORKER_LOST, in_words(chosen.most)
+        if chosen.over:
             together = f"all workers together more than the {in_words(self._memory)} that they may"
             why, cause = f"ran out of memory: it held {held}, and {together}", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in why and kills > before:
-            why, cause = f"{why} because the machine ran out of memory (it held {held})", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in why and self._memory and hand.most > self._memory / 2:
-            why = f"{why} (out of memory? it held {held})"
+        elif "SIGKILL" in why and self._memory and chosen.most > self._memory / 2:  # as the kernel does where memory runs out
+            why, cause = f"{why} (out of memory? it held {held})", Cause.OUT_OF_MEMORY
         outcome.set_exception(WorkerLost(why, cause))
 
     def _watch(self) -> None:
-        """In a thread: measure the memory of all workers, and end who holds too much."""
+        """In a thread: measure the memory of all workers, and end the largest while they hold too much."""
         while not self._closed.wait(LOOK_SECONDS):
             held = {each: each.holds() for each in list(self._workers)}
             if not self._memory or sum(held.values()) <= self._memory:
                 continue
             for idle in [each for each in held if each in self._idle]:
-                with suppress(ValueError):  # it has just been given something
+                with suppress(ValueError):  # it has just been given a call
                     self._idle.remove(idle)
                     self._workers.remove(idle)
                     idle.end()
@@ -164,29 +158,34 @@ class _Worker:
     """One worker process."""
 
     pool: Any
-    """Of this process alone."""
+    """loky's, of this process alone."""
     started: Future[int]
     """Its process id."""
     most: int = 0
-    """Bytes that it was seen to hold at most during its present call."""
+    """The most bytes that it was measured to hold during its present call."""
     over: bool = False
     """Was it ended because it held too much?"""
 
     def holds(self) -> int:
-        """Bytes that it holds now."""
+        """Bytes that it holds now, without those that it shares with others."""
+        import psutil
+
         if not self.started.done() or self.started.exception():
             return 0
-        held = limits.held_by(self.started.result())
-        self.most = max(self.most, held)
+        try:
+            info = psutil.Process(self.started.result()).memory_info()
+        except psutil.Error:
+            return 0
+        self.most = max(self.most, held := int(info.rss - getattr(info, "shared", 0)))
         return held
 
     def end(self) -> None:
-        """End it, and what it has started."""
+        """End its process, the processes that this has started, and the pool."""
         self.end_group()
         self.pool.shutdown(wait=True, kill_workers=True)
 
     def end_group(self) -> None:
-        """Kill its process and what that has started: they are a process group."""
+        """Kill its process and those that it has started: they are a process group."""
         if self.started.done() and not self.started.exception():
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.started.result(), signal.SIGKILL)
@@ -194,7 +193,7 @@ class _Worker:
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Processes that start in this block never receive Ctrl-C, which the terminal sends to all: the run decides what they do."""
+    """Processes that start in this block never receive Ctrl-C, which the terminal sends to all: the run ends them itself."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -214,7 +213,7 @@ def _ending(error: BaseException) -> str:
 
 
 class OtherCode(Exception):
-    """A worker of a cluster has other code than the run: its results would be kept under keys that promise something else."""
+    """A worker of a cluster has other code than the run: the keys of its results would be wrong."""
 
     def __init__(self, worker: str, names: str) -> None:
         super().__init__(worker, names)
@@ -225,7 +224,8 @@ class OtherCode(Exception):
 class Cluster(Executor):
     """A Dask cluster whose workers share the work folder, maybe under another path."""
 
-    def __init__(self, scheduler: str, mounts: Sequence[Mount] = ()) -> None:
+    def __init__(self, scheduler: str, roots: Mapping[Path, Path] | None = None) -> None:
+        """roots: what workers call folders of this machine."""
         distributed: Any = importlib.import_module("distributed")
         try:
             self._client = distributed.Client(scheduler, timeout=PATIENCE_SECONDS)
@@ -239,7 +239,7 @@ class Cluster(Executor):
             what = f"the Dask scheduler at {scheduler} has no workers"
             raise WbflowError(what, remedy=f"start some: dask worker {scheduler} --nthreads 1") from None
         self._executor = self._client.get_executor(pure=False)
-        self._mounts = tuple(mounts)
+        self._roots = dict(roots or {})
         self._refused: dict[str, str] = {}
 
     @property
@@ -248,7 +248,7 @@ class Cluster(Executor):
         return 2 * int(sum(self._client.nthreads().values()))
 
     def refuse(self, other: OtherCode) -> None:
-        """Give a worker nothing any more."""
+        """Submit nothing more to a worker."""
         self._refused[other.worker] = other.names
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -257,9 +257,9 @@ class Cluster(Executor):
         if self._refused and not workers:
             why = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
             raise WbflowError(f"no worker of the cluster runs the same code: {why} differ", remedy="install the same on all")
-        code = code_here(args[0])
         only = workers if self._refused else None
-        future: Future[Any] = self._executor.submit(_in_cluster, self._mounts, code, function, *args, workers=only, **kwargs)
+        call = functools.partial(_in_cluster, self._roots, __version__, function, *args, **kwargs)
+        future: Future[Any] = self._executor.submit(call, workers=only)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -268,76 +268,53 @@ class Cluster(Executor):
         self._client.close(timeout=PATIENCE_SECONDS)
 
 
-@dataclass(frozen=True)
-class Mount:
-    """A folder of this machine, and the path by which workers reach it."""
-
-    here: Path
-    there: Path
-
-    @staticmethod
-    def parse(text: str) -> Mount:
-        """Return the mount written as HERE=THERE.  Raises UsageError."""
-        here, is_, there = text.partition("=")
-        if not is_ or not here or not there.startswith("/"):
+def worker_roots(texts: tuple[str, ...]) -> dict[Path, Path]:
+    """Return folders of this machine and what workers call them, each written as HERE=THERE.  Raises UsageError."""
+    roots = {}
+    for text in texts:
+        here, _, there = text.partition("=")
+        if not here or not there.startswith("/"):
             what = f"--worker-root {text!r}: write HERE=THERE, a folder of this machine and its path on the workers"
             raise UsageError(what, remedy="for example: --worker-root /srv=/mnt/srv")
-        return Mount(Path(here).resolve(), Path(there))
+        roots[Path(here).resolve()] = Path(there)
+    return roots
 
 
-def _in_cluster(mounts: Sequence[Mount], code: dict[str, str], function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
     """In a worker of the cluster: check its code, and call a function with paths as they are here."""
     os.environ |= PIXELS | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
-    there = moved(args, mounts)
-    here = code_here(there[0])
-    if other := [name for name in code if here.get(name) != code[name]]:
-        raise OtherCode(importlib.import_module("distributed").get_worker().address, ", ".join(other))
-    return moved(function(*there, **kwargs), [Mount(mount.there, mount.here) for mount in mounts])
+    chain, *rest = moved(args, roots)
+    other = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
+    if other:
+        raise OtherCode(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(other)))
+    return moved(function(chain, *rest, **kwargs), {there: here for here, there in roots.items()})
 
 
-def moved(value: Any, mounts: Sequence[Mount]) -> Any:
-    """Return a value with all paths in it as they are on the other side: paths, or containers and data classes of anything."""
-    if isinstance(value, Path):
-        found = next((mount for mount in mounts if value.is_relative_to(mount.here)), None)
-        return found.there / value.relative_to(found.here) if found else value
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        changed = {f.name: moved(getattr(value, f.name), mounts) for f in dataclasses.fields(value) if f.init}
-        return dataclasses.replace(value, **changed)
-    if isinstance(value, dict):
-        return {key: moved(item, mounts) for key, item in value.items()}
-    if type(value) in {tuple, list}:
-        return type(value)(moved(item, mounts) for item in value)
-    return value
-
-
-def code_here(chain: Sequence[TaskSpec]) -> dict[str, str]:
-    """Return fingerprints of all that runs a chain here: our packages, the libraries behind them, functions of other packages."""
-    reader = FunctionReader(folder=chain[0].folder)
-    found = dict(_installed())
-    for spec in chain:
-        for name in (spec.function, *spec.parameters.values()):
-            if isinstance(name, str) and ":" in name and name.partition(":")[0].partition(".")[0] not in _OURS:
-                try:
-                    found[name] = reader.read(name).code
-                except FunctionError:
-                    found[name] = ""
-    return found
-
-
-_OURS = (__package__.partition(".")[0], *FOLLOWED)
-"""Packages that are compared as a whole."""
+def _same_code(spec: TaskSpec) -> bool:
+    """Is a task's code here what its key was made with?"""
+    stage, reader = stage_named(spec.task.stage), _reader(spec.folder)
+    try:
+        uses = [spec.function, None] if spec.function == stage.function else [spec.function]
+        return any(bind(stage, use, spec.parameters, reader).code == spec.code for use in uses)
+    except FunctionError:
+        return False
 
 
 @functools.cache
-def _installed() -> tuple[tuple[str, str], ...]:
-    return (*((name, _digest(name)) for name in _OURS), *((name, installed_version(name)) for name in LIBRARIES))
+def _reader(folder: Path | None) -> FunctionReader:
+    """Kept: it describes the code that this process has loaded, whatever becomes of the files."""
+    return FunctionReader(folder=folder)
 
 
-def _digest(package: str) -> str:
-    """Of all source files of a package."""
-    spec = importlib.util.find_spec(package)
-    digest = hashlib.sha256(__version__.encode())
-    for root in map(Path, (spec.submodule_search_locations or ()) if spec else ()):
-        for file in sorted(root.rglob("*.py")):
-            digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
-    return digest.hexdigest()
+def moved(value: Any, roots: Mapping[Path, Path]) -> Any:
+    """Return a value with all paths in it as they are on the other side: paths, or containers and data classes of anything."""
+    if isinstance(value, Path):
+        return next((there / value.relative_to(here) for here, there in roots.items() if value.is_relative_to(here)), value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        changed = {f.name: moved(getattr(value, f.name), roots) for f in dataclasses.fields(value) if f.init}
+        return dataclasses.replace(value, **changed)
+    if isinstance(value, dict):
+        return {key: moved(item, roots) for key, item in value.items()}
+    if type(value) in {tuple, list}:
+        return type(value)(moved(item, roots) for item in value)
+    return value

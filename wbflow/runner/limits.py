@@ -61,22 +61,23 @@ class Limits:
 
 
 def memory() -> int:
-    """Return how many bytes workers may hold together, if nobody says otherwise; 0 where it is not known."""
+    """Return how many bytes workers may hold together, unless the user says otherwise; 0 where it is not known."""
     known = [*_group_limits()]
     with suppress(ValueError, OSError):
         known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     return int(SHARE * min(known, default=0))
 
 
-def held_by(process: int) -> int:
-    """Return the bytes that a process holds for itself, without what it shares with others, such as libraries."""
-    import psutil
-
-    try:
-        info = psutil.Process(process).memory_info()
-    except psutil.Error:
-        return 0
-    return int(info.rss - getattr(info, "shared", 0))
+def _group_limits() -> Iterator[int]:
+    """Limits of the control group that this process is in, and of those around it."""
+    files = [_GROUPS / "memory" / "memory.limit_in_bytes"]
+    with suppress(OSError, StopIteration):
+        own = next(line for line in (_PROC / "self" / "cgroup").read_text().splitlines() if line.startswith("0::"))
+        group = _GROUPS / own.removeprefix("0::").lstrip("/")
+        files += [folder / "memory.max" for folder in (group, *group.parents) if folder.is_relative_to(_GROUPS)]
+    for file in files:
+        with suppress(OSError, ValueError):  # "max": there is no limit
+            yield int(file.read_text())
 
 
 def reset_peak() -> None:
@@ -93,32 +94,6 @@ def peak() -> int:
         kb = {words[0]: int(words[1]) for words in lines if words[0] in {"VmHWM:", "RssFile:", "RssShmem:"}}
         return (kb["VmHWM:"] - kb["RssFile:"] - kb["RssShmem:"]) * 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
-def kills_for_memory() -> int:
-    """Return how often the kernel has killed a process because memory ran out, so far."""
-    counted = 0
-    for file in [_PROC / "vmstat", *(folder / "memory.events" for folder in _groups())]:
-        with suppress(OSError, ValueError):
-            rows = dict(line.split()[:2] for line in file.read_text().splitlines())
-            counted += int(rows.get("oom_kill", 0))
-    return counted
-
-
-def _groups() -> Iterator[Path]:
-    """The control group that this process is in, and those around it."""
-    with suppress(OSError):
-        for line in (_PROC / "self" / "cgroup").read_text().splitlines():
-            number, _, rest = line.partition(":")
-            if number == "0":
-                group = _GROUPS / rest.partition(":")[2].lstrip("/")
-                yield from (folder for folder in (group, *group.parents) if folder.is_relative_to(_GROUPS))
-
-
-def _group_limits() -> Iterator[int]:
-    for file in [*(folder / "memory.max" for folder in _groups()), _GROUPS / "memory" / "memory.limit_in_bytes"]:
-        with suppress(OSError, ValueError):  # "max": there is no limit
-            yield int(file.read_text())
 
 
 FLOOR = 16_000_000

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import UsageError
 from ..task import camera_of, component_name
+from .executors import worker_roots
 
 if TYPE_CHECKING:
     from ..site.models import Site
@@ -48,10 +49,7 @@ class Options:
         self._check_stages()
         if self.worker_roots and self.backend != "dask":
             raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
-        for root in self.worker_roots:
-            from .executors import Mount  # here: few runs need it
-
-            Mount.parse(root)
+        worker_roots(self.worker_roots)
         if self.backend == "dask" and not self.scheduler:
             remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
             raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)

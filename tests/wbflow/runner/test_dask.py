@@ -13,7 +13,7 @@ from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
 from wbflow.errors import UsageError, WbflowError
 from wbflow.runner.captures import CaptureFile
-from wbflow.runner.executors import Cluster, Mount, OtherCode, moved
+from wbflow.runner.executors import Cluster, OtherCode, moved, worker_roots
 from wbflow.runner.spec import Files, Input, Joined, Stored, TaskSpec
 from wbflow.task import Task
 
@@ -88,13 +88,13 @@ def test_paths_are_those_of_the_workers_and_back(tmp_path: Path) -> None:
     here = Stored(Task("frames", ("gate",)), file="frame.wbf")
     inputs: dict[str, Input] = {"files": files, "frames": Joined({("gate",): here})}
     spec = TaskSpec(Task("poses", ()), "toy_stages:solve", "code", {"folder": "as it is"}, inputs)
-    mount = Mount.parse(f"{tmp_path}=/mnt/site")
-    theirs, cache = moved((spec, Cache(WorkFolder(tmp_path / "work"))), [mount])
+    roots = worker_roots((f"{tmp_path}=/mnt/site",))
+    theirs, cache = moved((spec, Cache(WorkFolder(tmp_path / "work"))), roots)
     assert cache.work.root == Path("/mnt/site/work")
     assert str(theirs).replace("/mnt/site", str(tmp_path)) == str(spec) != str(theirs)
-    assert moved(theirs, [Mount(mount.there, mount.here)]) == spec
+    assert moved(theirs, {there: here for here, there in roots.items()}) == spec
     with pytest.raises(UsageError, match="write HERE=THERE"):
-        Mount.parse("/srv")
+        worker_roots(("/srv",))
 
 
 def test_a_worker_that_was_refused_is_given_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
