@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -22,3 +23,11 @@ def decoded(data: bytes, flags: int = cv2.IMREAD_COLOR) -> npt.NDArray[Any]:
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     assert pixels is not None
     return pixels
+
+
+def with_exif(jpeg: bytes, taken: str) -> bytes:
+    """A JPEG with the moment (2010:10:12 14:03:00) that a camera writes as EXIF DateTimeOriginal."""
+    ifd = struct.pack("<HHHIII", 1, 0x8769, 4, 1, 26, 0)
+    exif = struct.pack("<HHHIII", 1, 0x9003, 2, len(taken) + 1, 44, 0)
+    body = b"Exif\0\0" + struct.pack("<2sHI", b"II", 42, 8) + ifd + exif + taken.encode() + b"\0"
+    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + jpeg[2:]

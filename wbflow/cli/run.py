@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 BACKENDS = ("processes", "loky", "threading", "dask")
 LEVELS = {
     "good": "good: nothing to look at",
-    "degraded": "degraded: a cloud was made, but look at this",
+    "degraded": "degraded: look at this",
     "failed": "failed",
 }
 """Text of the verdict's levels."""

@@ -27,8 +27,9 @@ from ..pipeline.stages import (
     stage_named,
 )
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
+from ..runner.captures import pattern_of
 from ..runner.planner import Plan
-from ..runner.staleness import by_picture
+from ..runner.staleness import by_picture, night_by_pictures
 from ..runner.state import Cause, State
 from ..task import Task
 from .views import by_camera, of_camera
@@ -59,6 +60,9 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
     for view in plan.site.views:
         views.setdefault(view.camera, []).append(_camera(plan, view.id, worlds))
     cameras = tuple(of_camera(records, _sums()) for records in views.values())
+    dated = pattern_of(plan.site).dated
+    night = plan.night if dated else night_by_pictures(camera.figures for camera in cameras)
+    cameras = tuple(_with_staleness(camera, night, dated) for camera in cameras)
     product = FUSE
     main = plan.states.get(Task(product))
     others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == product and task.subject)
@@ -66,7 +70,7 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         run,
         plan.site.name,
         __version__,
-        plan.night,
+        plan.night if plan.night_given else night or plan.night,
         stamp(started),
         stamp(datetime.datetime.now(datetime.UTC)),
         ExitCode.GOOD,
@@ -153,8 +157,13 @@ def _camera(plan: Plan, camera: str, worlds: _Worlds) -> CameraRecord:
         record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
         if camera in solved.get(world.lost_cameras, {}):
             record = replace(record, outcome="unsolved", reason=solved[world.lost_cameras][camera], code=Cause.UNSOLVED)
-    if (record.health is None or record.health.ok) and (stale := by_picture(record.figures, plan.night)):
-        record = replace(record, health=stale)
+    return record
+
+
+def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
+    """With the health of a camera whose pictures say that they are of another night; dated: do the captures' names say a date?"""
+    if record.outcome in {"ok", "unsolved"} and (record.health is None or record.health.ok):
+        record = replace(record, health=by_picture(record.figures, night, dated) or record.health)
     return record
 
 

@@ -70,7 +70,8 @@ def headline(data: ReportData) -> Headline:
         words = f"{changes} {words}" if (changes := _changes(data)) else words if findings else "There is nothing to do."
     elif level == "degraded":
         title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
-        words = f"There is a cloud, but it is not as good as it should be. {_first_remedy(findings)} {_changes(data)}".strip()
+        cloud = "There is a cloud, but it is not as good as it should be. " if record.cloud else ""
+        words = f"{cloud}{_first_remedy(findings)} {_changes(data)}".strip()
     else:
         interrupted = any(finding.kind == "interrupted" for finding in findings)
         title = "Interrupted" if interrupted else "No cloud this night"

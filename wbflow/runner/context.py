@@ -139,6 +139,7 @@ def open_night(
         reference=reference,
         misfit=misfit,
         stale=there.stale,
+        night_given=date is not None,
     )
     return Night(site, there.date, captures, there.digests, there.seen, there.notes, plan)
 

@@ -129,6 +129,8 @@ class Plan:
     """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
     stale: dict[str, Health] = field(default_factory=dict)
     """Cameras whose captures are not of tonight."""
+    night_given: bool = False
+    """Has somebody named the night?  Otherwise pictures may say it, where names don't."""
     _agenda: Agenda = field(default_factory=Agenda)
     _bindings: dict[str, Binding] = field(default_factory=dict)
     _known_parameters: dict[str, tuple[dict[str, Any], dict[str, str]]] = field(default_factory=dict)

@@ -7,7 +7,7 @@ with the frame (`by_picture`).
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -155,26 +155,51 @@ def _middle(hours: list[float]) -> float:
     return min(hours, key=lambda hour: sum(abs(_apart(hour, other)) for other in hours))
 
 
-def by_picture(figures: Mapping[str, Any], night: str) -> Health | None:
+def night_by_pictures(figures: Iterable[Mapping[str, Any]]) -> str:
+    """The night (ISO 8601) of most cameras by what these wrote into their pictures; "" where nothing is written, or no night is
+    that of most.
+
+    Photographs whose names say no date are of whatever night they are of: old ones are not stale, only those that differ.
+    """
+    moments = sorted(taken[-1] for told in figures if (taken := _taken(told)))
+    middle = moments[len(moments) // 2] if moments else None
+    if middle is None or 2 * sum(abs(_hours(moment - middle)) <= NIGHT_HOURS for moment in moments) <= len(moments):
+        return ""
+    return str(middle.date())
+
+
+def by_picture(figures: Mapping[str, Any], night: str, in_order: bool) -> Health | None:
     """A camera whose pictures themselves say that they are of another time.
 
     figures: `unchanged`, the share of pixels that agree to the last grey level between captures; `taken_first` and
     `taken_last`, when the captures were taken by what the camera wrote into them (ISO 8601); `taken_in_order`.
+    night: ISO 8601, "" where none is known.  in_order: do names say in which order captures were taken?
     """
     unchanged = figures.get("unchanged")
     if isinstance(unchanged, float) and unchanged > SAME_PIXELS:
         text = f"{100 * unchanged:.1f} % of the pixels are the same in all captures of the night: the picture is frozen"
         return Health("stale", text, {"unchanged": unchanged}, {"unchanged": SAME_PIXELS}, _REMEDY)
-    try:
-        noon = datetime.datetime.combine(datetime.date.fromisoformat(night), datetime.time(12))
-        taken = [datetime.datetime.fromisoformat(str(figures[name])) for name in ("taken_first", "taken_last")]
-    except (KeyError, ValueError):
+    taken = _taken(figures)
+    if not taken or not night:
         return None
-    off = max(((moment - noon).total_seconds() / 3600 for moment in taken), key=abs)
+    noon = datetime.datetime.combine(datetime.date.fromisoformat(night), datetime.time(12))
+    off = max((_hours(moment - noon) for moment in taken), key=abs)
     if abs(off) > NIGHT_HOURS:
-        text = f"its captures say that they were taken on {taken[0]:%Y-%m-%d %H:%M}"
+        text = f"its captures say that they were taken on {taken[0]:%Y-%m-%d %H:%M}; the night is that of {night}"
         return Health("stale", text, {"hours_off": off}, {"hours_off": NIGHT_HOURS}, _CLOCK)
-    if figures.get("taken_in_order") is False:
+    if in_order and figures.get("taken_in_order") is False:
         text = "its captures say that they were taken in another order than their names"
         return Health("stale", text, {}, {}, _CLOCK)
     return None
+
+
+def _taken(figures: Mapping[str, Any]) -> list[datetime.datetime]:
+    """When the first and the last capture of a camera were taken; [] where it does not say."""
+    try:
+        return [datetime.datetime.fromisoformat(str(figures[name])) for name in ("taken_first", "taken_last")]
+    except (KeyError, ValueError):
+        return []
+
+
+def _hours(between: datetime.timedelta) -> float:
+    return between.total_seconds() / 3600

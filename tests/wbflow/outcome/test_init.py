@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from tests.helpers.images import with_exif
 from wbflow.cache.digests import Digests
 from wbflow.cli.main import main
 from wbflow.runner.captures import find_captures, night
@@ -17,7 +19,7 @@ from wbflow.site.load import load_site
 
 def photograph(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    noise = np.random.default_rng(len(str(path))).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    noise = np.random.default_rng(list(path.name.encode())).integers(0, 255, (48, 64, 3)).astype(np.uint8)
     suffix = path.suffix.lower()
     path.write_bytes(cv2.imencode(suffix, noise)[1].tobytes())
 
@@ -122,3 +124,19 @@ def test_help_shows_both_layouts() -> None:
     text = CliRunner().invoke(main, ["init", "--help"]).output
     assert "photographs/gate.jpg" in text
     assert "photographs/gate/1.jpg" in text
+
+
+def test_old_photographs_are_no_fault_and_name_their_night(tmp_path: Path) -> None:
+    for number in range(10):
+        photograph(file := tmp_path / f"castle-{number}.jpg")
+        file.write_bytes(with_exif(file.read_bytes(), f"2010:10:12 14:{number:02d}:00"))
+    assert init(tmp_path).exit_code == 0
+    command = ["run", str(tmp_path), "--until", "frames", "--jobs", "1", "--backend", "threading"]
+    result = CliRunner().invoke(main, [*command, "--json"])
+    assert result.exit_code == 0, result.output
+    record = json.loads(result.stdout)
+    assert record["date"] == "2010-10-12" and record["verdict"] == {"level": "good", "findings": []}
+    file.write_bytes(with_exif(cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes(), "2026:11:24 14:00:00"))
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 3 and "castle-9" in result.output and "2026-11-24" in result.output
+    assert "cloud" not in result.output, "none was asked for"
