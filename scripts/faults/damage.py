@@ -19,7 +19,7 @@ SORTS = {
     "artifact": "cache/*/*/*.wbf",
     "cloud in the cache": "cache/*/*/*.ply",
     "picture": "cache/*/*/*.jpg",
-    "drawn": "cache/*/*/*.drawn",
+    "keypoints of a picture": "cache/*/*/*.marks",
     "published": "cache/*/*/*.published",
     "captures memo": "cache/captures.json",
     "functions memo": "cache/functions.json",
@@ -69,7 +69,7 @@ def exchanges(bench: Bench, reduced: bool) -> Row:
     """Two files of one sort in each other's place, whole and signed as they are."""
     row = Row("files exchanged")
     made = _three_nights(bench)
-    sorts = ("receipt", "artifact", "drawn", "picture", "run.json", "published")
+    sorts = ("receipt", "artifact", "picture", "run.json", "published")
     for _ in range(1 if reduced else 15):
         for sort in sorts:
             files = [path for path in made.work.glob(SORTS[sort]) if "latest" not in str(path)]

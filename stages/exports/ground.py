@@ -50,7 +50,7 @@ def coverage_layer(coverage: Coverage) -> bytes:
     return struct.pack("<I", len(head)) + head + cv2.imencode(".png", image)[1].tobytes()
 
 
-def coverage_preview(coverage: Coverage, poses: Poses | None = None, **_: object) -> Uint8s:
+def coverage_preview(coverage: Coverage, poses: Poses | None = None) -> Uint8s:
     """How many cameras see each place, from above, as a JPEG file's bytes; poses: where the cameras are drawn in."""
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0} if poses else {}
     return jpeg(_map(coverage, cameras))
@@ -213,7 +213,7 @@ def changes_data(changes: Changes) -> dict[str, Any]:
     return {"unit": unit, **{name: round(value, 5) for name, value in whole.items()}, "changes": rows}
 
 
-def changes_preview(changes: Changes, **_: object) -> Uint8s:
+def changes_preview(changes: Changes) -> Uint8s:
     """Differences of height from above, changes framed and numbered, and pictures before and after, as a JPEG file's bytes."""
     if not changes.compared or not changes.grid.rows:
         return jpeg(np.full((40, 480, 3), 24, np.uint8))

@@ -35,7 +35,7 @@ _LINES = 60
 _DOTS = 500_000
 
 
-def frame_preview(frame: Frame, **_: object) -> Uint8s:
+def frame_preview(frame: Frame) -> Uint8s:
     """The frame; what its mask leaves out is dimmed."""
     return _jpeg(_fit(_dimmed(frame), WIDTH))
 
@@ -49,9 +49,7 @@ def _dimmed(frame: Frame) -> Uint8s:
     return np.where(frame.mask[..., None], frame.image, frame.image // 4 + 32).astype(np.uint8)
 
 
-def matches_preview(
-    matches: Matches | Geometry, left: object = None, right: object = None, *, width: int = WIDTH, **_: object
-) -> Uint8s:
+def matches_preview(matches: Matches | Geometry, left: object = None, right: object = None, *, width: int = WIDTH) -> Uint8s:
     """Both views side by side, and lines between corresponding points: evenly spread, each in a colour of its own.
 
     Parameters
@@ -75,7 +73,7 @@ def matches_preview(
     return _jpeg(canvas)
 
 
-def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *, width: int = WIDTH, **_: object) -> Uint8s:
+def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *, width: int = WIDTH) -> Uint8s:
     """Both rectified images and a few common rows: what lies on a row on the left lies on it on the right.
 
     Parameters
@@ -94,7 +92,6 @@ def disparity_preview(
     rectification: Rectification | None = None,
     *,
     width: int = WIDTH,
-    **_: object,
 ) -> Uint8s:
     """Disparity of both views, near in warm colours, black where unknown; above it the rectified images where they are given,
     below it what the colours mean.
@@ -116,14 +113,14 @@ def disparity_preview(
     return _jpeg(canvas)
 
 
-def depth_preview(depth: DepthMap, **_: object) -> Uint8s:
+def depth_preview(depth: DepthMap) -> Uint8s:
     """Depth of one view, near in warm colours; black where unknown; below it what the colours mean."""
     coloured, low, high = _coloured((1.0 / depth.depth).astype(np.float32))
     shown = _fit(coloured[0], WIDTH)
     return _jpeg(_with_scale(shown, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else shown)
 
 
-def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera], **_: object) -> Uint8s:
+def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
     """The cloud from above, and the cameras as red triangles that open the way they look."""
     up, east, north = _directions(cameras)
     plan = np.stack([east, north])

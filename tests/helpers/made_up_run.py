@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from wbflow.api import load_site
+from wbflow.cache.artifact import digest
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.previews import Shown
-from wbflow.cache.store import Cache
-from wbflow.pipeline.stages import FUSE, GEOMETRY, STAGES, stage_named
+from wbflow.cache.store import Cache, Preimage, Receipt
+from wbflow.pipeline.stages import FUSE, GEOMETRY, STAGES
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.record import (
     CameraRecord,
@@ -131,21 +131,13 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         "camera": [(name,) for name in ids],
         "pair": [(p.left, p.right) for p in night.pairs if p.ok],
     }
-    shown = [(row, of) for row in STAGES if row.products.picture and row.scope in subjects for of in subjects[row.scope]]
-    for k, (stage, subject) in enumerate(shown):
-        key = KEY
-        path = work.picture(Task(stage.name, subject), key)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(jpeg + bytes([k % 256, k // 256]))
-        events.append(TaskEvent(Task(stage.name, subject), "ran", f"{night.date}T03:16:00+00:00", key=key))
-    product = stage_named(FUSE)
-    if night.cloud:
-        events += _made(described, Task(product.name), product.products.view, cloud_view(bowl(points)))
     corners = b"\0\0\0\0\xff\xff\xff\xff"
-    for row in STAGES:
-        large, marks = row.products.large, row.products.marks
-        for subject in subjects.get(row.scope, ()) if large or marks else ():
-            events += _made(described, Task(row.name, subject), large or marks, jpeg if large else corners)
+    shown = [(row, of) for row in STAGES if row.products.drawings for of in subjects.get(row.scope, ())]
+    for k, (row, subject) in enumerate(shown):
+        every = {"picture": jpeg + bytes([k % 256, k // 256]), "large": jpeg, "marks": corners}
+        events += _made(work, Task(row.name, subject), {name: every[name] for name in row.products.drawings})
+    if night.cloud:
+        events += _made(work, Task(FUSE), {"view": cloud_view(bowl(points))})
     for pair in (p for p in night.pairs if not p.ok):
         tried = Task(GEOMETRY, (pair.left, pair.right))
         events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))
@@ -159,9 +151,9 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
     return unfinished.publish(night, events, told).paths.report
 
 
-def _made(described: Site, task: Task, dotted: str, data: bytes) -> list[Event]:
-    """Keep what a function is said to have made of a result for the page; the result itself is not there."""
-    work = WorkFolder(described.work)
-    work.task(task).mkdir(parents=True, exist_ok=True)
-    Shown(work, task, KEY, described.reader.read(dotted).code).keep(data)
+def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes]) -> list[Event]:
+    """Keep what is said to have been drawn of a result; the result itself is not there."""
+    digests = {name: digest(data) for name, data in drawings.items()}
+    receipt = Receipt(str(task), KEY, "ran", Preimage(*task, "", "", {}, {}), "", drawings=digests)
+    Cache(work).write(receipt, None, drawings)
     return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=KEY)]

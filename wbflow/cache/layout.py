@@ -148,25 +148,13 @@ class WorkFolder:
         """The artifact of a task; `suffix` says what it is: .wbf, .ply."""
         return Path(f"{self._of(task)}/{key}{suffix}")
 
-    def picture(self, task: Task, key: str) -> Path:
-        """A picture of an artifact, for the report."""
-        return self.artifact(task, key, ".jpg")
-
-    def picture_name(self, task: Task, key: str) -> str:
-        """The same as text."""
-        return f"{self._of(task)}/{key}.jpg"
-
-    def drawing_name(self, task: Task, key: str) -> str:
-        """What the picture was drawn by, and why there is none."""
-        return f"{self._of(task)}/{key}.drawn"
+    def drawing(self, task: Task, key: str, name: str) -> Path:
+        """What the report shows of an artifact, by the name of the product (see `Products.drawings`)."""
+        return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
 
     def published(self, task: Task, key: str) -> Path:
         """What runs publish of an artifact, besides itself."""
         return self.artifact(task, key, ".published")
-
-    def view(self, task: Task, key: str) -> Path:
-        """The points of an artifact for the report's 3-D view."""
-        return self.artifact(task, key, ".view")
 
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +106,8 @@ class Receipt:
     """MB (2^20 bytes) that the worker held for itself at most, while it was at this."""
     finished: str = ""
     """ISO 8601, UTC."""
+    drawings: dict[str, str] = field(default_factory=dict)
+    """Digests of what was drawn of the result for the report, by the name of the product."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +180,22 @@ class Cache:
         """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
         return artifact.decode(self.read(task, self.path(receipt), receipt.digest))
 
-    def write(self, receipt: Receipt, data: bytes | bytearray | None) -> None:
-        """Keep an artifact: its bytes first, the receipt last.  Raises OSError (disk full, no rights)."""
+    def drawing(self, task: Task, key: str, name: str) -> bytes | None:
+        """What was drawn of a result; None where that is not there, or not as it was drawn."""
+        receipt = self.by_key(task, key)
+        if receipt is None or name not in receipt.drawings:
+            return None
+        try:
+            data = read_outside(self.work.drawing(task, key, name))
+        except OSError:
+            return None
+        return data if artifact.digest(data) == receipt.drawings[name] else None
+
+    def write(self, receipt: Receipt, data: bytes | bytearray | None, drawings: Mapping[str, bytes] | None = None) -> None:
+        """Keep an artifact and what was drawn of it: the bytes first, the receipt last.  Raises OSError."""
+        task = receipt.preimage.task
+        for name, drawing in (drawings or {}).items():
+            write_atomic(self.work.drawing(task, receipt.key, name), drawing, settle=False, ours=True)
         if data is not None and receipt.file:
             write_atomic(self._name(receipt, receipt.file), data, settle=False, ours=True)
         write_signed(*self._told(receipt))

@@ -133,8 +133,9 @@ class Products:
     """What is made of a stage's result for people; of each, the dotted function that makes it of the result."""
 
     picture: str = ""
-    """A JPEG file's bytes.  It may also ask by name for inputs of the stage, and for `picture_inputs`."""
+    """A JPEG file's bytes, from the result and `picture_inputs`."""
     picture_inputs: Mapping[str, Source] = field(default_factory=dict)
+    """By argument name; None is passed for one that is not there."""
     large: str = ""
     """A JPEG file's bytes, of a camera's picture as large as it is, for the report."""
     marks: str = ""
@@ -147,6 +148,12 @@ class Products:
     """Names and bytes of files that a run publishes beside its cloud."""
     title: str = ""
     """Of its part of the report, where a site-wide stage `reports`."""
+
+    @property
+    def drawings(self) -> dict[str, str]:
+        """The functions whose bytes are kept beside the artifact for the report, by the name of the product."""
+        named = {"picture": self.picture, "large": self.large, "marks": self.marks, "view": self.view, "layer": self.layer}
+        return {name: function for name, function in named.items() if function}
 
 
 @dataclass(frozen=True)
@@ -434,7 +441,10 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"geometry": own("geometry"), **_PAIR_FEATURES},
         method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
-        products=Products(picture="wbflow_stages.exports.previews:disparity_preview"),
+        products=Products(
+            picture="wbflow_stages.exports.previews:disparity_preview",
+            picture_inputs={**_FRAMES, "rectification": own("rectify")},
+        ),
         reports=Reports({"density": "density"}),
     ),
     Stage(
@@ -478,7 +488,11 @@ STAGES: tuple[Stage, ...] = (
             "depths": every("depth"),
             "refined": every("refine", optional=True),
         },
-        products=Products(picture="wbflow_stages.exports.previews:cloud_preview", view="wbflow_stages.exports.view:cloud_view"),
+        products=Products(
+            picture="wbflow_stages.exports.previews:cloud_preview",
+            picture_inputs={"cameras": own("poses", part="cameras")},
+            view="wbflow_stages.exports.view:cloud_view",
+        ),
         world_reports=WorldReports(cameras={"points": Entry("given")}),
     ),
     Stage(
@@ -490,6 +504,7 @@ STAGES: tuple[Stage, ...] = (
         reuse=Reuse(stored=False),
         products=Products(
             picture="wbflow_stages.exports.ground:coverage_preview",
+            picture_inputs={"poses": own("poses")},
             files="wbflow_stages.exports.ground:coverage_files",
             layer="wbflow_stages.exports.ground:coverage_layer",
             title="What the cameras see of the ground",

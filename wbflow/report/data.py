@@ -51,6 +51,10 @@ class ReportData:
         """The cache key of each result."""
         return {task: event.key for task, event in self.tasks.items() if event.usable and event.key}
 
+    def drawing(self, task: Task, name: str) -> bytes | None:
+        """What was drawn of a result (see `Products.drawings`); None where it is gone, or never was."""
+        return self.cache.drawing(task, key, name) if (key := self.keys.get(task)) else None
+
     @cached_property
     def earlier(self) -> list[RunRecord]:
         """The last run of each earlier night, newest first."""

@@ -20,7 +20,7 @@ from .charts import stage_times, timetable, trends
 from .data import NIGHTS, ReportData
 from .headline import findings, headline
 from .map import map_of
-from .pictures import Extracts, Pictures, Points, large_pictures, layers_of, points_of
+from .pictures import Pictures, Points, large_pictures, layers_of, points_of
 from .scene import scene_of
 from .sections import camera_cards, cell, pair_columns, pair_pictures, pair_rows, parts, settings
 
@@ -85,8 +85,8 @@ def _content(data: ReportData) -> dict[str, Any]:
     from rcssmin import cssmin
     from rjsmin import jsmin
 
-    record, album, extracts = data.record, Pictures(data), Extracts(data)
-    points = points_of(extracts) if record.cloud else []
+    record, album = data.record, Pictures(data)
+    points = points_of(data) if record.cloud else []
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
     drawn = map_of(data, scene) if scene else None
     content = {
@@ -98,7 +98,7 @@ def _content(data: ReportData) -> dict[str, Any]:
         "findings": findings(data, album),
         "scene": scene,
         "map": drawn,
-        "layers": layers_of(extracts, scene, drawn) if scene and drawn else [],
+        "layers": layers_of(data, scene, drawn) if scene and drawn else [],
         "points": points,
         "modes": list(_modes(points)),
         "warnings": list(_warnings(data)),
@@ -119,7 +119,7 @@ def _content(data: ReportData) -> dict[str, Any]:
     }
     rows = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
     held = (album.held + sum(len(stream.data) for stream in points)) * 4 // 3  # as Base64
-    return {**content, "large_pictures": large_pictures(extracts, data, MOST_BYTES - rows - held)}
+    return {**content, "large_pictures": large_pictures(data, MOST_BYTES - rows - held)}
 
 
 def _warnings(data: ReportData) -> Iterator[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """What the page shows of the night's results: pictures, points, layers of the map, and keypoints over the camera pictures.
 
-Pictures are files beside the artifacts.  The rest is made from an artifact by a function of the vision, and kept beside it.
+All of it was drawn when the result was made, and lies beside the artifact; what is not there any more is left out.
 """
 
 from __future__ import annotations
@@ -16,11 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..cache.codec import result_of
-from ..cache.previews import Shown
 from ..cache.untrusted import read_outside
-from ..errors import WbflowError
-from ..outcome.artifacts import function
 from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task, camera_of, view_name
@@ -30,7 +26,6 @@ from .scene import Scene
 
 ROOM = 6_000_000
 """Bytes of small pictures in a page; the page links to the files of the others."""
-_EXPECTED = (WbflowError, ValueError, LookupError, TypeError, ArithmeticError, AttributeError, ImportError, OSError, MemoryError)
 
 
 @dataclass(frozen=True)
@@ -57,7 +52,11 @@ class Pictures:
     def of_task(self, task: Task, alt: str) -> Picture | None:
         """Return the picture of a result of this run."""
         event = self.data.tasks.get(task)
-        return self.of_file(self.data.work.picture(task, event.key), alt) if event and event.key else None
+        return self._of_result(task, event.key, alt) if event and event.key else None
+
+    def _of_result(self, task: Task, key: str, alt: str) -> Picture | None:
+        path = self.data.work.drawing(task, key, "picture")
+        return self._of(path, alt, lambda: self.data.cache.drawing(task, key, "picture"))
 
     def of_frame(self, camera: str, alt: str) -> Picture | None:
         """Return what a camera saw this night."""
@@ -79,7 +78,7 @@ class Pictures:
             return None
         if event is None or not event.key or not self._has_same_privacy(task, event.key):
             return None
-        return self.of_file(self.data.work.picture(task, event.key), f"{camera} on {good.date}, when all was well")
+        return self._of_result(task, event.key, f"{camera} on {good.date}, when all was well")
 
     def _has_same_privacy(self, task: Task, key: str) -> bool:
         """Return whether an earlier picture left out what is private tonight."""
@@ -96,15 +95,22 @@ class Pictures:
 
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
-        return self.of_file(self.data.files / name, alt)
+        path = self.data.files / name
 
-    def of_file(self, path: Path, alt: str) -> Picture | None:
+        def read() -> bytes | None:
+            try:
+                return read_outside(path)
+            except OSError:
+                return None
+
+        return self._of(path, alt, read)
+
+    def _of(self, path: Path, alt: str, read: Callable[[], bytes | None]) -> Picture | None:
         """Return a picture by its file; None where there is none."""
         if path in self._ids:
             return Picture(self._ids[path], alt)
-        try:
-            content = read_outside(path)
-        except OSError:
+        content = read()
+        if content is None:
             return None
         name = f"picture-{len(self._ids) + 1}"
         if self.held + len(content) > ROOM:
@@ -113,33 +119,6 @@ class Pictures:
         self.held += len(content)
         kind = mimetypes.guess_type(path.name)[0] or "image/jpeg"
         return Picture(name, alt, f"data:{kind};base64,{base64.b64encode(content).decode()}")
-
-
-class Extracts:
-    """What functions of the vision make of results for the page; made once, and kept in the cache."""
-
-    def __init__(self, data: ReportData) -> None:
-        self._data = data
-        self._code = functools.cache(lambda dotted: data.site.reader.read(dotted).code)
-
-    def of(self, task: Task, dotted: str) -> bytes | None:
-        """Return what a function makes of a task's result; None where the result is gone, or the function fails."""
-        key, cache = self._data.keys.get(task), self._data.cache
-        if not key or not dotted:
-            return None
-        kept = Shown(cache.work, task, key, self._code(dotted))
-        if (made := kept.kept()) is not None:
-            return made
-        try:
-            receipt = cache.by_key(task, key)
-            if receipt is None or receipt.file is None:
-                return None
-            result = result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
-            made = bytes(function(dotted)(result))
-            kept.keep(made)
-            return made
-        except _EXPECTED:
-            return None  # the page does without
 
 
 @dataclass(frozen=True)
@@ -159,10 +138,10 @@ class Points:
         return base64.b64encode(self.data).decode()
 
 
-def points_of(extracts: Extracts) -> list[Points]:
+def points_of(data: ReportData) -> list[Points]:
     """Return the points of the night's results, the product's first."""
-    found = ((stage.name, extracts.of(Task(stage.name), stage.products.view)) for stage in STAGES)
-    return [Points(name, _split(data)[0], data) for name, data in found if data]
+    found = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
+    return [Points(name, _split(stream)[0], stream) for name, stream in found if stream]
 
 
 @dataclass(frozen=True)
@@ -180,12 +159,12 @@ class Layer:
     """From the unit square to the drawing, as CSS has it: a, b, c, d, e, f."""
 
 
-def layers_of(extracts: Extracts, scene: Scene, drawn: Map) -> list[Layer]:
+def layers_of(data: ReportData, scene: Scene, drawn: Map) -> list[Layer]:
     """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world."""
     found = []
     for stage in STAGES:
-        if data := extracts.of(Task(stage.name), stage.products.layer):
-            head, picture = _split(data)
+        if layer := data.drawing(Task(stage.name), "layer"):
+            head, picture = _split(layer)
             url = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
             (x, y), right, down = (drawn.spot(scene.to(corner)) for corner in head["corners"])
             matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)
@@ -210,21 +189,21 @@ class LargePicture:
     """Where the keypoints are not of this night."""
 
 
-def large_pictures(extracts: Extracts, data: ReportData, room: int) -> list[LargePicture]:
+def large_pictures(data: ReportData, room: int) -> list[LargePicture]:
     """Return the night's pictures in the order of the site file; cameras with a finding come first where room runs out.
 
     Keypoints are pairs of unsigned 16-bit numbers, shares of width and height; those of a pair are the left picture's, then as
     many of the right one.  room: bytes that all may take in the page.
     """
     record = data.record
-    marks_of = functools.cache(lambda task, dotted: extracts.of(task, dotted) or b"")  # both cameras need those of a pair
+    marks_of = functools.cache(lambda task: data.drawing(task, "marks") or b"")  # both cameras need those of a pair
     in_findings = {name for finding in record.verdict.findings for name in finding.subject} if record.verdict else set()
     numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
     found: list[LargePicture] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
         first, whole = (Task(FRAMES, (view,)) for view in (view_name(camera, 1), camera))
         frame = first if first in data.keys else whole
-        picture = extracts.of(frame, stage_named(FRAMES).products.large)
+        picture = data.drawing(frame, "large")
         if not picture:
             continue
         view = frame.subject[0]
@@ -237,20 +216,16 @@ def large_pictures(extracts: Extracts, data: ReportData, room: int) -> list[Larg
     return sorted(found, key=lambda one: one.number)
 
 
-def _keypoints(marks_of: Callable[[Task, str], bytes], camera: str) -> Iterator[bytes]:
+def _keypoints(marks_of: Callable[[Task], bytes], camera: str) -> Iterator[bytes]:
     for stage in STAGES:
         if stage.products.marks and stage.scope == "camera":
-            yield marks_of(Task(stage.name, (camera,)), stage.products.marks)
+            yield marks_of(Task(stage.name, (camera,)))
 
 
-def _inliers(marks_of: Callable[[Task, str], bytes], data: ReportData, view: str) -> Iterator[bytes]:
+def _inliers(marks_of: Callable[[Task], bytes], data: ReportData, view: str) -> Iterator[bytes]:
     for stage in STAGES:
         for pair in data.record.pairs_of(camera_of(view)) if stage.products.marks and stage.scope == "pair" else ():
-            both = (
-                marks_of(Task(stage.name, (pair.left, pair.right)), stage.products.marks)
-                if view in {pair.left, pair.right}
-                else b""
-            )
+            both = marks_of(Task(stage.name, (pair.left, pair.right))) if view in {pair.left, pair.right} else b""
             half = len(both) // 2
             yield both[:half] if pair.left == view else both[half:]
 

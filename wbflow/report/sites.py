@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..cache.layout import WorkFolder
+from ..cache.store import Cache
 from ..cache.untrusted import MOST_TEXT_BYTES, read_outside
 from ..errors import WbflowError
 from ..outcome.history import Entry, history
@@ -132,10 +133,5 @@ def _picture(work: WorkFolder) -> str:
         event = run.tasks().get(task := Task(FUSE))
     except NoSuchRun:
         return ""
-    path = work.picture(task, event.key) if event and event.key else None
-    if path is None or not path.is_file():
-        return ""
-    try:
-        return f"data:image/jpeg;base64,{base64.b64encode(read_outside(path)).decode()}"
-    except OSError:
-        return ""
+    picture = Cache(work).drawing(task, event.key, "picture") if event and event.key else None
+    return f"data:image/jpeg;base64,{base64.b64encode(picture).decode()}" if picture else ""

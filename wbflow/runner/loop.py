@@ -109,7 +109,7 @@ def _run_tasks(night: Night, dispatcher: Dispatcher, journal: Journal, costs: Co
         if chains and (lacks := floor.lacks(spec.task for chain in chains for spec in chain)):
             full = State("failed", f"{lacks}; {REMEDY}", Cause.DISK_FULL)
             for first, *_ in chains:
-                plan.settle(first.task, plan.states[first.task] if first.redraw else full)
+                plan.settle(first.task, full)
         elif chains:
             plan.hand_out(chains)
             dispatcher.submit(chains)
@@ -137,11 +137,6 @@ def _not_begun(chain: list[TaskSpec], plan: Plan) -> list[TaskSpec]:
 def _finish(done: Done, plan: Plan, repairs: _Repairs, journal: Journal, costs: Costs) -> None:
     if done.outcome == "damaged" and done.damaged is not None:
         repairs.make_again(done.damaged, done.reason or "")
-        return
-    before = plan.states.get(done.task)
-    if done.outcome == "failed" and before and before.usable:  # only its picture was to be drawn
-        plan.settle(done.task, before)
-        journal.warn(f"its picture could not be drawn: {done.reason}", task=done.task)
         return
     costs.add(done)
     outcome: Any = done.outcome
@@ -241,7 +236,7 @@ class Deadline:
         """What of a lane is still done."""
         if not self.struck:
             return lane
-        wanted = [spec for spec in lane if _puts_together(spec.task) and not spec.redraw]
+        wanted = [spec for spec in lane if _puts_together(spec.task)]
         return wanted if wanted[:1] == lane[:1] else []
 
 

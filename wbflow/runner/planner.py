@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..cache.previews import is_drawn
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
 from ..pipeline.stages import (
@@ -41,7 +40,7 @@ from ..site.models import Site
 from ..task import Task, component_name, names_of
 from .captures import CaptureFile
 from .inputs import Inputs
-from .spec import Absent, Input, PictureSpec, TaskSpec, ViewSpec
+from .spec import Absent, Drawing, Input, TaskSpec
 from .state import Impossible, State, Waiting, cached_state
 from .subjects import Subjects
 
@@ -119,8 +118,6 @@ class Plan:
     """Tasks whose inputs are all there."""
     waiting: dict[Task, Task | None] = field(default_factory=dict)
     """The rest, with what they wait for (None: for the pair graph)."""
-    undrawn: dict[Task, TaskSpec] = field(default_factory=dict)
-    """Settled tasks whose picture is missing, or out of date."""
     busy: set[Task] = field(default_factory=set)
     """Tasks that workers have in hand: neither looked up nor handed out again."""
     reference: Reference | None = None
@@ -178,7 +175,6 @@ class Plan:
         self.states[task] = state
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
-        self.undrawn.pop(task, None)
         self._pinned.settled(task)
         self._agenda.settled(task)
 
@@ -212,8 +208,7 @@ class Plan:
         return [(task, state) for task in self._agenda.news() if (state := self.states.get(task))]
 
     def lanes(self) -> Iterator[list[TaskSpec]]:
-        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call; when there are none,
-        pictures that are missing or were drawn by another function than the present one."""
+        """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
         for task, spec in self.ready.items():
             lane = [spec]
             if task.subject:
@@ -226,9 +221,8 @@ class Plan:
                                 lane.append(self._spec(stage, follower, {s.task for s in lane}, instead))
                         except (Waiting, Impossible):
                             continue
-            yield lane
-        if not self.ready:
-            yield from ([spec] for spec in self.undrawn.values())
+            among = {spec.task for spec in lane}
+            yield [self._with_drawings(spec, among) for spec in lane]
 
     def pairs_known(self, stage: Stage | None = None) -> bool:
         """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
@@ -248,7 +242,7 @@ class Plan:
         """
         stage = stage_named(task.stage)
         instead = self._pinned.instead(stage, task)
-        return self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead)
+        return self._with_drawings(self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead), set())
 
     def likely_pairs(self, dense: bool = False) -> int | None:
         """About how many pairs will be matched, or made dense; None where that is known."""
@@ -301,11 +295,8 @@ class Plan:
         receipt = None if spec.force else self.cache.find(preimage, key)
         if receipt is None:
             self.ready[task] = spec
-            return
-        self._found(task, cached_state(receipt))
-        picture = spec.picture if receipt.file else None
-        if picture and not is_drawn(self.cache, task, receipt.key, picture.digest(receipt.key)):
-            self.undrawn[task] = dataclasses.replace(spec, redraw=receipt)
+        else:
+            self._found(task, cached_state(receipt))
 
     def _found(self, task: Task, state: State) -> None:
         self.states[task] = state
@@ -324,36 +315,24 @@ class Plan:
             parameters,
             inputs,
             stage.table,
-            self._picture(stage, task, inputs, among or set()),
-            self._view(stage, task),
-            bool(self.force & names_of(task)) if self.force else False,
-            left_to_function,
+            force=bool(self.force & names_of(task)) if self.force else False,
+            left_to_function=left_to_function,
             folder=self._folder,
         )
 
-    def _picture(self, stage: Stage, task: Task, inputs: dict[str, Input], among: set[Task]) -> PictureSpec | None:
-        """How a task's result is shown: with those of its inputs that the function asks for."""
-        if not stage.products.picture:
-            return None
-        info = self._read(stage.products.picture)
-        result, *asked = (argument.name for argument in info.signature.arguments)
-        drawn: dict[str, Input] = {}
-        for name in asked:
-            if name in stage.products.picture_inputs:
+    def _with_drawings(self, spec: TaskSpec, among: set[Task]) -> TaskSpec:
+        """A task with what is drawn of its result; inputs made by tasks `among` may still be unresolved."""
+        stage = stage_named(spec.task.stage)
+        drawings = []
+        for name, function in stage.products.drawings.items():
+            inputs: dict[str, Input] = {}
+            for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
                 try:
-                    drawn[name] = self._from.one(stage, task, stage.products.picture_inputs[name], among)
+                    inputs[argument] = self._from.one(stage, spec.task, need, among)
                 except (Waiting, Impossible):
-                    drawn[name] = Absent()
-            elif name in inputs:
-                drawn[name] = inputs[name]
-        return PictureSpec(info.dotted, info.code, result, drawn)
-
-    def _view(self, stage: Stage, task: Task) -> ViewSpec | None:
-        """How a result's points are packed: the page shows those of the main component."""
-        if not stage.products.view or task.subject:
-            return None
-        info = self._read(stage.products.view)
-        return ViewSpec(info.dotted, info.code)
+                    inputs[argument] = Absent()
+            drawings.append(Drawing(name, function, inputs))
+        return dataclasses.replace(spec, drawings=tuple(drawings))
 
     def _bound(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
         name = adapt.function if adapt else stage.name

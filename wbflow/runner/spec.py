@@ -96,29 +96,14 @@ Input = Value | Files | Stored | Joined | Absent
 
 
 @dataclass(frozen=True)
-class PictureSpec:
-    """How a task's result is shown."""
+class Drawing:
+    """What is drawn of a task's result for the report.  It is no part of the task's key."""
 
+    name: str
+    """Of the product (see `Products.drawings`)."""
     function: str
-    code: str
-    """Fingerprint of the function."""
-    result: str
-    """Name of the function's first argument, which is the result."""
     inputs: dict[str, Input]
-    """By argument name, only what it asks for."""
-
-    def digest(self, key: str) -> str:
-        """All that determines the picture of the artifact under a key; every input must be resolved."""
-        return artifact.digest(json.dumps([key, self.code, input_digests(self.inputs)], sort_keys=True).encode())
-
-
-@dataclass(frozen=True)
-class ViewSpec:
-    """What makes a result's points for the report."""
-
-    function: str
-    code: str
-    """Fingerprint of the function."""
+    """What the function is handed besides the result, by argument name."""
 
 
 @dataclass(frozen=True)
@@ -132,13 +117,10 @@ class TaskSpec:
     inputs: dict[str, Input]
     table: PointTable | None = None
     """How the result is kept, where not as an artifact of arrays."""
-    picture: PictureSpec | None = None
-    view: ViewSpec | None = None
+    drawings: tuple[Drawing, ...] = ()
     force: bool = False
     left_to_function: dict[str, str] = field(default_factory=dict)
     """Parameters whose defaults the function works out itself: source text by name.  Not passed, but part of the key."""
-    redraw: Receipt | None = None
-    """The task is done and only its picture is to be drawn."""
     folder: Path | None = None
     """Where modules that are not installed may lie: beside the site file."""
 

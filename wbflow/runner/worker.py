@@ -22,7 +22,6 @@ from ..cache import artifact
 from ..cache.codec import result_bytes, result_of
 from ..cache.digests import ChangedFile
 from ..cache.plugins import load, offer
-from ..cache.previews import Drawing, Shown, write_drawing
 from ..cache.room import FULL, REMEDY
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
@@ -175,8 +174,6 @@ def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
 def _attempt(spec: TaskSpec, chain: _Chain) -> Done:
     """The one broad `except`: whatever a stage does wrong costs that task only."""
     try:
-        if spec.redraw:
-            return _redraw(spec, spec.redraw, chain)
         inputs = {name: _resolve(value, chain) for name, value in spec.inputs.items()}
         resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
         preimage = resolved.preimage()
@@ -223,9 +220,7 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
     nothing: Any = load(REJECTED)
     rejected = isinstance(result, nothing)
     data = None if rejected else result_bytes(result, spec.table)
-    warnings = () if rejected else _draw(spec, key, result, chain, arguments)
-    if not rejected:
-        _show(spec, key, result, chain)
+    drawings, warnings = ({}, ()) if rejected else _draw(spec, result, chain)
     receipt = Receipt(
         task=str(spec.task),
         key=key,
@@ -242,8 +237,9 @@ def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
         cpu=chain.clock() - cpu,
         peak_rss_mb=limits.peak() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
+        drawings={name: artifact.digest(drawing) for name, drawing in drawings.items()},
     )
-    chain.cache.write(receipt, data)
+    chain.cache.write(receipt, data, drawings)
     chain.results[receipt.digest] = result
     return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
 
@@ -259,44 +255,21 @@ def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
     return found | load(spec.table.figures)(result) if spec.table else found
 
 
-def _redraw(spec: TaskSpec, receipt: Receipt, chain: _Chain) -> Done:
-    """Draw the picture of a result that is in the cache."""
-    data = chain.cache.read(spec.task, chain.cache.path(receipt), receipt.digest)
-    result = result_of(data, spec.table)
-    warnings = _draw(spec, receipt.key, result, chain, {})
-    return Done(spec.task, "cached", receipt, receipt.reason, warnings=warnings)
+def _draw(spec: TaskSpec, result: Any, chain: _Chain) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """What is drawn of a result for the report, by name, and what went wrong, in words: that costs the drawing only.
 
-
-def _draw(spec: TaskSpec, key: str, result: Any, chain: _Chain, loaded: Mapping[str, Any]) -> tuple[str, ...]:
-    """Draw a result and keep the picture; returns what went wrong, in words: without its picture the task has succeeded all the
-    same.
-
-    loaded: the task's inputs, as far as they are in memory.
+    Raises DamagedArtifact.
     """
-    if spec.picture is None:
-        return ()
-    inputs = {name: _resolve(value, chain) for name, value in spec.picture.inputs.items()}
-    digest = dataclasses.replace(spec.picture, inputs=inputs).digest(key)
-    try:
-        own = {name for name in loaded if spec.inputs.get(name) == inputs.get(name)}
-        asked = {name: loaded[name] if name in own else _load(value, chain) for name, value in inputs.items()}
-        picture = bytes(load(spec.picture.function)(**{spec.picture.result: result}, **asked))
-    except DamagedArtifact as damage:
-        return (f"its picture has to wait: {damage.what}",)  # and is drawn by the next run, when that is made again
-    except Exception as error:
-        failure = printable(f"its picture could not be drawn: {type(error).__name__}: {error}")
-        write_drawing(chain.cache.work, spec.task, key, Drawing(digest, failure), None)
-        return (failure,)
-    write_drawing(chain.cache.work, spec.task, key, Drawing(digest), picture)
-    return ()
-
-
-def _show(spec: TaskSpec, key: str, result: Any, chain: _Chain) -> None:
-    """Make and keep a result's points for the report, while it is in memory.  What cannot be made is tried again there."""
-    if spec.view is None:
-        return
-    with suppress(Exception):
-        Shown(chain.cache.work, spec.task, key, spec.view.code).keep(bytes(load(spec.view.function)(result)))
+    drawings, warnings = {}, []
+    for drawing in spec.drawings:
+        try:
+            inputs = {name: _load(_resolve(value, chain), chain) for name, value in drawing.inputs.items()}
+            drawings[drawing.name] = bytes(load(drawing.function)(result, **inputs))
+        except DamagedArtifact:
+            raise  # it is made again, and then this task
+        except Exception as error:
+            warnings.append(printable(f"its {drawing.name} could not be drawn: {type(error).__name__}: {error}"))
+    return drawings, tuple(warnings)
 
 
 def _resolve(value: Input, chain: _Chain) -> Input:

@@ -226,7 +226,7 @@ def test_what_stands_in_the_place_of_a_file_and_is_none_gives_way(toy: ToySite) 
         (os.mkfifo, toy.work / "ledger.sqlite"),
         (os.mkfifo, latest / "log.jsonl"),
         (os.mkfifo, one("fuse/*/*.view")),
-        (os.mkfifo, one("frames/*/*.drawn")),
+        (os.mkfifo, one("frames/*/*.jpg")),
         (link, cache / "functions.json"),
         (link, one("depth/*/*.json")),
     ]
