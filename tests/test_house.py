@@ -200,7 +200,7 @@ def test_one_file_spells_the_paths_of_the_work_folder() -> None:
 
 
 def test_everything_is_caught_in_few_places_only() -> None:
-    """Around a task, its picture, the report, a stranger's module, libraries of object stores (their errors share no base),
+    """Around a task, its picture, the report, libraries of object stores (their errors share no base),
     one of several sites, and at the end of the command line."""
     broad = [
         str(file.relative_to(ENGINE))
@@ -213,7 +213,6 @@ def test_everything_is_caught_in_few_places_only() -> None:
         "cli/main.py",
         "cli/run.py",
         "outcome/publish.py",
-        "pipeline/signature.py",
         "remote.py",
         "runner/worker.py",
         "runner/worker.py",

@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 from jinja2 import Environment
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cache.functions import FunctionReader
 from wbflow.cache.layout import WorkFolder
+from wbflow.pipeline.functions import FunctionReader
 
 from .operations import arm
 from .processes import Ended, Started, forked, started_anew
@@ -225,16 +225,15 @@ def _run(toy: ToySite, arguments: list[str], strike: Strike | None, counter: Pat
 def _read_once() -> None:
     """Source files and the report's template are read once in the campaign: that takes longer than all else of a toy night."""
     remembered = FunctionReader._remembered
-    known: dict[tuple[str, str, Path], Any] = {}
+    known: dict[tuple[str, str], Any] = {}
 
-    def read_once(self: FunctionReader, shelf: str, name: str, path: Path, read: Callable[[], Any]) -> dict[str, Any]:
+    def read_once(self: FunctionReader, what: str, dotted: str, read: Callable[[], Any]) -> Any:
         def once() -> Any:
-            place = shelf, name, path
-            if place not in known:
-                known[place] = read()
-            return known[place]
+            if (what, dotted) not in known:
+                known[what, dotted] = read()
+            return known[what, dotted]
 
-        return remembered(self, shelf, name, path, once)
+        return remembered(self, what, dotted, once)
 
     FunctionReader._remembered = read_once  # type: ignore[method-assign]
     compile_now = Environment.compile

@@ -160,8 +160,8 @@ def stages(stage: str | None) -> None:
     wbflow stages
     wbflow stages disparity
     """
-    from ..cache.functions import FunctionReader
     from ..pipeline.describe import describe, describe_all, lines
+    from ..pipeline.functions import FunctionReader
     from ..pipeline.stages import STAGES
 
     chosen = [row for row in STAGES if row.name == stage]

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from ..cache.fingerprint import FunctionError
-from ..cache.functions import FunctionInfo, FunctionReader
+from .functions import FunctionInfo, FunctionReader
 from .signature import Parameter, Signature
 from .stages import Source, Stage
 

@@ -7,8 +7,8 @@ import re
 import textwrap
 from dataclasses import dataclass
 
-from ..cache.functions import FunctionReader
 from .binding import method_parameters
+from .functions import FunctionReader
 from .signature import Parameter
 from .stages import COMPONENT, FUSE, STAGES, Stage
 

@@ -1,25 +1,27 @@
 """What a function asks for, read from its source: the inputs it takes by name, and its parameters with defaults and types.
 
-A default that is no literal is left to the function; the text of it stands for its value.  A type that the source does not tell
-(`from x import *`) is asked of the function itself, which imports its module.
+A default that is no literal is left to the function; its text stands for its value.  Of a type only what `typing` and the
+built-ins say counts: a class of one's own accepts anything, and the function will speak for itself.
 """
 
 from __future__ import annotations
 
 import ast
 import builtins
-import importlib
+import json
 import types
 import typing
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ..cache.fingerprint import FunctionError, Modules, Names
-from ..cache.plugins import offer
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-_PLAIN = {"int": (int,), "float": (int, float), "bool": (bool,), "str": (str,)}
-_TYPING = {"typing", "typing_extensions"}
+from ..cache.fingerprint import FunctionError, Modules, assigned, origin_of
+
+_TYPING = {"typing", "typing_extensions", "collections.abc"}
 _DEEPEST = 10  # modules that import a name from each other
 
 
@@ -33,32 +35,52 @@ class Parameter:
     """Text of a default that is no literal: what it is worth only the function knows."""
     required: bool = False
     """There is no default."""
-    kinds: tuple[str, ...] = ()
-    """Names of accepted types; where any of them is not a plain one, anything is accepted."""
-    choices: tuple[Any, ...] = ()
-    """Literal values that are accepted besides."""
+    annotation: str = "Any"
+    """Its type, in names of `typing` and built-ins alone."""
 
     @property
     def shown(self) -> str:
         """The default in words."""
         return self.source or ("none: it must be given" if self.required else repr(self.default))
 
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """Literal values that are accepted."""
+        return tuple(value for kind in _alternatives(self._type) if isinstance(kind, _LITERAL) for value in typing.get_args(kind))
+
     def problem(self, value: Any) -> str | None:
-        """What is wrong with a value from the site file, in words; None when it fits."""
-        if any(value == choice and type(value) is type(choice) for choice in self.choices):
-            return None
-        if value is None and "None" in self.kinds:
-            return None
-        kinds = [kind for kind in self.kinds if kind != "None"]
-        if not kinds and self.choices:
-            return f"{value!r} is not one of {', '.join(map(str, self.choices))}"
-        if not all(kind in _PLAIN for kind in kinds):
-            return None
-        accepted = tuple(kind for name in kinds for kind in _PLAIN[name])
-        if accepted and (not isinstance(value, accepted) or (isinstance(value, bool) and "bool" not in kinds)):
-            choices = f" or one of {', '.join(map(str, self.choices))}" if self.choices else ""
-            return f"{value!r} is not of type {' or '.join(self.kinds)}{choices}"
+        """Return what is wrong with a value from the site file, in words; None when it fits."""
+        try:
+            # as JSON, which is what YAML gives: a list fits a tuple, a whole number a float, and nothing else is converted
+            TypeAdapter(self._type, config=_AS_IT_IS).validate_json(json.dumps(value))
+        except (ValidationError, TypeError):
+            kinds = [_words(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
+            choices = ", ".join(map(str, self.choices))
+            if not set(kinds) - {"None"} and choices:
+                return f"{value!r} is not one of {choices}"
+            return f"{value!r} is not of type {' or '.join(kinds)}{f' or one of {choices}' if choices else ''}"
         return None
+
+    @cached_property
+    def _type(self) -> Any:
+        try:
+            return eval(self.annotation, {"__builtins__": builtins, **vars(typing)})
+        except (TypeError, NameError):  # such as list[int, int, int]: no type to Python either
+            return Any
+
+
+_AS_IT_IS = ConfigDict(strict=True, arbitrary_types_allowed=True)
+_LITERAL = type(typing.Literal[0])
+
+
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    return typing.get_args(kind) if typing.get_origin(kind) in {typing.Union, types.UnionType} else (kind,)
+
+
+def _words(kind: Any) -> str:
+    if kind is type(None):
+        return "None"
+    return kind.__name__ if isinstance(kind, type) and not typing.get_args(kind) else str(kind).replace("typing.", "")
 
 
 @dataclass(frozen=True)
@@ -82,7 +104,7 @@ class Signature:
 
 
 def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]:
-    """The signature of "package.module:function", and the source files that it was told from.
+    """Return what "package.module:function" asks for, and the source files that say so.
 
     Raises
     ------
@@ -90,7 +112,7 @@ def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]
         No such module or function.
     """
     module, path, node = modules.function(dotted)
-    scope = _Scope(modules, module, path, set())
+    scope = _Scope(modules, module, path)
     args = node.args
     first = len(args.posonlyargs) + len(args.args) - len(args.defaults)
     arguments = tuple(
@@ -98,18 +120,17 @@ def read_signature(modules: Modules, dotted: str) -> tuple[Signature, set[Path]]
     )
     parameters = {}
     for argument, default in zip(args.kwonlyargs, args.kw_defaults, strict=True):
-        kinds, choices = _annotation(argument, node, scope)
+        annotation = ast.unparse(_Inlined(scope).visit(argument.annotation)) if argument.annotation else "Any"
         try:
-            value, source = (None, "") if default is None else (scope.value(default), "")
-        except _Unclear:
-            assert default is not None
-            value, source = None, ast.unparse(default)
-        parameters[argument.arg] = Parameter(argument.arg, value, source, default is None, kinds, choices)
+            value, source = (None, "") if default is None else (scope.literal(default), "")
+        except ValueError:
+            value, source = None, ast.unparse(default) if default else ""
+        parameters[argument.arg] = Parameter(argument.arg, value, source, default is None, annotation)
     return Signature(arguments, parameters, args.kwarg is not None), scope.read
 
 
-def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], Path]:
-    """A table of methods: name -> "package.module:function"; and the file it is in.
+def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], set[Path]]:
+    """Return a table of methods, name -> "package.module:function", and the files it is from.
 
     Raises
     ------
@@ -120,158 +141,127 @@ def read_table(modules: Modules, dotted: str) -> tuple[dict[str, str], Path]:
     path = modules.file(module)
     if path is None:
         raise FunctionError(f"there is no module {module!r} to take the table {name} from")
+    scope = _Scope(modules, module, path)
     try:
-        table = _Scope(modules, module, path, set()).constant(name)
-    except _Unclear:
+        table = scope.literal(ast.Name(name))
+    except ValueError:
         table = None
     if not isinstance(table, dict) or not all(isinstance(v, str) for pair in table.items() for v in pair):
         raise FunctionError(f"{path} has no dictionary literal {name} of method names and dotted functions")
-    return table, path
-
-
-class _Unclear(Exception):
-    """The source does not tell."""
+    return table, scope.read
 
 
 @dataclass(frozen=True)
 class _Scope:
-    """The names of a module.  read: collects the files that were looked at."""
+    """The names at the top of a module."""
 
     modules: Modules
     module: str
     path: Path
-    read: set[Path]
+    read: set[Path] = field(default_factory=set)
+    """The files that were looked at."""
     depth: int = 0
 
     def __post_init__(self) -> None:
         self.read.add(self.path)
+        object.__setattr__(self, "tree", self.modules.tree(self.path))
 
-    def value(self, node: ast.expr) -> Any:
-        """Value of a literal, of a name for one, or of a list of such; plain as JSON is, so that keeping it changes nothing."""
+    tree: ast.Module = field(init=False)
+
+    @cached_property
+    def defined(self) -> dict[str, ast.expr]:
+        """Value of each name that is set once, at the top."""
+        stored = Counter(n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Load))
+        values = [(node, getattr(node, "value", None)) for node in self.tree.body]
+        found = {name: value for node, value in values if value for name in assigned(node) if stored[name] == 1}
+        # Python 3.12: type Mode = ...
+        return found | {node.name.id: node.value for node in self.tree.body if type(node).__name__ == "TypeAlias"}  # type: ignore[attr-defined]
+
+    @cached_property
+    def imported(self) -> dict[str, tuple[str, str]]:
+        """Module and name there, "" for the module itself, of each imported name; "*" for what follows a star."""
+        found: dict[str, tuple[str, str]] = {}
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.ImportFrom):
+                origin = origin_of(node, self.module, self.path)
+                found |= {alias.asname or alias.name: (origin, alias.name) for alias in node.names}
+            elif isinstance(node, ast.Import):
+                found |= {alias.asname or alias.name: (alias.name, "") for alias in node.names}
+        return found
+
+    def literal(self, node: ast.expr) -> Any:
+        """Return the value of a literal or of a name for one, plain as JSON is.  Raises ValueError."""
         if isinstance(node, ast.Name):
-            return self.constant(node.id)
+            found = self.find(node.id)
+            if isinstance(found, str):
+                raise ValueError(node.id)
+            value, scope = found
+            return scope.literal(value)
         try:
             value = ast.literal_eval(node)
-        except (ValueError, TypeError, SyntaxError):
-            raise _Unclear from None
-        if not _is_plain(value):
-            raise _Unclear
+        except (TypeError, SyntaxError) as error:
+            raise ValueError(str(error)) from None
+        if json.loads(json.dumps(value, default=str)) != value:  # tuples, sets, not a number: memos would change them
+            raise ValueError(str(value))
         return value
 
-    def constant(self, name: str) -> Any:
-        """Value of a module's constant that is set once."""
-        node, scope = self.definition(name)
-        if not isinstance(node, ast.expr):
-            raise _Unclear
-        return scope.value(node)
+    def find(self, name: str) -> tuple[ast.expr, _Scope] | str:
+        """Return the definition of a name and its module; of something of `typing` its name there; "" where neither is known."""
+        if name in self.defined:
+            return self.defined[name], self
+        origin, there = self.imported.get(name) or self.imported.get("*", ("", ""))
+        return self.within(origin, name if there == "*" else there) if there else ""
 
-    def definition(self, name: str) -> tuple[ast.AST, _Scope]:
-        """What a name stands for, followed through imports, and where.  Raises _Unclear."""
-        if name in self._names.defined:
-            return self._names.defined[name], self
-        if name not in self._names.imported:
-            raise _Unclear
-        return self._within(*self._names.imported[name])
-
-    def attribute(self, node: ast.Attribute) -> tuple[ast.AST, _Scope]:
-        """What `module.name` stands for.  Raises _Unclear."""
-        if not isinstance(node.value, ast.Name) or node.value.id not in self._names.imported:
-            raise _Unclear
-        origin, name = self._names.imported[node.value.id]
-        return self._within(f"{origin}.{name}" if name else origin, node.attr)
-
-    def of_typing(self, node: ast.expr) -> str:
-        """The name that something of `typing` has there, whatever it is called here; "" for all else."""
-        if isinstance(node, ast.Name):
-            origin, name = self._names.imported.get(node.id, ("", ""))
-            return name if origin in _TYPING else ""
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            origin, name = self._names.imported.get(node.value.id, ("", ""))
-            return node.attr if origin in _TYPING and not name else ""
-        return ""
-
-    @property
-    def _names(self) -> Names:
-        return self.modules.names(self.module, self.path)
-
-    def _within(self, module: str, name: str) -> tuple[ast.AST, _Scope]:
-        path = self.modules.file(module)
+    def within(self, origin: str, name: str) -> tuple[ast.expr, _Scope] | str:
+        """Return the same of a name in another module."""
+        if origin in _TYPING:
+            return name
+        path = self.modules.file(origin) if origin and self.modules.follows(origin, self.module) else None
         if path is None or self.depth > _DEEPEST:
-            raise _Unclear
-        return _Scope(self.modules, module, path, self.read, self.depth + 1).definition(name)
+            return ""
+        return _Scope(self.modules, origin, path, self.read, self.depth + 1).find(name)
 
 
-def _is_plain(value: Any) -> bool:
-    if isinstance(value, dict):
-        return all(isinstance(key, str) and _is_plain(item) for key, item in value.items())
-    if isinstance(value, list):
-        return all(map(_is_plain, value))
-    return value is None or isinstance(value, bool | int | float | str)
+class _Inlined(ast.NodeTransformer):
+    """Writes an annotation in names of `typing` and built-ins alone: names for types are replaced by what they stand for, and
+    what is neither by Any."""
+
+    def __init__(self, scope: _Scope) -> None:
+        self.scope = scope
+
+    def visit_Constant(self, node: ast.Constant) -> Any:
+        try:
+            return self.visit(ast.parse(node.value, mode="eval").body) if isinstance(node.value, str) else node
+        except SyntaxError:
+            return _ANY
+
+    def visit_Name(self, node: ast.Name) -> Any:
+        found = self.scope.find(node.id)
+        if not found and hasattr(builtins, node.id):
+            return node
+        return self._written(found)
+
+    def visit_Attribute(self, node: ast.Attribute) -> Any:
+        origin, name = self.scope.imported.get(node.value.id, ("", "")) if isinstance(node.value, ast.Name) else ("", "")
+        return self._written(self.scope.within(f"{origin}.{name}" if name else origin, node.attr))
+
+    def visit_Subscript(self, node: ast.Subscript) -> Any:
+        head: Any = self.visit(node.value)
+        name = head.id if isinstance(head, ast.Name) else "Any"
+        if name == "Literal":
+            return ast.Subscript(head, node.slice, ast.Load())
+        if name in {"Annotated", "Final"}:
+            return self.visit(node.slice.elts[0] if isinstance(node.slice, ast.Tuple) else node.slice)
+        return _ANY if name == "Any" else ast.Subscript(head, self.visit(node.slice), ast.Load())
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        return _ANY
+
+    def _written(self, found: tuple[ast.expr, _Scope] | str) -> Any:
+        if isinstance(found, str):
+            return ast.Name(found, ast.Load()) if hasattr(typing, found) else _ANY
+        definition, scope = found
+        return _Inlined(scope).visit(definition)
 
 
-Kinds = tuple[tuple[str, ...], tuple[Any, ...]]
-"""Names of accepted types, and literal choices."""
-
-
-def _annotation(argument: ast.arg, function: ast.FunctionDef, scope: _Scope) -> Kinds:
-    if argument.annotation is None:
-        return (), ()
-    try:
-        return _kinds(argument.annotation, scope)
-    except _Unclear:
-        return _told_by_python(argument.arg, function.name, scope)
-
-
-def _kinds(node: ast.AST, scope: _Scope) -> Kinds:
-    """Kinds of an annotation such as `int | None`, `Literal["a", "b"]` or a name for one.  Raises _Unclear."""
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr):
-        return _together([node.left, node.right], scope)
-    if isinstance(node, ast.Constant) and node.value is None:
-        return ("None",), ()
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return _kinds(ast.parse(node.value, mode="eval").body, scope)
-    if isinstance(node, ast.ClassDef):
-        return (node.name,), ()
-    if isinstance(node, ast.Subscript):
-        inner = list(node.slice.elts) if isinstance(node.slice, ast.Tuple) else [node.slice]
-        form = scope.of_typing(node.value)
-        if form == "Literal":
-            return (), tuple(ast.literal_eval(value) for value in inner)
-        if form in {"Union", "Optional"}:
-            kinds, choices = _together(inner, scope)
-            return (*kinds, *(["None"] if form == "Optional" else [])), choices
-        if form in {"Annotated", "Final"}:
-            return _kinds(inner[0], scope)
-        return (ast.unparse(node),), ()
-    if isinstance(node, ast.Name):
-        if node.id in _PLAIN or hasattr(builtins, node.id) or scope.of_typing(node):
-            return (node.id,), ()
-        return _kinds(*scope.definition(node.id))
-    if isinstance(node, ast.Attribute):
-        return ((ast.unparse(node),), ()) if scope.of_typing(node) else _kinds(*scope.attribute(node))
-    raise _Unclear
-
-
-def _together(nodes: list[ast.expr], scope: _Scope) -> Kinds:
-    found = [_kinds(node, scope) for node in nodes]
-    return tuple(k for kinds, _ in found for k in kinds), tuple(c for _, choices in found for c in choices)
-
-
-def _told_by_python(parameter: str, function: str, scope: _Scope) -> Kinds:
-    """The last resort: import the module.  Where that fails too, anything is accepted: the function will speak for itself."""
-    offer(scope.modules.folder)
-    try:
-        hints = typing.get_type_hints(getattr(importlib.import_module(scope.module), function))
-    except Exception:  # whatever a stranger's module does when it is imported
-        return (), ()
-    return _kinds_of_type(hints.get(parameter))
-
-
-def _kinds_of_type(hint: Any) -> Kinds:
-    origin = typing.get_origin(hint)
-    if origin is typing.Literal:
-        return (), typing.get_args(hint)
-    if origin in {typing.Union, types.UnionType}:
-        found = [_kinds_of_type(inner) for inner in typing.get_args(hint)]
-        return tuple(k for kinds, _ in found for k in kinds), tuple(c for _, choices in found for c in choices)
-    return ("None" if hint is type(None) else getattr(hint, "__name__", str(hint)),), ()
+_ANY = ast.Name("Any", ast.Load())

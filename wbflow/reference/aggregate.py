@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..cache import artifact
-from ..cache.functions import FunctionReader
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
+from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import POSES, STAGES, Stage
 from ..records.events import TaskEvent
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference

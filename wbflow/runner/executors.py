@@ -18,10 +18,10 @@ from typing import Any
 
 from .. import __version__
 from ..cache.fingerprint import FunctionError
-from ..cache.functions import FunctionReader
 from ..cache.room import in_words
 from ..errors import UsageError, WbflowError
 from ..pipeline.binding import bind
+from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
 from . import worker
 from .spec import TaskSpec

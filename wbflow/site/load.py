@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..cache.functions import FunctionReader
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
 from ..errors import printable
+from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
 from .cameras import beside, is_name, read_cameras, views_of

@@ -26,7 +26,7 @@ from .locations import Document, Location, SiteProblem
 from .rotations import look_at, rotation_fault, yaw_pitch_roll
 
 if TYPE_CHECKING:
-    from ..cache.functions import FunctionReader
+    from ..pipeline.functions import FunctionReader
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]

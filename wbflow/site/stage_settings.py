@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.fingerprint import FunctionError
-from ..cache.functions import FunctionReader
 from ..cache.untrusted import is_file as is_file_on_disk
 from ..errors import printable
 from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file
+from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from .cameras import beside
 from .explain import similar

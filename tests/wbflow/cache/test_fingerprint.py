@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
-from wbflow.cache.functions import FunctionReader
+from wbflow.cache.fingerprint import Modules, installed_version, read_code
+from wbflow.pipeline.functions import FunctionReader
 
 STAGE = """\
 from .helper import HALF
@@ -110,11 +112,37 @@ def test_another_method_in_the_table_changes_nothing(package: Package) -> None:
 
 
 def test_a_change_in_the_stages_counts_for_whoever_imports_them(package: Package) -> None:
-    from wbflow.cache.fingerprint import Modules
-
     package.write(
         stage="from wbflow_stages.matching.nearest_neighbour import match_mutual\n\ndef work(left):\n    return match_mutual\n"
     )
-    reader = FunctionReader()
-    assert "wbflow_stages.matching.nearest_neighbour" in reader._closure(f"{package.root.name}.stage")
-    assert Modules().file("wbflow_stages.matching.nearest_neighbour")
+    files = read_code(Modules(), f"{package.root.name}.stage:work").files
+    assert Modules().file("wbflow_stages.matching.nearest_neighbour") in files
+
+
+def test_any_library_that_the_code_imports_counts_by_its_minor_version(
+    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that is called otherwise than what provides it, and one that a helper imports within a function."""
+
+    def install(version: str) -> None:
+        folder = tmp_path / "Deep_Nets-1.dist-info"
+        folder.mkdir(exist_ok=True)
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: Deep-Nets\nVersion: {version}\n")
+        (folder / "top_level.txt").write_text("deepnets\n")
+        installed_version.cache_clear()
+        monkeypatch.setattr("wbflow.cache.fingerprint._provided", metadata.packages_distributions)
+
+    package.write(helper="HALF = 0.5\ndef run():\n    import deepnets.functional as F\n    return F\n")
+    code = read_code(Modules(), f"{package.root.name}.stage:work")
+    assert code.libraries == ("deepnets",)
+    found = {}
+    for version in ("2.1.0", "2.1.7", "2.2.0"):
+        install(version)
+        found[version] = package.code("stage:work")
+    installed_version.cache_clear()
+    assert found["2.1.0"] == found["2.1.7"] != found["2.2.0"]
+
+
+def test_the_standard_library_does_not_count(package: Package) -> None:
+    package.write(stage="import json\nfrom os import path\n\ndef work(left):\n    return json, path\n")
+    assert read_code(Modules(), f"{package.root.name}.stage:work").libraries == ()

@@ -8,9 +8,9 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from wbflow.cache.functions import FunctionReader
 from wbflow.cli.main import main
 from wbflow.pipeline.describe import describe
+from wbflow.pipeline.functions import FunctionReader
 from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_named
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow.cache.functions import FunctionReader
+from wbflow.pipeline.functions import FunctionReader
 from wbflow.pipeline.signature import Parameter, Signature
 
 
@@ -62,8 +62,27 @@ def test_modules_that_import_a_name_from_each_other_end_in_anything(tmp_path: Pa
     assert parameter.problem("whatever") is None
 
 
+@pytest.mark.parametrize(
+    ("annotation", "fits", "does_not"),
+    [
+        ("list[list[str]]", [["gate", "roof"]], [["gate", 1]]),
+        ("tuple[float, float]", [1, 2.5], [1, 2, 3]),
+        ("Sequence[int] | None", None, [1.5]),
+        ("dict[str, float]", {"a": 1}, {"a": "b"}),
+        ("Path", "a", None),
+    ],
+)
+def test_values_are_checked_all_through_and_a_class_of_one_s_own_accepts_anything(
+    tmp_path: Path, annotation: str, fits: object, does_not: object
+) -> None:
+    head = "from pathlib import Path\nfrom collections.abc import Sequence\n"
+    parameter = signature(tmp_path, f"{head}def f(*, x: {annotation}):\n    pass\n").parameters["x"]
+    assert parameter.problem(fits) is None
+    assert (parameter.problem(does_not) is None) == (annotation == "Path")
+
+
 def test_a_choice_beside_a_type_accepts_both() -> None:
-    parameter = Parameter("x", "auto", kinds=("float",), choices=("auto",))
+    parameter = Parameter("x", "auto", annotation="float | Literal['auto']")
     assert parameter.problem("auto") is None
     assert parameter.problem(0.5) is None
     assert parameter.problem("half") == "'half' is not of type float or one of auto"
@@ -75,7 +94,7 @@ def test_a_value_fits_its_own_type_and_no_other(value: object) -> None:
     for kind, types in kinds.items():
         fits = isinstance(value, types) and (kind == "bool" or not isinstance(value, bool))  # type: ignore[arg-type]
         if kind != "None":
-            assert (Parameter("x", kinds=(kind,)).problem(value) is None) == fits
+            assert (Parameter("x", annotation=kind).problem(value) is None) == fits
 
 
 def test_what_was_learnt_is_forgotten_when_an_imported_choice_changes(tmp_path: Path) -> None:

@@ -94,8 +94,8 @@ def test_a_function_of_one_s_own_keeps_its_names(tmp_path: Path) -> None:
 
 def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
     """Of the stage or of one of its methods; else an old name would lead nowhere."""
-    from wbflow.cache.functions import FunctionReader
     from wbflow.pipeline.binding import method_parameters
+    from wbflow.pipeline.functions import FunctionReader
 
     reader = FunctionReader()
     for stage in STAGES:

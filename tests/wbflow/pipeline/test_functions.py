@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from wbflow.cache.fingerprint import FunctionError
-from wbflow.cache.functions import FunctionReader
+from wbflow.pipeline.functions import FunctionReader
 from wbflow.pipeline.stages import STAGES
 
 
