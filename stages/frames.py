@@ -6,6 +6,7 @@ because what the operator has to do about it differs.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import atan, degrees
@@ -161,6 +162,7 @@ def _one_frame(
         taken_first=taken[0].isoformat() if taken else "",
         taken_last=taken[-1].isoformat() if taken else "",
         taken_in_order=list(taken) == sorted(taken),
+        picture_digest=clean[-1].digest,
     )
 
 
@@ -185,14 +187,17 @@ class _Clean:
     """What electronics and coding have done to the capture."""
     repair: str
     """What was done about that; "" where nothing."""
+    digest: str
+    """Of the capture's pixels."""
 
 
 def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Clean:
     area = private_area(privacy, camera.width, camera.height, name)
     image = blanked(image, area)  # first: no figure may depend on what is private
+    digest = hashlib.sha256(np.ascontiguousarray(image)).hexdigest()[:32]
     signal, (image, repair) = signal_of(image), put_right(image)
     straight = _resized(camera.undistort(image), *camera.working_size(resolution))
-    return _Clean(camera, name, straight, area, signal, repair)
+    return _Clean(camera, name, straight, area, signal, repair, digest)
 
 
 def _pictures(capture: Capture, lens: Lens, video_step: int, most: int) -> Iterator[tuple[str, Uint8s]]:

@@ -106,6 +106,8 @@ class Frame:
     """The same of the last."""
     taken_in_order: bool = True
     """False where the cameras' times contradict the order of the captures."""
+    picture_digest: str = ""
+    """Of the last capture's pixels: no two cameras show the same."""
 
 
 @short_repr

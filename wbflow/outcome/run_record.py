@@ -31,7 +31,7 @@ from ..runner.captures import pattern_of
 from ..runner.planner import Plan
 from ..runner.staleness import by_picture, night_by_pictures
 from ..runner.state import Cause, State
-from ..task import Task
+from ..task import Task, camera_of
 from .views import by_camera, of_camera
 
 _Worlds = list[tuple[dict[str, Any], WorldReports]]
@@ -141,7 +141,9 @@ def reported(scope: str) -> tuple[str, ...]:
 
 
 def _camera(plan: Plan, camera: str, worlds: _Worlds) -> CameraRecord:
-    record = CameraRecord(camera, "ok", figures=dict.fromkeys(reported("camera")), health=plan.health(camera))
+    captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
+    figures = {"captures": captures, **dict.fromkeys(reported("camera"))}
+    record = CameraRecord(camera, "ok", figures=figures, health=plan.health(camera))
     for stage, reports in _reporting("camera"):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state is None:

@@ -28,6 +28,8 @@ from .run_record import root_cause
 
 PLANNED_PAIRS = 0.5
 """Fewer of the planned pairs than this share are too few on a night without an earlier one to compare with."""
+LEAST_CONTRAST = 2.0
+"""Grey levels: pictures with less show nothing, and two of them may be alike."""
 SOFT_PX = 1.3
 """Pictures whose sharper edges are blurred by more (standard deviation, pixels) are soft: photographs reduced to a quarter and
 rendered scenes have 0.0 to 0.6, a sensor's own pixels 1.0."""
@@ -298,6 +300,25 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
     return replace(trouble, text=text, remedy=remedy)
 
 
+def check_captures(night: Night) -> Iterator[Finding]:
+    """Did captures change while they were worked on, and does each camera deliver pictures of its own?"""
+    moved = {camera.id: names for camera in night.record.cameras if (names := camera.figures.get("captures_in_motion"))}
+    if moved:
+        files = [name for names in moved.values() for name in names]
+        yield finding("captures-in-motion", tuple(moved), {"captures": len(files)}, captures=_names(files))
+    for names in _same_pictures(night.record.cameras):
+        yield finding("cameras-alike", names, cameras=_names(names))
+
+
+def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]:
+    """Yield groups of cameras that deliver one and the same picture."""
+    groups: dict[str, list[str]] = {}
+    for camera in cameras:
+        if _number(camera, "contrast") > LEAST_CONTRAST and (found := camera.figures.get("picture_digest")):
+            groups.setdefault(found, []).append(camera.id)
+    yield from (tuple(names) for names in groups.values() if len(names) > 1)
+
+
 def check_pictures(night: Night) -> Iterator[Finding]:
     """Are many pictures too blurred, or coded too coarsely, to be measured in?"""
     used = [camera for camera in night.record.cameras if camera.ok]
@@ -446,6 +467,7 @@ CHECKS: tuple[Check, ...] = (
     check_end,
     check_store,
     check_cameras,
+    check_captures,
     check_pictures,
     check_calibration,
     check_poses,

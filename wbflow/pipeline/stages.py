@@ -214,6 +214,7 @@ COMPONENT = "component"
 _OF_A_FRAME = (
     "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "blur_px", "coarseness", "cast", "colour",
     "noise", "frames_used", "doubtful", "unchanged", "taken_first", "taken_last", "taken_in_order",
+    "picture_digest",
 )  # fmt: skip
 _OF_COVERAGE = {
     "area_m2": "area", "seen_by_one": "seen_by_one", "seen_by_two": "seen_by_two",

@@ -204,6 +204,20 @@ FINDINGS: Mapping[str, FindingType] = {
             "look at where it points, and whether anything stands in front of it",
         ),
         FindingType(
+            "captures-in-motion",
+            "degraded",
+            "Captures were replaced, or still grew, while the run worked on them.",
+            "captures changed while the night was worked on: {captures}; run.json has the digests of those that were used",
+            "run the night again; have captures complete before the run begins, and each night's under names of its own",
+        ),
+        FindingType(
+            "cameras-alike",
+            "degraded",
+            "Two cameras or more deliver one and the same picture.",
+            "{cameras} deliver one and the same picture",
+            "look at which inputs of the recorder these cameras are on, and at what copies and names their pictures",
+        ),
+        FindingType(
             "poses-uncertain",
             "degraded",
             "Stated poses are not exact enough for dense matching, and tonight's pictures do not improve them.",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass, replace
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..cache.digests import Digests, Seen
@@ -13,7 +15,17 @@ from ..records.events import ArrivalsEvent, Watcher
 from ..records.record import Health
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.models import Site
-from .captures import CaptureFile, expected, find_captures, find_named, look_again, night
+from .captures import (
+    ANSWER_SECONDS,
+    LATER_SECONDS,
+    CaptureFile,
+    answered,
+    expected,
+    find_captures,
+    find_named,
+    look_again,
+    night,
+)
 from .planner import Plan
 from .staleness import look_at
 
@@ -75,6 +87,8 @@ class Night:
     notes: dict[str, str]
     """What is to be said of a camera's captures."""
     plan: Plan
+    replaced: set[Path] = field(default_factory=set)
+    """Files that were found changed after their digests had been taken."""
 
     def remember(self) -> None:
         """Keep what was learnt of files, for the next run.  Raises OSError."""
@@ -84,6 +98,7 @@ class Night:
 
     def look_again(self, path: Path) -> None:
         """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
+        self.replaced.add(path)
         self.digests.forget(path)
         self.plan.look_again()
         for files in self.captures.values():
@@ -91,6 +106,22 @@ class Night:
         for name, file in self.plan.named.items():
             if file.path == path:
                 self.plan.named[name] = _now(file, self.digests)
+
+    def captures_in_motion(self) -> dict[str, list[str]]:
+        """Captures that were replaced, or grew, since the run began: their names, by camera."""
+        found: dict[str, list[str]] = {}
+        seconds = ANSWER_SECONDS
+        for camera, files in self.captures.items():
+            try:
+                moved = answered(functools.partial(self._in_motion, files), seconds)
+            except TimeoutError:  # the mount has died since
+                seconds, moved = LATER_SECONDS, []
+            if moved:
+                found[camera] = moved
+        return found
+
+    def _in_motion(self, files: Iterable[CaptureFile]) -> list[str]:
+        return [f.name for f in files if f.digest and (f.path in self.replaced or _now(f, self.digests).digest != f.digest)]
 
 
 def _now(file: CaptureFile, digests: Digests) -> CaptureFile:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from wbflow.errors import ExitCode
 from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
+from wbflow.records.findings import FINDINGS, findings_table
 from wbflow.records.record import (
     CameraRecord,
     CloudRecord,
@@ -368,3 +370,26 @@ def test_usual_is_the_median() -> None:
     usual = usual_of([night(points=points) for points in (90_000, 100_000, 250_000)])
     assert (usual.nights, usual.figures) == (3, {"points": 100_000, "pairs": 6})
     assert usual.cameras["gate"] == {**LOOKS, "matched_share": 1.0}
+
+
+def test_captures_that_change_during_the_run_are_named() -> None:
+    moving = CameraRecord("gate", "ok", figures=LOOKS | {"captures_in_motion": ["gate.jpg"]})
+    record = night(cameras=[moving, *map(camera, ("crane", "mast", "roof"))])
+    finding = only(record)
+    assert (finding.kind, finding.subject, record.exit_code) == ("captures-in-motion", ("gate",), ExitCode.DEGRADED)
+    assert "gate.jpg" in finding.text
+
+
+def test_cameras_that_deliver_one_picture_are_named_unless_it_shows_nothing() -> None:
+    def showing(name: str, contrast: float) -> CameraRecord:
+        return CameraRecord(name, "ok", figures=LOOKS | {"picture_digest": "a" if name != "roof" else "b", "contrast": contrast})
+
+    finding = only(night(cameras=[showing(name, 40.0) for name in NAMES]))
+    assert (finding.kind, finding.subject) == ("cameras-alike", ("crane", "gate", "mast"))
+    assert verdict_of(night(cameras=[showing(name, 0.5) for name in NAMES])).good
+
+
+def test_the_guide_lists_every_finding_with_its_meaning_and_remedy() -> None:
+    guide = (Path(__file__).parents[3] / "sites" / "README.md").read_text()
+    listed = [line for line in guide.splitlines() if line.startswith(tuple(f"| `{code}`" for code in FINDINGS))]
+    assert listed == [f"| `{code}` | {meaning} | {remedy} |" for code, meaning, remedy in findings_table()]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.cache.artifact import file_digest
 from wbflow.cache.digests import Digests
+from wbflow.runner import loop
 
 
 @pytest.fixture
@@ -35,7 +38,8 @@ def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
 ) -> None:
     before = toy.capture("roof").read_text()
     after_looking(toy.capture("roof"), 1)
-    toy.run()
+    (finding,) = toy.run(code=3)["verdict"]["findings"]
+    assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
     replaced = toy.cloud
     monkeypatch.undo()
     monkeypatch.syspath_prepend(str(HELPERS))
@@ -45,6 +49,24 @@ def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
     toy.run()
     assert toy.cloud != replaced
     assert "frames roof" in toy.ran()
+
+
+def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_used(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used = file_digest(toy.capture("roof"))
+    work = loop.work
+
+    def work_then_replace(*arguments: Any) -> Any:
+        worked = work(*arguments)
+        toy.capture("roof").write_text("a view from roof, and more of it")
+        return worked
+
+    monkeypatch.setattr("wbflow.outcome.through.work", work_then_replace)
+    record = toy.run(code=3)
+    (finding,) = record["verdict"]["findings"]
+    assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
+    assert record["cameras"][1]["captures"] == {"roof.txt": used}
 
 
 def test_a_file_that_keeps_changing_costs_its_camera_only(toy: ToySite, after_looking: Callable[[Path, int], None]) -> None:
