@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 import re
 import sys
@@ -10,60 +11,33 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from ..errors import ExitCode, UsageError, printable
+from ..errors import ExitCode, UsageError, counted, printable
 
 if TYPE_CHECKING:
-    import datetime
-
-    from ..cache.layout import WorkFolder
     from ..site.models import Site
-
-    _DateType = click.ParamType[datetime.date]
-    _TimeType = click.ParamType[datetime.datetime]
-else:
-    _DateType = _TimeType = click.ParamType
 
 LONGEST_TEXT = 100_000_000
 """Characters that are printed at once: run.json is, as a whole."""
 
 
-class Day(_DateType):
-    """A day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
-
-    name = "day"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime.date:
-        import datetime
-
-        if isinstance(value, datetime.date):
-            return value
-        today = datetime.date.today()
-        if value in {"today", "yesterday"} or re.fullmatch(r"-\d{1,5}", value):
-            offset = int(value) if value.startswith("-") else {"today": 0, "yesterday": -1}[value]
-            return today + datetime.timedelta(days=offset)
-        try:
-            return datetime.date.fromisoformat(value)
-        except ValueError:
-            self.fail(f"{value!r} is no day; write 2026-11-19, yesterday, or -1", param, ctx)
+def day(text: str) -> datetime.date:
+    """Return a day: 2026-11-19, today, yesterday, or -1 (yesterday), -2, ..."""
+    named = {"today": 0, "yesterday": -1}
+    if text in named or re.fullmatch(r"-\d{1,5}", text):
+        return datetime.date.today() + datetime.timedelta(days=named[text] if text in named else int(text))
+    try:
+        return datetime.date.fromisoformat(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no day; write 2026-11-19, yesterday, or -1") from None
 
 
-class Clock(_TimeType):
-    """The next time that the clock shows 06:00."""
-
-    name = "time"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime.datetime:
-        import datetime
-
-        if isinstance(value, datetime.datetime):
-            return value
-        try:
-            time = datetime.time.fromisoformat(value)
-        except ValueError:
-            self.fail(f"{value!r} is no time of day; write 06:00", param, ctx)
-        now = datetime.datetime.now()
-        moment = datetime.datetime.combine(now.date(), time)
-        return moment if moment > now else moment + datetime.timedelta(days=1)
+def next_time(text: str) -> datetime.datetime:
+    """Return the next time that the clock shows 06:00."""
+    try:
+        moment = datetime.datetime.combine(datetime.date.today(), datetime.time.fromisoformat(text))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no time of day; write 06:00") from None
+    return moment if moment > datetime.datetime.now() else moment + datetime.timedelta(days=1)
 
 
 PATH = click.Path(path_type=Path)
@@ -77,7 +51,7 @@ work_option = click.option(
 )
 out_option = click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the files.")
 date_option = click.option(
-    "--date", type=Day(), metavar="DAY", help="Night to work on: 2026-11-19, yesterday, -1 (default: the newest with captures)."
+    "--date", type=day, metavar="DAY", help="Night to work on: 2026-11-19, yesterday, -1 (default: the newest with captures)."
 )
 jobs_option = click.option(
     "--jobs", type=click.IntRange(min=1), default=os.cpu_count() or 1, show_default="all cores", metavar="N", help="Workers."
@@ -87,44 +61,31 @@ verbose_option = click.option("-v", "--verbose", is_flag=True, help="Print every
 until_option = click.option("--until", metavar="STAGE", help="Stop after this stage.")
 
 
-def load(path: Path, work: str | None, notes: bool = True, pull: bool = True) -> Site:
-    """Load a site.
+def load(path: Path, work: str | None, for_run: bool = False) -> Site:
+    """Load a site from its file, or from the folder of a `site.yaml`.
 
-    Parameters
-    ----------
-    path : Path
-        Its file, or the folder of a `site.yaml`.
-    work : str, optional
-        A work folder, or object store, instead of the one that the file names.
-    notes : bool
-        Print what is out of date in the file (a run reports that itself).
-    pull : bool
-        Bring the runs of other machines from the object store first.
+    work: a work folder, or object store, instead of the one that the file names.  for_run: a run itself reports what is out of
+    date in the file, and brings the runs of other machines from the object store.
     """
+    from ..records.run_folder import refresh
+    from ..remote import StoreError
     from ..site.load import load_site
     from ..site.locations import SiteError
 
     try:
         site = load_site(path, work)
     except SiteError as error:
-        count = len(error.problems)
-        what = f"{error}\n{count} problem{'s' * (count != 1)} in {path}; nothing was done"
+        what = f"{error}\n{counted(len(error.problems), 'problem')} in {path}; nothing was done"
         raise UsageError(what, remedy=f"then: wbflow check {path}") from None
-    if site.work_folder.store and pull:
-        _pull(site.work_folder)
-    for note in site.notes if notes else ():
-        echo(f"note: {note}", err=True)
-    return site
-
-
-def _pull(work: WorkFolder) -> None:
-    from ..records.run_folder import refresh
-    from ..remote import StoreError
-
+    if for_run:
+        return site
     try:
-        refresh(work)
+        refresh(site.work_folder)
     except StoreError as error:
         echo(f"note: {error}\n  only what this machine knows is shown", err=True)
+    for note in site.notes:
+        echo(f"note: {note}", err=True)
+    return site
 
 
 def echo(text: object, err: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""What a run shows while it works: a live table on a terminal, one line per finished stage in a log file."""
+"""What a run shows while it works: a live table on a terminal, one line for each finished stage in a log file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from ..errors import printable
 from ..records.events import ArrivalsEvent, Event, PlannedEvent, Signal, StartedEvent, TaskEvent, WarningEvent
@@ -26,66 +26,59 @@ HEARTBEAT_SECONDS = 300.0
 MOST_RUNNING = 6
 """Running tasks that the live table names."""
 MOST_REJECTED = 8
-"""Rejections per stage that are printed with their reason; with -v all are."""
-
-_WEIGHT_MEASURED, _WEIGHT_ROUGH = 3.0, 0.3
-"""How many of tonight's tasks an expectation counts as much as: one measured in earlier runs, and a rough guess."""
-_COMPILE_WEIGHT_SECONDS = 1.0
-"""Stated compile time that counts before any has been seen tonight."""
-_PACE_SLACK = 0.1
-"""Share of all work that has to be done before tonight's pace counts as much as that of earlier runs."""
-
-
-class Display(Protocol):
-    """Receives everything that happens in a run."""
-
-    def receive(self, event: Event | Signal) -> None:
-        """Show an event."""
+"""Rejections of a stage that are printed with their reason; with -v all are."""
+_PRIOR = {True: 3.0, False: 0.3}
+"""How many of tonight's tasks an expectation weighs: one that earlier runs measured, and a rough guess."""
 
 
 @contextmanager
 def display(site: str, verbose: bool = False, quiet: bool = False) -> Iterator[Display]:
     """Yield the display that suits stderr; whatever it has drawn is gone at the end.
 
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    verbose : bool
-        Print every task with its seconds, and tracebacks.
-    quiet : bool
-        Print warnings only; failures are among the findings at the end.
+    verbose: print every task with its seconds, and tracebacks.  quiet: print warnings only; findings follow at the end.
     """
-    messages = Messages(site, verbose, quiet)
     if quiet:
-        yield messages
+        yield Display(site, verbose, quiet=True)
     elif sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
-        with LiveTable(messages) as table:
+        with LiveTable(site, verbose) as table:
             yield table
     else:
-        with LogLines(messages) as lines:
+        with LogLines(site, verbose) as lines:
             yield lines
 
 
-class Messages:
-    """The messages for single events."""
+class Display:
+    """Prints messages about single events, and keeps the progress."""
 
-    def __init__(self, site: str, verbose: bool, quiet: bool = False) -> None:
+    def __init__(self, site: str, verbose: bool = False, quiet: bool = False) -> None:
         self.site = site
-        self._verbose = verbose
-        self._quiet = quiet
+        self.progress = Progress()
+        self.lock = threading.Lock()
+        self._verbose, self._quiet = verbose, quiet
         self._rejected: Counter[str] = Counter()
 
     def receive(self, event: Event | Signal) -> None:
-        """Print the messages of an event."""
-        for line, is_fault in self.lines(event):
-            echo(line, err=is_fault)
+        """Show an event."""
+        with self.lock:
+            ended = self.progress.add(event)
+            lines = self._messages(event)
+        for line, is_fault in lines:
+            self.print(line, is_fault)
+        for stage in ended:
+            self.stage_ended(stage)
 
-    def lines(self, event: Event | Signal) -> list[tuple[str, bool]]:
-        """Return the lines to print for an event, each with whether it is a fault (which goes to stderr)."""
+    def print(self, line: str, is_fault: bool = False) -> None:
+        """Print a line; of a fault to stderr."""
+        echo(line, err=is_fault)
+
+    def stage_ended(self, stage: StageProgress) -> None:
+        """Show that a stage has done all its tasks."""
+
+    def _messages(self, event: Event | Signal) -> list[tuple[str, bool]]:
+        """Return the lines to print for an event, each with whether it is a fault."""
         if isinstance(event, WarningEvent):
             lines = [(f"warning: {event}", True)]
-        elif isinstance(event, TaskEvent) and self._shows(event):
+        elif isinstance(event, TaskEvent) and self._is_printed(event):
             subject = "--".join(event.task.subject) or self.site
             took = f"{event.cpu:.1f} s" if self._verbose and event.cpu is not None else ""
             line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or took}"
@@ -94,7 +87,7 @@ class Messages:
             return []
         return [*lines, (event.trace, True)] if event.trace and self._verbose else lines
 
-    def _shows(self, event: TaskEvent) -> bool:
+    def _is_printed(self, event: TaskEvent) -> bool:
         if self._verbose or self._quiet:
             return self._verbose
         if event.outcome == "rejected":
@@ -103,16 +96,14 @@ class Messages:
         return event.outcome == "failed"
 
 
-class LogLines:
-    """For files: a time-stamped line for each stage that ends and each message, and a heartbeat in between."""
+class LogLines(Display):
+    """For files: a time-stamped line for each message and each stage that ends, and a heartbeat in between."""
 
-    def __init__(self, messages: Messages, heartbeat: float = HEARTBEAT_SECONDS) -> None:
-        self._messages = messages
-        self._progress = Progress()
+    def __init__(self, site: str, verbose: bool = False, heartbeat: float = HEARTBEAT_SECONDS) -> None:
+        super().__init__(site, verbose)
         self._heartbeat = heartbeat
         self._printed = time.monotonic()
         self._over = threading.Event()
-        self._lock = threading.Lock()
         self._clock = threading.Thread(target=self._beat, daemon=True)
 
     def __enter__(self) -> LogLines:
@@ -123,45 +114,32 @@ class LogLines:
         self._over.set()
         self._clock.join()
 
-    def receive(self, event: Event | Signal) -> None:
-        """Print the messages of an event, and the stages that end with it."""
-        with self._lock:
-            ended = self._progress.add(event)
-            for line, is_fault in self._messages.lines(event):
-                self._print(line, is_fault)
-            for stage in ended:
-                self._print(f"{stage.name}: {stage.done} of {stage.tasks} done: {stage.counts()}; {stage.cpu:.1f} CPU s")
-
-    def _print(self, line: str, is_fault: bool = False) -> None:
+    def print(self, line: str, is_fault: bool = False) -> None:
         echo(f"{datetime.datetime.now():%Y-%m-%dT%H:%M:%S} {line}", err=is_fault)
         self._printed = time.monotonic()
 
+    def stage_ended(self, stage: StageProgress) -> None:
+        self.print(f"{stage.name}: {stage.done} of {stage.tasks} done: {stage.counts()}; {stage.cpu:.1f} CPU s")
+
     def _beat(self) -> None:
         while not self._over.wait(max(0.0, self._printed + self._heartbeat - time.monotonic())):
-            with self._lock:
-                if time.monotonic() - self._printed >= self._heartbeat:
-                    now = time.time()
-                    running = ", ".join(f"{task} ({duration(age)})" for task, age in self._progress.ages(now))
-                    self._print(self._progress.summary(now) + (f"; running: {running}" if running else ""))
+            if time.monotonic() - self._printed >= self._heartbeat:
+                with self.lock:
+                    summary, running = self.progress.summary(), ", ".join(self.progress.running_tasks())
+                self.print(summary + (f"; running: {running}" if running else ""))
 
 
-class LiveTable:
+class LiveTable(Display):
     """For terminals: stages with their progress, running tasks and the time left; messages scroll by above."""
 
-    def __init__(self, messages: Messages) -> None:
+    def __init__(self, site: str, verbose: bool = False) -> None:
         from rich.console import Console
         from rich.live import Live
 
-        self._messages = messages
-        self._progress = Progress()
-        self._lock = threading.Lock()
+        super().__init__(site, verbose)
         self._console = Console(stderr=True, highlight=False)
         self._live = Live(
-            get_renderable=self._render,
-            console=self._console,
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
+            get_renderable=self._render, console=self._console, transient=True, redirect_stdout=False, redirect_stderr=False
         )
 
     def __enter__(self) -> LiveTable:
@@ -171,16 +149,11 @@ class LiveTable:
     def __exit__(self, *error: object) -> None:
         self._live.stop()
 
-    def receive(self, event: Event | Signal) -> None:
-        """Print the messages of an event above the table, and take it into the table."""
-        with self._lock:
-            self._progress.add(event)
-            lines = self._messages.lines(event)
-        for line, is_fault in lines:
-            if is_fault or sys.stdout.isatty():
-                self._console.print(printable(line, LONGEST_TEXT), markup=False, soft_wrap=True)
-            else:
-                echo(line)
+    def print(self, line: str, is_fault: bool = False) -> None:
+        if is_fault or sys.stdout.isatty():
+            self._console.print(printable(line, LONGEST_TEXT), markup=False, soft_wrap=True)
+        else:
+            echo(line)
 
     def _render(self) -> Group:
         from rich.console import Group
@@ -188,24 +161,21 @@ class LiveTable:
         from rich.table import Table
         from rich.text import Text
 
-        now = time.time()
-        with self._lock:
-            table = Table.grid(padding=(0, 2, 0, 0))
-            table.add_column(min_width=10, no_wrap=True)
-            table.add_column(width=24)
-            table.add_column(justify="right", no_wrap=True)
-            table.add_column(no_wrap=True, overflow="ellipsis", style="dim")
-            for stage in visible_stages(list(self._progress.stages.values()), max(3, self._console.height - MOST_RUNNING - 3)):
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(min_width=10, no_wrap=True)
+        table.add_column(width=24)
+        table.add_column(justify="right", no_wrap=True)
+        table.add_column(no_wrap=True, overflow="ellipsis", style="dim")
+        with self.lock:
+            progress = self.progress
+            for stage in visible_stages(list(progress.stages.values()), max(3, self._console.height - MOST_RUNNING - 3)):
                 bar = ProgressBar(total=max(1, stage.tasks), completed=stage.done, width=24)
                 table.add_row(stage.name, bar, f"{stage.done}/{stage.tasks}", stage.counts())
-            running = [f"  {printable(task)}  {duration(age)}" for task, age in self._progress.ages(now)[:MOST_RUNNING]]
-            summary = self._progress.summary(now)
-        head = "" if self._progress.planned else f"{printable(self._messages.site)}: "
-        return Group(
-            *([table] if self._progress.planned else []),
-            *(Text(line, style="dim", no_wrap=True, overflow="ellipsis") for line in running),
-            Text(head + summary, style="bold", no_wrap=True, overflow="ellipsis"),
-        )
+            running, summary = progress.running_tasks("{}  {}")[:MOST_RUNNING], progress.summary()
+        if not progress.planned:
+            summary = f"{printable(self.site)}: {summary}"
+        lines = [(f"  {printable(task)}", "dim") for task in running] + [(summary, "bold")]
+        return Group(table, *(Text(line, style, no_wrap=True, overflow="ellipsis") for line, style in lines))
 
 
 @dataclass
@@ -224,12 +194,10 @@ class StageProgress:
     walls: list[float] = field(default_factory=list)
     """Seconds that tasks have taken tonight, by the clock."""
     outcomes: dict[Task, str] = field(default_factory=dict)
-    any_fresh: bool = False
-    """Whether tonight has worked on a task of it."""
     cpu: float = 0.0
     """Seconds that its tasks took together."""
-    reported: bool = False
-    """Whether its end has been reported."""
+    fresh: bool = False
+    """Whether tonight has worked on it, and its end has not been reported."""
 
     @property
     def left(self) -> int:
@@ -269,59 +237,13 @@ class Progress:
             stage = self.stages.setdefault(event.task.stage, StageProgress(event.task.stage))
             begun = self.running.pop(event.task, None)
             if event.fresh:
-                stage.any_fresh = True
+                stage.fresh = True
                 stage.cpu += event.cpu or 0.0
                 if begun is not None and event.outcome in {"ran", "rejected"}:
                     stage.walls.append(max(0.0, _seconds(event.at) - begun))
             stage.done += event.task not in stage.outcomes
             stage.outcomes[event.task] = event.outcome
         return []
-
-    def ages(self, now: float) -> list[tuple[Task, float]]:
-        """Return the running tasks and for how many seconds each has run."""
-        return [(task, max(0.0, now - since)) for task, since in self.running.items()]
-
-    @property
-    def totals(self) -> tuple[int, int]:
-        """Tasks that are done, and all tasks."""
-        return sum(stage.done for stage in self.stages.values()), sum(stage.tasks for stage in self.stages.values())
-
-    def summary(self, now: float) -> str:
-        """Return the progress in one line.  now: seconds since 1970."""
-        left, (done, tasks) = self.seconds_left(now), self.totals
-        if left is None:
-            return self.captures_read or "looking for what is to be done"
-        if done >= tasks:
-            return f"{done} of {tasks} tasks done; publishing the run"
-        until = datetime.datetime.fromtimestamp(now + left)
-        return f"{done} of {tasks} tasks done; ETA {until:%H:%M}, about {duration(left)} left"
-
-    def seconds_left(self, now: float) -> float | None:
-        """Estimate the seconds that the run still takes; None before the plan is known.
-
-        A task of a stage takes what it took in earlier runs, scaled by tonight's pace, and more and more the mean of tonight's.
-        Where nobody has measured a stage yet, its first task compiles while the others wait: as long as stated, scaled by what
-        compiling took in the stages before it.
-
-        now: seconds since 1970.
-        """
-        if not self.planned:
-            return None
-        pace = {measured: self._pace(measured) for measured in (True, False)}
-        compile_pace = self._compile_pace(pace[False])
-        unfinished = [stage for stage in self.stages.values() if stage.left]
-        return sum(
-            self._stage_seconds(stage, now, self._task_seconds(stage, pace[stage.measured]), compile_pace) for stage in unfinished
-        )
-
-    def _stage_seconds(self, stage: StageProgress, now: float, each: float, compile_pace: float) -> float:
-        workers = min(self.workers, stage.left)
-        ages = [now - since for task, since in self.running.items() if task.stage == stage.name][: stage.left]
-        waiting = (stage.left - len(ages)) * each
-        if stage.compile_seconds and not stage.walls:  # every running task compiles, or waits for the one that does
-            first = compile_pace * stage.compile_seconds
-            return waiting / workers + (_remaining(max(ages), each + first) if ages else first)
-        return (waiting + sum(_remaining(age, each) for age in ages)) / workers
 
     def _plan(self, event: PlannedEvent) -> list[StageProgress]:
         self.planned, self.workers = True, event.workers
@@ -331,30 +253,69 @@ class Progress:
             stage = self.stages[row.stage]
             stage.tasks, stage.done, stage.expected_seconds, stage.measured = row.tasks, row.settled, row.seconds, row.known
             stage.compile_seconds = row.compiles
-            if stage.any_fresh and earlier_ended and not (stage.left or stage.reported):
-                stage.reported = True
-                ended.append(stage)
             earlier_ended = earlier_ended and not stage.left
+            if stage.fresh and earlier_ended:
+                stage.fresh = False
+                ended.append(stage)
         return ended
 
+    def running_tasks(self, form: str = "{} ({})") -> list[str]:
+        """Return the running tasks and for how long each has run, in this form."""
+        now = time.time()
+        return [form.format(task, duration(max(0.0, now - since))) for task, since in self.running.items()]
+
+    @property
+    def totals(self) -> tuple[int, int]:
+        """Tasks that are done, and all tasks."""
+        return sum(stage.done for stage in self.stages.values()), sum(stage.tasks for stage in self.stages.values())
+
+    def summary(self) -> str:
+        """Return the progress in one line."""
+        left, (done, tasks) = self.seconds_left(time.time()), self.totals
+        if left is None:
+            return self.captures_read or "looking for what is to be done"
+        if done >= tasks:
+            return f"{done} of {tasks} tasks done; publishing the run"
+        until = datetime.datetime.now() + datetime.timedelta(seconds=left)
+        return f"{done} of {tasks} tasks done; ETA {until:%H:%M}, about {duration(left)} left"
+
+    def seconds_left(self, now: float) -> float | None:
+        """Estimate the seconds that the run still takes; None before the plan is known.  now: seconds since 1970.
+
+        A task of a stage takes what it took in earlier runs, scaled by tonight's pace, and more and more the mean of tonight's.
+        Where no run has measured a stage yet, its first task compiles while the others wait.
+        """
+        if not self.planned:
+            return None
+        compile_pace = self._compile_pace()
+        return sum(self._stage_seconds(stage, now, compile_pace) for stage in self.stages.values() if stage.left)
+
+    def _stage_seconds(self, stage: StageProgress, now: float, compile_pace: float) -> float:
+        workers, each = min(self.workers, stage.left), self._task_seconds(stage)
+        ages = [now - since for task, since in self.running.items() if task.stage == stage.name][: stage.left]
+        waiting = (stage.left - len(ages)) * each / workers
+        if not stage.compile_seconds or stage.walls:
+            return waiting + sum(_remaining(age, each) for age in ages) / workers
+        first = compile_pace * stage.compile_seconds
+        return waiting + (_remaining(max(ages), each + first) if ages else first)
+
+    def _task_seconds(self, stage: StageProgress) -> float:
+        prior, walls = _PRIOR[stage.measured], self._typical_walls(stage)
+        return (sum(walls) + prior * stage.expected_seconds * self._pace(stage.measured)) / (len(walls) + prior)
+
     def _pace(self, measured: bool) -> float:
-        """Return how many times longer tasks take tonight than expected."""
+        """Return how many times longer tasks take tonight than expected; a tenth of all that was measured counts as on time."""
         stages = [stage for stage in self.stages.values() if stage.measured == measured]
         took = sum(sum(self._typical_walls(stage)) for stage in stages)
         expected = sum(len(self._typical_walls(stage)) * stage.expected_seconds for stage in stages)
-        slack = _PACE_SLACK * sum(stage.tasks * stage.expected_seconds for stage in stages) if measured else 0.0
-        return (took + slack) / (expected + slack) if expected + slack > 0 else 1.0
+        on_time = 0.1 * sum(stage.tasks * stage.expected_seconds for stage in stages) if measured else 0.0
+        return (took + on_time) / (expected + on_time) if expected + on_time > 0 else 1.0
 
-    def _compile_pace(self, pace: float) -> float:
+    def _compile_pace(self) -> float:
         """Return how many times longer compiling takes tonight than stated; next to 0 where it had been done before."""
         compiled = [stage for stage in self.stages.values() if stage.compile_seconds and stage.walls]
-        took = sum(max(0.0, stage.walls[0] - self._task_seconds(stage, pace)) for stage in compiled)
-        stated = sum(stage.compile_seconds for stage in compiled)
-        return (took + _COMPILE_WEIGHT_SECONDS) / (stated + _COMPILE_WEIGHT_SECONDS)
-
-    def _task_seconds(self, stage: StageProgress, pace: float) -> float:
-        weight, walls = _WEIGHT_MEASURED if stage.measured else _WEIGHT_ROUGH, self._typical_walls(stage)
-        return (sum(walls) + weight * stage.expected_seconds * pace) / (len(walls) + weight)
+        took = sum(max(0.0, stage.walls[0] - self._task_seconds(stage)) for stage in compiled)
+        return (took + 1.0) / (sum(stage.compile_seconds for stage in compiled) + 1.0)
 
     def _typical_walls(self, stage: StageProgress) -> list[float]:
         """Return the seconds of tasks without, in a first run, each worker's first, which compiles too."""
@@ -364,8 +325,6 @@ class Progress:
 
 def visible_stages(stages: list[StageProgress], room: int) -> list[StageProgress]:
     """Return the stages that fit on a low terminal: from the last that has ended."""
-    if len(stages) <= room:
-        return stages
     first = next((i for i, stage in enumerate(stages) if stage.left), len(stages))
     start = max(0, min(first - 1, len(stages) - room))
     return stages[start : start + room]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import sys
+import traceback
 
 import click
 
 from .. import __version__
 from ..cache.room import FULL, REMEDY
 from ..errors import ExitCode, WbflowError
-from . import reference, results, setup
-from . import run as night
+from . import results, run, setup
 from .common import stop
 
 _UNWRITABLE = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -22,11 +23,8 @@ class _Commands(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the named command; of an unknown one, suggest the nearest."""
-        if args[0] not in self.commands:
-            import difflib
-
-            if close := difflib.get_close_matches(args[0], self.commands, 1):
-                ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {close[0]}?")
+        if args[0] not in self.commands and (close := difflib.get_close_matches(args[0], self.commands, 1)):
+            ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {close[0]}?")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
@@ -38,8 +36,6 @@ class _Commands(click.Group):
             sys.exit(ExitCode.INTERRUPTED)
         except WbflowError as error:
             if _wants_tracebacks() and error.__cause__:
-                import traceback
-
                 traceback.print_exception(error.__cause__)
             stop(error.exit_code, str(error))
         except Exception as error:
@@ -66,26 +62,10 @@ def main() -> None:
     """
 
 
-for _command in (
-    night.run,
-    night.status,
-    night.check,
-    results.report,
-    results.history,
-    results.compare,
-    results.export,
-    results.clean,
-    reference.pin,
-    setup.demo,
-    setup.init,
-    setup.pair,
-    setup.calibrate,
-    setup.stages,
-    results.debug,
-    results.runs,
-    results.site_report,
-):
-    main.add_command(_command)
+for _module in (run, results, setup):
+    for _command in vars(_module).values():
+        if isinstance(_command, click.Command):
+            main.add_command(_command)
 
 
 def _wants_tracebacks() -> bool:

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
+import datetime
+import json
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import groupby
+from dataclasses import asdict
+from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..errors import ExitCode, UsageError, WbflowError, counted, worst
-from .common import (
-    Clock,
-    Day,
-    date_option,
-    echo,
-    echo_json,
-    jobs_option,
-    json_option,
-    load,
-    site_argument,
-    sites_argument,
-    until_option,
-    verbose_option,
-    work_option,
-)
+from . import common
+from .common import date_option, day, echo, echo_json, json_option, load, next_time, site_argument, verbose_option, work_option
 from .display import display
 
 if TYPE_CHECKING:
-    import datetime
-
     from ..api import Run
     from ..records.record import Finding, RunRecord
+    from ..runner.planner import Plan
     from ..site.models import Site
 
 BACKENDS = ("processes", "loky", "threading", "dask")
@@ -51,40 +40,17 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 """Causes of failure for which the task's inputs are worth a look."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """The options of `wbflow run`; see their help texts."""
-
-    date: datetime.date | None
-    since: datetime.date | None
-    work: str | None
-    jobs: int
-    until: str | None
-    force: tuple[str, ...]
-    dry_run: bool
-    wait: bool
-    stop_at: datetime.datetime | None
-    as_json: bool
-    backend: str
-    scheduler: str | None
-    worker_roots: tuple[str, ...]
-    memory: str | None
-    time_limit: float | None
-    verbose: bool
-    quiet: bool
-
-
 @click.command()
-@sites_argument
+@common.sites_argument
 @date_option
-@click.option("--since", type=Day(), metavar="DAY", help="All nights from this day on that have captures, one after the other.")
+@click.option("--since", type=day, metavar="DAY", help="All nights from this day on that have captures, one after the other.")
 @work_option
-@jobs_option
-@until_option
+@common.jobs_option
+@common.until_option
 @click.option("--force", multiple=True, metavar="STAGE_OR_TASK", help="Do this again: `fuse`, or `'matches gate--roof'`.")
 @click.option("--dry-run", is_flag=True, help="Print what would run, and why; write nothing.")
 @click.option("--wait", is_flag=True, help="Wait for another run of this work folder instead of giving up.")
-@click.option("--stop-at", type=Clock(), metavar="HH:MM", help="Stop then, and publish what there is.")
+@click.option("--stop-at", type=next_time, metavar="HH:MM", help="Stop then, and publish what there is.")
 @click.option("--json", "as_json", is_flag=True, help="Print run.json, and nothing else.")
 @click.option("--backend", type=click.Choice(BACKENDS), default=BACKENDS[0], help="Where tasks run (loky: processes).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, for --backend dask: tcp://host:8786.")
@@ -95,7 +61,17 @@ class Options:
 @click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds a task may take.")
 @verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
-def run(sites: tuple[Path, ...], **options: Any) -> None:
+def run(
+    sites: tuple[Path, ...],
+    date: datetime.date | None,
+    since: datetime.date | None,
+    work: str | None,
+    dry_run: bool,
+    as_json: bool,
+    verbose: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
     """The night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
     Several sites run one after the other; a fault of one costs the others nothing.  With --since, each missed night gets
@@ -108,89 +84,58 @@ def run(sites: tuple[Path, ...], **options: Any) -> None:
     wbflow run site.yaml --force 'matches gate--roof' --until poses
     wbflow run site.yaml --since -7 --stop-at 06:00
     """
-    nights = Nights(Options(**options), several=bool(options["since"]) or len(sites) > 1)
-    if nights.options.date and nights.options.since:
+    if date and since:
         raise UsageError("--date and --since exclude each other", remedy="give one of them: wbflow run SITE.yaml --since DAY")
-    if nights.options.work and len(sites) > 1:
+    if work and len(sites) > 1:
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
-    code = for_each(sites, nights.explain if nights.options.dry_run else nights.run)
-    if nights.options.as_json and not nights.options.dry_run:
-        echo_json(nights.records if nights.several else nights.records[0])
-    sys.exit(code)
+    quiet, several, records = quiet or as_json, bool(since) or len(sites) > 1, list[Any]()
 
-
-@dataclass
-class Nights:
-    """The nights that one call of `wbflow run` works on."""
-
-    options: Options
-    several: bool
-    """Whether there may be more than one run, so that each says which it is."""
-    records: list[Any] = field(default_factory=list)
-    """run.json of each run, for --json."""
-
-    def explain(self, path: Path) -> int:
-        """Print what would run for a site."""
-        site = load(path, self.options.work)
-        for night in self._of(site):
-            print_plan(site, night, self.options.until, self.options.force)
-        return ExitCode.GOOD
-
-    def run(self, path: Path) -> int:
-        """Run a site's nights; returns the worst exit code."""
-        from ..api import run as run_night
-
-        options, quiet = self.options, self.options.quiet or self.options.as_json
-        site = load(path, options.work, notes=False, pull=False)  # a run reports them, and pulls, itself
-        nights, codes = self._of(site), list[int]()
+    def run_site(path: Path) -> int:
+        site = load(path, work, for_run=not dry_run)
+        nights, codes = _nights(site, date, since), list[int]()
+        if dry_run:
+            for night in nights:
+                _print_plan(_plan(site, night, options["until"], options["force"]))
+            return ExitCode.GOOD
         for night in nights:
-            if codes and options.stop_at and options.stop_at <= type(options.stop_at).now():
-                echo(f"{counted(len(nights) - len(codes), 'night')} not begun: --stop-at {options.stop_at:%H:%M}", err=True)
+            if codes and _is_over(options["stop_at"]):
+                left = counted(len(nights) - len(codes), "night")
+                echo(f"{left} not begun: --stop-at {options['stop_at']:%H:%M}", err=True)
                 codes.append(ExitCode.DEGRADED)
                 break
-            with display(site.name, options.verbose, quiet) as shown:
-                finished = run_night(
-                    site,
-                    date=night,
-                    jobs=options.jobs,
-                    until=options.until,
-                    force=options.force,
-                    wait=options.wait,
-                    backend=options.backend,
-                    scheduler=options.scheduler,
-                    worker_roots=options.worker_roots,
-                    memory=options.memory,
-                    time_limit=options.time_limit,
-                    stop_at=options.stop_at,
-                    listen=shown.receive,
-                    watch=shown.receive,
-                )
+            finished = _run_night(site, night, verbose, quiet, options)
             codes.append(finished.record.exit_code)
-            self._print(finished, quiet)
+            if as_json:
+                records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
+            _print_run(finished, several, quiet)
             if codes[-1] == ExitCode.INTERRUPTED:
                 break
         if not quiet:
             echo(f"next    {next_command(finished, path)}")
         return worst(codes)
 
-    def _of(self, site: Site) -> list[datetime.date | None]:
-        from ..runner.captures import backlog
+    code = for_each(sites, run_site)
+    if as_json and not dry_run:
+        echo_json(records if several else records[0])
+    sys.exit(code)
 
-        return [self.options.date] if self.options.since is None else [*backlog(site, self.options.since)]
 
-    def _print(self, finished: Run, quiet: bool) -> None:
-        import json
+def _nights(site: Site, date: datetime.date | None, since: datetime.date | None) -> list[datetime.date | None]:
+    from ..runner.captures import backlog
 
-        record = finished.record
-        if self.options.as_json:
-            self.records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
-        if not quiet:
-            if self.several:
-                echo(f"{record.site}, night {record.date}, run {record.run}:")
-            print_summary(finished)
-        if record.exit_code or not quiet:
-            print_findings(record)
+    return [date] if since is None else [*backlog(site, since)]
+
+
+def _is_over(stop_at: datetime.datetime | None) -> bool:
+    return stop_at is not None and stop_at <= datetime.datetime.now()
+
+
+def _run_night(site: Site, night: datetime.date | None, verbose: bool, quiet: bool, options: dict[str, Any]) -> Run:
+    from ..api import run as run_night
+
+    with display(site.name, verbose, quiet) as shown:
+        return run_night(site, date=night, listen=shown.receive, watch=shown.receive, **options)
 
 
 def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
@@ -215,16 +160,21 @@ def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
     return worst(codes)
 
 
-def print_summary(finished: Run) -> None:
-    """Print verdict and figures of a run, and where its files are."""
+def _print_run(finished: Run, several: bool, quiet: bool) -> None:
+    """Print verdict, figures and findings of a run, and where its files are."""
     record, paths = finished.record, finished.finished.folder.paths
-    if record.verdict and record.verdict.good and not record.verdict.findings:
-        echo(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
-    tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
-    echo(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
-    if record.cloud:
-        echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
-    echo(f"report  {paths.report}")
+    if not quiet:
+        if several:
+            echo(f"{record.site}, night {record.date}, run {record.run}:")
+        if record.verdict and record.verdict.good and not record.verdict.findings:
+            echo(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
+        tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
+        echo(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
+        if record.cloud:
+            echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
+        echo(f"report  {paths.report}")
+    if record.exit_code or not quiet:
+        print_findings(record)
 
 
 def print_findings(record: RunRecord) -> None:
@@ -235,9 +185,9 @@ def print_findings(record: RunRecord) -> None:
     echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
     texts = list(_texts(verdict.findings))
     printed = texts[:MOST_FINDINGS]
-    for (text, remedy), following in zip(printed, [*printed[1:], None], strict=True):
+    for (text, remedy), (_, following) in zip_longest(printed, printed[1:], fillvalue=("", "")):
         echo(f"  {text}", err=True)
-        if remedy and not (following and following[1] == remedy):  # once, after the last that it is for
+        if remedy and remedy != following:  # once, after the last that it is for
             echo(f"    {remedy}", err=True)
     if (left := len(texts) - MOST_FINDINGS) > 0:
         echo(f"  and {left} more: the report has them", err=True)
@@ -256,8 +206,6 @@ def _texts(found: Iterable[Finding]) -> Iterator[tuple[str, str]]:
 
 def next_command(finished: Run, site: Path) -> str:
     """Return the command that is most useful after a run."""
-    import shlex
-
     record, file = finished.record, shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
         return f"wbflow run {file}"
@@ -273,7 +221,7 @@ def next_command(finished: Run, site: Path) -> str:
 @site_argument
 @date_option
 @work_option
-@until_option
+@common.until_option
 @json_option
 def status(site: Path, date: datetime.date | None, work: str | None, until: str | None, as_json: bool) -> None:
     """What is cached, what would run, and why.
@@ -282,49 +230,43 @@ def status(site: Path, date: datetime.date | None, work: str | None, until: str 
     wbflow status site.yaml
     wbflow status site.yaml --date -1 --json
     """
-    print_plan(load(site, work), date, until, as_json=as_json)
-
-
-def print_plan(
-    site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = (), as_json: bool = False
-) -> None:
-    """Print each task with what would become of it, and why.
-
-    Parameters
-    ----------
-    site : Site
-        Whose tasks.
-    date, until, force
-        As for a run.
-    as_json : bool
-        Print JSON instead of text.
-    """
-    from dataclasses import asdict
-
+    plan = _plan(load(site, work), date, until)
+    if not as_json:
+        _print_plan(plan)
+        return
     from ..outcome.status import explain, pairs_to_come, seconds_to_come, totals
-    from ..runner.context import open_night
-    from ..runner.options import Options as RunOptions
 
-    options = RunOptions(until=until, force=force)
+    lines = explain(plan)
+    known = {"totals": totals(lines), "cpu_seconds": seconds_to_come(lines), "pairs_to_come": pairs_to_come(plan)}
+    echo_json({"site": plan.site.name, "night": plan.night, "tasks": [asdict(line) for line in lines], **known})
+
+
+def _plan(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Plan:
+    from ..runner.context import open_night
+    from ..runner.options import Options
+
+    options = Options(until=until, force=force)
     options.check()
     options.check_subjects(site)
     plan = open_night(site, date, until, force).plan
     plan.refresh()
+    return plan
+
+
+def _print_plan(plan: Plan) -> None:
+    """Print each task with what would become of it, and why."""
+    from ..outcome.status import explain, pairs_to_come, seconds_to_come, totals
+
     lines = explain(plan)
-    seconds, counts = seconds_to_come(lines), totals(lines)
-    if as_json:
-        tasks = [asdict(line) for line in lines]
-        known = {"tasks": tasks, "totals": counts, "cpu_seconds": seconds, "pairs_to_come": pairs_to_come(plan)}
-        echo_json({"site": site.name, "night": plan.night, **known})
-        return
     if plan.misfit:
         echo(f"the reference is not used: {plan.misfit}", err=True)
     for line in lines:
         echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
     if pairs_to_come(plan):
         echo("(tasks of pairs are listed once the pair graph is known)")
+    seconds = seconds_to_come(lines)
     about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
-    echo(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in counts.items())}{about}")
+    echo(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in totals(lines).items())}{about}")
 
 
 @click.command()
@@ -338,13 +280,12 @@ def check(site: Path, date: datetime.date | None, work: str | None) -> None:
     wbflow check site.yaml
     wbflow check site.yaml --date yesterday
     """
-    from ..outcome.check import check as examine
-    from ..outcome.check import exit_code
+    from ..outcome import check as checks
 
     loaded = load(site, work)
-    findings = examine(loaded, date)
+    findings = checks.check(loaded, date)
     for finding in findings:
         echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:
         echo(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
-    sys.exit(exit_code(findings))
+    sys.exit(checks.exit_code(findings))

@@ -13,7 +13,7 @@ import pytest
 
 import wbflow
 from tests.helpers.toy_site import ToySite
-from wbflow.cli.display import LogLines, Messages, Progress, StageProgress, visible_stages
+from wbflow.cli.display import LogLines, Progress, StageProgress, visible_stages
 from wbflow.records.events import ArrivalsEvent, PlannedEvent, StageOutlook, StartedEvent, now
 from wbflow.runner.planner import Plan
 from wbflow.task import Task
@@ -64,7 +64,7 @@ def test_the_summary_says_how_many_captures_have_been_read(monkeypatch: pytest.M
     progress = Progress()
     monkeypatch.setattr("time.monotonic", lambda: progress.begun + 3)
     progress.add(ArrivalsEvent(3, 12))
-    assert progress.summary(0.0) == "captures of 3/12 cameras read; the plan in about 9 s"
+    assert progress.summary() == "captures of 3/12 cameras read; the plan in about 9 s"
 
 
 def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +129,7 @@ def test_v_says_every_task_with_its_seconds(toy: ToySite) -> None:
 
 
 def test_it_is_never_silent_for_long(capsys: pytest.CaptureFixture[str]) -> None:
-    with LogLines(Messages("harbour", verbose=False), heartbeat=0.02) as lines:
+    with LogLines("harbour", heartbeat=0.02) as lines:
         lines.receive(PlannedEvent((StageOutlook("frames", 4, 1, 60.0, True),), 2, now()))
         lines.receive(StartedEvent(Task("frames", ("gate",)), now()))
         said = ""
