@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .cache.layout import WorkFolder
+from .cache.owner import claim
 from .cache.room import FULL, REMEDY, bytes_of
 from .errors import UsageError, WbflowError
 from .outcome.artifacts import FinishedRun, function, task_named
@@ -241,12 +242,15 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
 def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) -> Run:
     place = site.work_folder
     with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
+        warning = claim(place, site.name, site.file)
         name, started = new_run(place)
         costs = Costs(started)
         there = arrivals(site, options.date, watch)
         journal = Journal(mirror.listening(listen) if mirror else listen, watch, options.jobs)
         if mirror:
             journal.behind = mirror.behind
+        if warning:
+            journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         for damage in filter(None, (there.digests.damage, there.seen.damage, site.reader.damage)):

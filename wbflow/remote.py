@@ -312,14 +312,15 @@ class Mirror:
     def _files(self) -> Iterator[Path]:
         """Every file that belongs into the store: not what is of this machine alone, or can be made again from the rest."""
         work = self.work
-        yield from (work.seen_memo, work.notified, *work.cached(), *work.reference.rglob("*"))
+        yield from (work.seen_memo, work.notified, work.owner, *work.cached(), *work.reference.rglob("*"))
         for run in work.run_ids():
             yield from work.run(run).folder.iterdir()
 
     def _belongs(self, name: str) -> bool:
         """Return whether an object is one of these files."""
         work, parts = self.work, PurePosixPath(name).parts
-        fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3, work.seen_memo.name: 1, work.notified.name: 1}
+        fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3}
+        fewest |= {path.name: 1 for path in (work.seen_memo, work.notified, work.owner)}
         return len(parts) >= fewest.get(parts[0], len(parts) + 1) and not any(part.startswith(".") for part in parts)
 
     def _in_order(self, names: Iterable[str]) -> Iterator[list[str]]:

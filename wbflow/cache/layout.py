@@ -8,6 +8,7 @@ reference/                           what nights are compared with: reference.js
 quarantine/                          artifacts whose bytes were not what their receipts promised
 ledger.sqlite                        an index of all this; can be deleted
 notified.json                        what somebody was told last
+site.json                            which site it belongs to
 lock                                 held by the one run that may write
 mirror.json                          what was last agreed with the object store that this folder mirrors
 """
@@ -337,6 +338,11 @@ class WorkFolder:
     def notified(self) -> Path:
         """The state of the site that somebody was told of last."""
         return self.root / "notified.json"
+
+    @property
+    def owner(self) -> Path:
+        """Which site the folder belongs to (see `cache.owner`)."""
+        return self.root / "site.json"
 
     @property
     def mirror_memo(self) -> Path:
