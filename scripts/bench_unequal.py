@@ -156,7 +156,7 @@ def show(scene: str, kind: str, shots: dict[str, Shot], resolution: int) -> None
         for camera, row in solved.items()
     }
     errors = pose_errors(found, {camera: shot.camera for camera, shot in shots.items()}, aligned=True)
-    used = sum((pair.figures.get("probability") or 0.0) > 0.5 for pair in record.pairs)
+    used = sum((pair.figures.probability or 0.0) > 0.5 for pair in record.pairs)
     print(
         f"{scene:10}{kind:10}{record.exit_code:5}{f'{len(found)}/{len(shots)}':>8}{used:6}   "
         f"{100 * np.median(errors.position):10.2f}{100 * errors.position.max():6.2f}   "

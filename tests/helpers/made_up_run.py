@@ -16,6 +16,7 @@ from wbflow.cache.artifact import digest
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache, Preimage, Receipt
 from wbflow.pipeline.stages import FUSE, GEOMETRY, STAGES
+from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.record import (
     CameraRecord,
@@ -27,7 +28,6 @@ from wbflow.records.record import (
     Seconds,
     TaskCounts,
     Verdict,
-    WorldRecord,
 )
 from wbflow.records.run_folder import UnfinishedRun
 from wbflow.report.page import build_report
@@ -76,14 +76,14 @@ def bowl(points: int) -> Cloud:
 
 def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: Any) -> RunRecord:
     """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
-    well = {"brightness": 110.0, "sharpness": 0.2, "keypoints": 6000, "frames_used": 3}
+    well = CameraFigures(brightness=110.0, sharpness=0.2, keypoints=6000, frames_used=3)
     told = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
     told[-1] = replace(told[-1], health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
     told[-2] = CameraRecord(ids[-2], "failed", "the capture ends after 1,000 bytes")
-    figures = {"matches": 400, "inliers": 500, "angle_deg": 12.0, "epipolar_px": 0.3, "density": 0.5, "matched": True}
+    figures = PairFigures(matches=400, inliers=500, angle_deg=12.0, epipolar_px=0.3, density=0.5)
     steps = (1, 2, 3)
-    pairs = [PairRecord(a, ids[k + s], "ok", figures=figures) for s in steps for k, a in enumerate(ids[:-s])]
-    pairs[0] = PairRecord(pairs[0].left, pairs[0].right, "rejected", "12 inliers, 30 needed", figures={"inliers": 12})
+    pairs = [PairRecord(a, ids[k + s], "ok", matched=True, figures=figures) for s in steps for k, a in enumerate(ids[:-s])]
+    pairs[0] = PairRecord(pairs[0].left, pairs[0].right, "rejected", "12 inliers, 30 needed", figures=PairFigures(inliers=12))
     findings = (
         Finding("camera-wrong-scene", (ids[-1],), "it shows another place", remedy="look at its picture"),
         Finding("camera-lost", (ids[-2],), "the capture ends after 1,000 bytes; left out tonight"),
@@ -103,7 +103,7 @@ def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: 
         tuple(told),
         tuple(pairs),
         CloudRecord("cloud.ply", 900, ((-8.0, -8.0, -1.0), (8.0, 8.0, 2.0))),
-        poses=WorldRecord({"metric": True}),
+        poses=PosesSummary(),
         verdict=Verdict("degraded", findings),
     )
     return replace(base, **changes)

@@ -25,8 +25,8 @@ def test_ten_lines_from_a_site_to_its_cloud_and_any_artifact(toy: ToySite) -> No
     site = wbflow.load_site(toy.file)
     run = wbflow.run(site, jobs=1)
     assert run.record.exit_code == 0
-    assert run.cameras["gate"].ok and run.cameras["gate"].figures["keypoints"] == 1
-    assert run.pairs["gate--roof"].figures["density"] == 1.0
+    assert run.cameras["gate"].ok and run.cameras["gate"].figures.keypoints == 1
+    assert run.pairs["gate--roof"].figures.density == 1.0
     assert (
         np.asarray(run.cloud.points).shape == (12, 3) == np.asarray(run.cloud.colors).shape == np.asarray(run.cloud.normals).shape
     )

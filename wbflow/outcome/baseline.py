@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 
 from ..cache.layout import WorkFolder
 from ..pipeline.binding import bind
-from ..pipeline.stages import FRAMES, STAGES, stage_named
+from ..pipeline.stages import STAGES
+from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health
 from ..records.record import CameraRecord, RunRecord, Usual
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -112,29 +112,26 @@ def figures_of(record: RunRecord) -> dict[str, float]:
     if record.pairs:
         found[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
     for stage in STAGES if record.poses and record.poses.metric else ():  # else each night has units of its own
-        told = record.later.get(stage.name) or {}
-        wanted = stage.reports.expects.factors if stage.reports and stage.reports.expects else ()
-        factors = [float(factor) for name in wanted if isinstance(factor := told.get(name), int | float)]
-        if wanted and len(factors) == len(wanted):
-            found[stage.name] = math.prod(factors)
+        result = record.results.get(stage.name)
+        if result and result.amount is not None:
+            found[stage.name] = result.amount
     return found
 
 
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     """What is compared of each camera that is well, by id and name: how its picture looks, and the share of its pairs that found
     common points."""
-    reports = stage_named(FRAMES).reports
-    names = reports.fields if reports else ()
+    names = [field.name for field in fields(FrameSummary)]
     matched: dict[str, list[bool]] = {}
     well = {camera.id for camera in record.cameras if camera.ok}  # what is lost with another camera says nothing of this one
     for pair in record.pairs:
-        if {*pair.cameras} <= well and (told := pair.figures.get("matched")) is not None:
+        if {*pair.cameras} <= well and pair.matched is not None:
             for name in pair.cameras:
-                matched.setdefault(name, []).append(bool(told))
+                matched.setdefault(name, []).append(pair.matched)
     found = {}
     for camera in record.cameras:
         if camera.ok and camera.id not in found:
-            looks = {name: float(value) for name in names if isinstance(value := camera.figures.get(name), int | float)}
+            looks = {name: float(value) for name in names if isinstance(value := getattr(camera.figures, name), int | float)}
             if shares := matched.get(camera.id):
                 looks["matched_share"] = sum(shares) / len(shares)
             found[camera.id] = looks

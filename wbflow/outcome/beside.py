@@ -14,7 +14,6 @@ from ..cache.untrusted import read_outside
 from ..errors import WbflowError
 from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import MEANINGS, meaning
-from ..records.record import Figures
 from ..runner.journal import Journal
 from ..runner.planner import Plan
 from ..task import Task
@@ -33,19 +32,6 @@ def files_beside(plan: Plan, journal: Journal) -> dict[str, dict[str, bytes]]:
     is not installed, no map has the place) is told to the journal: the night is not lost for it.
     """
     return {stage.name: dict(_files(plan, stage, journal)) for stage in STAGES if stage.products.files and _usable(plan, stage)}
-
-
-def told_beside(plan: Plan, files: Mapping[str, Mapping[str, bytes]]) -> dict[str, Figures]:
-    """What run.json says of the results of site-wide stages, by stage: their figures, and the names of their files."""
-    found: dict[str, Figures] = {}
-    for stage in STAGES:
-        if stage.scope == "site" and stage.reports and stage in plan.stages():
-            state = plan.states.get(Task(stage.name))
-            figures = state.receipt.figures if state and state.usable and state.receipt else {}
-            told = {ours: figures.get(theirs) for ours, theirs in stage.reports.fields.items()} if figures else {}
-            reason = state.reason if state and not state.usable else None
-            found[stage.name] = {**told, "files": sorted(files.get(stage.name, ())), "reason": reason}
-    return found
 
 
 def _usable(plan: Plan, stage: Stage) -> bool:
@@ -92,7 +78,7 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Figures of a stage for people: name and value."""
     for name, value in figures.items():
         title, written = titled(name), _percent if meaning(name).share else spoken
-        if isinstance(value, Mapping) and value and not any(isinstance(entry, Mapping) for entry in value.values()):
+        if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])
             less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
             yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered[:_MOST_NAMED]) + less

@@ -68,7 +68,7 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
     rows += _of_site(a, b)
     rows += [Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), NOISE_OF_TIME)]
     rows += [Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), NOISE_OF_TIME)]
-    counts = a.tasks.to_json(), b.tasks.to_json()
+    counts = vars(a.tasks), vars(b.tasks)
     rows += [Row(f"tasks {name}", counts[0][name], counts[1][name], noise=0.0) for name in counts[0]]
     for ours, theirs in ((_by_name(a.cameras), _by_name(b.cameras)), (_by_name(a.pairs), _by_name(b.pairs))):
         for name in dict.fromkeys([*ours, *theirs]):
@@ -125,19 +125,17 @@ def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapp
 
 def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
     """What site-wide stages tell of both nights."""
-    for stage, ours in a.later.items():
-        theirs = b.later.get(stage)
-        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
-            both = [name for name in ours if _plain(ours[name]) and _plain(theirs.get(name))]
-            yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in both)
+    for stage in (stage for stage in a.results if stage in b.results):
+        ours, theirs = vars(a.results[stage]), vars(b.results[stage])
+        yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in _shared(ours, theirs))
 
 
 def _of_subject(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
     """The outcome of a camera or pair; its figures where both runs have used it."""
     rows = [Row(name, _outcome(a), _outcome(b))]
     if a and b and a.ok and b.ok:
-        both = [figure for figure in a.figures if figure in b.figures]
-        rows += [Row(f"{name} {f}", a.figures[f], b.figures[f]) for f in both if _plain(a.figures[f]) and _plain(b.figures[f])]
+        ours, theirs = vars(a.figures), vars(b.figures)
+        rows += [Row(f"{name} {figure}", ours[figure], theirs[figure]) for figure in _shared(ours, theirs)]
     return rows
 
 
@@ -147,6 +145,11 @@ def _outcome(record: CameraRecord | PairRecord | None) -> str:
     if isinstance(record, CameraRecord) and record.health and not record.health.ok:
         return f"{record.health.state}: {record.health.text}"
     return "ok" if record.ok else f"{record.outcome}: {record.reason}"
+
+
+def _shared(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
+    """Return the names of numbers and words that both have."""
+    return [name for name in ours if _plain(ours[name]) and _plain(theirs.get(name))]
 
 
 def _plain(value: object) -> bool:

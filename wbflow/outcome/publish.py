@@ -24,7 +24,7 @@ from ..runner.planner import Plan
 from ..task import Task
 from .artifacts import FinishedRun, function
 from .baseline import Baseline
-from .beside import files_beside, told_beside
+from .beside import files_beside
 from .notify import metrics
 from .run_record import run_record
 from .verdict import judge_run
@@ -68,10 +68,10 @@ def publish(
     for name, data in (entry for files in beside.values() for entry in files.items()):
         unfinished.write(name, data)
     seconds = costs.seconds(own_process)
-    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb)
+    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb, beside)
     in_motion = night.captures_in_motion()
-    cameras_now = (replace(c, figures={**c.figures, "captures_in_motion": in_motion.get(c.id, [])}) for c in record.cameras)
-    record = replace(record, cameras=tuple(cameras_now), later=told_beside(night.plan, beside))
+    cameras_now = (replace(camera, captures_in_motion=tuple(in_motion.get(camera.id, ()))) for camera in record.cameras)
+    record = replace(record, cameras=tuple(cameras_now))
     record = judge_run(record, night.plan, Baseline.before(work, run, record.date), worked.interrupted, journal.behind())
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(night.plan, record, journal, cameras, unfinished)

@@ -1,44 +1,50 @@
-"""A run in figures: run.json made from the states of a plan, by what the rows of the pipeline report."""
+"""A run in figures: run.json made from the states of a plan, by the summaries of their results."""
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
-import functools
 from collections import Counter
-from collections.abc import Collection, Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from .. import __version__
 from ..cache.fingerprint import installed_versions
 from ..cache.layout import cloud_name
 from ..errors import ExitCode
-from ..pipeline.reports import Reports, WorldReports
-from ..pipeline.stages import (
-    DENSE_PAIRS,
-    DISPARITY,
-    FRAMES,
-    FUSE,
-    GEOMETRY,
-    PAIRS,
-    POSES,
-    STAGES,
-    Stage,
-    stage_named,
+from ..pipeline.stages import DENSE_PAIRS, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
+from ..pipeline.summaries import (
+    CameraFigures,
+    FuseSummary,
+    Notes,
+    PairFigures,
+    PairsSummary,
+    PosesSummary,
+    SiteSummary,
+    Summary,
 )
-from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, WorldRecord, stamp
+from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.captures import pattern_of
 from ..runner.planner import Plan
 from ..runner.staleness import by_picture, night_by_pictures
-from ..runner.state import Cause, State
+from ..runner.state import Cause, State, summary_of
 from ..task import Task, camera_of
-from .views import by_camera, of_camera
 
-_Worlds = list[tuple[dict[str, Any], WorldReports]]
+_F = TypeVar("_F", CameraFigures, PairFigures)
+_ADD_UP = {"keypoints", "points"}
+"""Figures of a camera's views that add up; of others the camera has the mean."""
 
 
-def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float) -> RunRecord:
-    """The record of a run that ends now; nothing is judged yet.
+def run_record(
+    run: str,
+    plan: Plan,
+    started: datetime.datetime,
+    seconds: Seconds,
+    peak_rss_mb: float,
+    files: Mapping[str, Collection[str]],
+) -> RunRecord:
+    """Return the record of a run that ends now; nothing is judged yet.
 
     Parameters
     ----------
@@ -52,20 +58,18 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         What it has cost.
     peak_rss_mb : float
         Memory of its largest worker.
+    files : mapping
+        Names of the files that are published beside the cloud, by stage.
     """
-    worlds = _worlds(plan)
-    dense = set(_listed(plan, DENSE_PAIRS))
-    pairs = tuple(_pair(plan, pair, worlds, dense) for pair in _pairs(plan))
+    whole = _Whole.from_plan(plan)
     views: dict[str, list[CameraRecord]] = {}
     for view in plan.site.views:
-        views.setdefault(view.camera, []).append(_camera(plan, view.id, worlds))
-    cameras = tuple(of_camera(records, _sums()) for records in views.values())
+        views.setdefault(view.camera, []).append(_camera(plan, view.id, whole))
+    cameras = tuple(map(_of_views, views.values()))
     dated = pattern_of(plan.site).dated
     night = plan.night if dated else night_by_pictures(camera.figures for camera in cameras)
-    cameras = tuple(_with_staleness(camera, night, dated) for camera in cameras)
-    product = FUSE
-    main = plan.states.get(Task(product))
-    others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == product and task.subject)
+    main = plan.states.get(Task(FUSE))
+    others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == FUSE and task.subject)
     return RunRecord(
         run,
         plan.site.name,
@@ -77,15 +81,16 @@ def run_record(run: str, plan: Plan, started: datetime.datetime, seconds: Second
         TaskCounts(**Counter[str](state.outcome for state in plan.states.values())),
         seconds,
         round(peak_rss_mb),
-        cameras,
-        pairs,
-        cloud=_cloud(Task(product), main) if main else None,
+        tuple(_with_staleness(camera, night, dated) for camera in cameras),
+        tuple(_pair(plan, pair, whole) for pair in _pairs(plan)),
+        cloud=_cloud(Task(FUSE), main) if main else None,
         other_clouds=tuple(cloud for cloud in others if cloud),
-        poses=_world(plan),
-        reason=root_cause(plan, Task(product)) if main and not main.usable else None,
+        poses=_by_camera(whole.poses) if _is_usable(plan, POSES) else None,
+        reason=root_cause(plan, Task(FUSE)) if main and not main.usable else None,
         code=main.code if main and not main.usable else None,
         versions=installed_versions(),
         reference=plan.reference.run if plan.reference else None,
+        results=dict(_results(plan, files)),
     )
 
 
@@ -97,8 +102,6 @@ def root_cause(plan: Plan, task: Task) -> str | None:
     state = plan.states[task]
     if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
         return state.reason
-    if not _pairs(plan) and (reason := _why_no_pairs(plan)):
-        return reason
     waiting, seen, roots = [task], {task}, []
     while waiting:
         at = waiting.pop(0)
@@ -118,47 +121,48 @@ def root_cause(plan: Plan, task: Task) -> str | None:
     return f"{first}: {plan.states[first].reason}{more}"
 
 
-def _why_no_pairs(plan: Plan) -> str | None:
-    """What the pair graph says of most pairs that it dropped."""
-    state = plan.states.get(Task(PAIRS))
-    dropped = Counter(edge["reason"] for edge in _figures(state).get("edges", ()))
-    if not dropped:
-        return None
-    reason, count = dropped.most_common(1)[0]
-    return f"no two cameras were matched: {reason} ({count} of {dropped.total()} pairs)"
+@dataclass(frozen=True)
+class _Whole:
+    """What site-wide results report of single cameras and pairs."""
+
+    poses: PosesSummary
+    points: Mapping[str, int]
+    """By camera: what it has given to its cloud."""
+    crowded: Mapping[str, str]
+    """By camera: what the pair graph left out."""
+    dense: frozenset[tuple[str, str]]
+    """Pairs that are made dense, where they are chosen apart."""
+
+    @staticmethod
+    def from_plan(plan: Plan) -> _Whole:
+        points: dict[str, int] = {}
+        for task, state in plan.states.items():
+            if task.stage == FUSE:
+                points |= summary_of(state, FuseSummary).given
+        pairs, dense = (summary_of(plan.states.get(Task(stage)), PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
+        poses = summary_of(plan.states.get(Task(POSES)), PosesSummary)
+        return _Whole(poses, points, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
 
 
-@functools.cache
-def reported(scope: str) -> tuple[str, ...]:
-    """Names of all figures that stages report of a camera or of a pair, in the order of the pipeline."""
-    names: dict[str, None] = {}
-    for stage in STAGES:
-        if stage.scope == scope and stage.reports:
-            names |= dict.fromkeys(stage.reports.fields)
-        if stage.world_reports:
-            names |= dict.fromkeys(stage.world_reports.cameras if scope == "camera" else stage.world_reports.pairs)
-    return tuple(names)
-
-
-def _camera(plan: Plan, camera: str, worlds: _Worlds) -> CameraRecord:
+def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
-    figures = {"captures": captures, **dict.fromkeys(reported("camera"))}
-    record = CameraRecord(camera, "ok", figures=figures, health=plan.health(camera))
-    for stage, reports in _reporting("camera"):
+    record = CameraRecord(camera, "ok", health=plan.health(camera), captures=captures)
+    for stage, kind in _parts_of(CameraFigures):
         state = plan.states.get(Task(stage.name, (camera,)))
         if state is None:
             continue
         if not state.usable:
             return replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
-        notes = tuple(_figures(state).get(reports.notes, ()))
-        record = replace(record, notes=record.notes + notes, figures={**record.figures, **_told(state, reports)})
-    for solved, world in worlds:
-        entries = {name: _entry(solved, entry.figure, camera, entry.field) for name, entry in world.cameras.items()}
-        told = {name: value for name, value in entries.items() if value is not None}
-        note = solved.get(world.camera_notes, {}).get(camera)
-        record = replace(record, figures={**record.figures, **told}, notes=(*record.notes, *([note] if note else [])))
-        if camera in solved.get(world.lost_cameras, {}):
-            record = replace(record, outcome="unsolved", reason=solved[world.lost_cameras][camera], code=Cause.UNSOLVED)
+        notes = (*record.notes, *summary_of(state, Notes).notes)
+        record = replace(record, notes=notes, figures=_merged(record.figures, summary_of(state, kind)))
+    poses = whole.poses
+    check = poses.pose_checks.get(camera)
+    verified, source = check.get("verified") if check else None, poses.sources.get(camera)
+    figures = replace(record.figures, pose=check, verified=verified, pose_from=source, points=whole.points.get(camera))
+    notes = (*record.notes, *filter(None, (whole.crowded.get(camera), poses.suspects.get(camera))))
+    record = replace(record, figures=figures, notes=notes)
+    if camera in poses.unsolved:
+        record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
     return record
 
 
@@ -169,52 +173,32 @@ def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraReco
     return record
 
 
-def _pair(plan: Plan, pair: tuple[str, str], worlds: _Worlds, dense: Collection[tuple[str, str]]) -> PairRecord:
-    record = PairRecord(*pair, "ok", figures=dict.fromkeys(reported("pair")))
-    for stage, reports in _reporting("pair"):
+def _pair(plan: Plan, pair: tuple[str, str], whole: _Whole) -> PairRecord:
+    record = PairRecord(*pair, "ok")
+    for stage, kind in _parts_of(PairFigures):
         state = plan.states.get(Task(stage.name, pair))
         if state is None:
             continue
-        record = replace(record, figures={**record.figures, **_told(state, reports)})
+        record = replace(record, figures=_merged(record.figures, summary_of(state, kind)))
         if state.usable and stage.name == DISPARITY:
             record = replace(record, outcome="ok", reason=None, code=None, stage=None)
         elif not state.usable and (record.ok or state.outcome != "skipped"):
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code, stage=stage.name)
     found = plan.states.get(Task(GEOMETRY, pair))
-    figures = {"matched": found.usable if found else None, "dense": pair in dense if dense else None}
-    record = replace(record, figures={**record.figures, **figures})
-    for solved, world in worlds:
-        told = {name: _entry(solved, entry.figure, record.name, entry.field) for name, entry in world.pairs.items()}
-        record = replace(record, figures={**record.figures, **told})
+    record = replace(record, matched=found.usable if found else None, dense=pair in whole.dense if whole.dense else None)
+    if check := whole.poses.pair_checks.get(record.name):
+        record = replace(record, figures=replace(record.figures, poses_px=check.adjusted_px, known=check.known))
     return record
 
 
-def _sums() -> frozenset[str]:
-    """Figures of a camera's views that add up to the camera's."""
-    return frozenset(name for _, reports in _reporting("camera") for name in reports.sums)
+def _parts_of(figures: type[Summary]) -> list[tuple[Stage, type[Summary]]]:
+    """Return the stages whose summaries are part of the figures of a camera or pair, in the order of the pipeline."""
+    return [(stage, stage.summary) for stage in STAGES if stage.summary and issubclass(figures, stage.summary)]
 
 
-@functools.cache
-def _reporting(scope: str) -> list[tuple[Stage, Reports]]:
-    return [(stage, stage.reports) for stage in STAGES if stage.scope == scope and stage.reports]
-
-
-def _worlds(plan: Plan) -> _Worlds:
-    """Figures of site-wide results, and what they report of cameras and pairs."""
-    reporting = {stage.name: stage.world_reports for stage in STAGES}
-    return [(_figures(state), world) for task, state in plan.states.items() if (world := reporting.get(task.stage))]
-
-
-def _told(state: State, reports: Reports) -> dict[str, Any]:
-    """Figures of a task by their names in the record."""
-    figures = _figures(state)
-    names = reports.fields if state.usable else {**reports.fields, **reports.rejected}
-    return {ours: figures[theirs] for ours, theirs in names.items() if theirs in figures}
-
-
-def _entry(figures: Mapping[str, Any], figure: str, subject: str, name: str) -> Any:
-    entry = figures.get(figure, {}).get(subject)
-    return entry.get(name) if entry is not None and name else entry
+def _merged(figures: _F, summary: Summary) -> _F:
+    """Return figures with what another stage knows."""
+    return replace(figures, **{name: value for name, value in vars(summary).items() if value is not None})
 
 
 def _pairs(plan: Plan) -> list[tuple[str, str]]:
@@ -225,27 +209,74 @@ def _pairs(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _listed(plan: Plan, stage: str) -> list[tuple[str, str]]:
+    return list(summary_of(plan.states[Task(stage)], PairsSummary).pairs) if _is_usable(plan, stage) else []
+
+
+def _is_usable(plan: Plan, stage: str) -> bool:
     state = plan.states.get(Task(stage))
-    return [tuple(pair) for pair in _figures(state).get("pairs", [])] if state and state.usable else []
+    return state is not None and state.usable
 
 
 def _cloud(task: Task, state: State) -> CloudRecord | None:
-    if not state.usable:
+    cloud = summary_of(state, FuseSummary)
+    return CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds) if state.usable else None
+
+
+def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
+    """Yield the results of site-wide stages that have a part of run.json."""
+    for stage in plan.stages():
+        if stage.summary and issubclass(stage.summary, SiteSummary):
+            state = plan.states.get(Task(stage.name))
+            found = summary_of(state, stage.summary) if state and state.usable else stage.summary()
+            reason = state.reason if state and not state.usable else None
+            yield stage.name, replace(found, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
+
+
+def _of_views(views: Sequence[CameraRecord]) -> CameraRecord:
+    """Return the record of a camera from those of its views: it is well where one of them is, and says what it lost."""
+    if len(views) == 1:
+        return views[0]
+    well = [view for view in views if view.ok]
+    used = well or list(views)
+    lost = tuple(f"{view.id}: {view.reason or view.outcome}" for view in views if well and not view.ok)
+    notes = tuple(dict.fromkeys(note for view in views for note in view.notes))
+    names = [field.name for field in dataclasses.fields(CameraFigures)]
+    figures = CameraFigures(**{name: _figure([getattr(view.figures, name) for view in used], name in _ADD_UP) for name in names})
+    return replace(used[0], id=camera_of(views[0].id), notes=(*notes, *lost), figures=figures)
+
+
+def _figure(values: Sequence[Any], adds: bool) -> Any:
+    known = [value for value in values if value is not None]
+    if not known:
         return None
-    figures = _figures(state)
-    low, high = figures["bounds"]
-    return CloudRecord(cloud_name(task.subject), figures["points_count"], (tuple(low), tuple(high)))
+    if all(isinstance(value, bool) for value in known):
+        return all(known)
+    if all(isinstance(value, int | float) for value in known):
+        if adds:
+            return sum(known)
+        mean = sum(known) / len(known)
+        return round(mean) if all(isinstance(value, int) for value in known) else mean
+    return known[0]
 
 
-def _world(plan: Plan) -> WorldRecord | None:
-    """Without the cameras themselves, and without what is said of each camera and pair elsewhere."""
-    stage = stage_named(POSES)
-    state = plan.states.get(Task(stage.name))
-    if state is None or not state.usable:
-        return None
-    elsewhere = stage.world_reports.told_elsewhere() if stage.world_reports else set()
-    return WorldRecord(by_camera({name: value for name, value in _figures(state).items() if name not in elsewhere}))
+def _by_camera(poses: PosesSummary) -> PosesSummary:
+    """Return the summary with cameras named where the poses name their views."""
+    return replace(poses, **{name: _named(value) for name, value in vars(poses).items()})
 
 
-def _figures(state: State | None) -> dict[str, Any]:
-    return state.receipt.figures if state and state.receipt else {}
+def _named(value: Any) -> Any:
+    """Return the first entry of each camera's views; pairs are of views, and keep their names."""
+    if isinstance(value, Mapping):
+        found: dict[str, Any] = {}
+        for name, entry in value.items():
+            found.setdefault(_name(name), entry)
+        return found
+    if isinstance(value, tuple):
+        if all(isinstance(entry, str) for entry in value):
+            return tuple(dict.fromkeys(map(_name, value)))
+        return tuple(_named(entry) for entry in value)
+    return value
+
+
+def _name(name: str) -> str:
+    return name if "--" in name or " " in name else camera_of(name)

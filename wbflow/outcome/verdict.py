@@ -17,6 +17,7 @@ from typing import Any
 
 from ..errors import ExitCode, counted
 from ..pipeline.stages import FUSE, STAGES, stage_named
+from ..pipeline.summaries import CalibrationCheck, SiteSummary
 from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
 from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual
 from ..runner.planner import Plan
@@ -216,12 +217,12 @@ def _is_unpaired(camera: CameraRecord, record: RunRecord) -> Finding | None:
 
 def _has_no_usable_pair(camera: CameraRecord, record: RunRecord) -> Finding | None:
     pairs = record.pairs_of(camera.id)
-    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.figures.get("dense") is not False]
+    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
     if not tried or any(pair.ok for pair in tried):
         return None
     which = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
     remedy = FINDINGS["camera-no-usable-pair"].remedy
-    if any(pair.figures.get("known") == "stated" for pair in tried):
+    if any(pair.figures.known == "stated" for pair in tried):
         remedy += "; or its pose is not what the site file says: measure it again, or leave it out to have it solved"
     reason = f"{which} be used: {_most_common(tried)}"
     usable, planned = {str(Measure.PAIRS): 0}, {str(Measure.PAIRS): len(tried)}
@@ -271,8 +272,8 @@ def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
 
 
 def _contradicts_poses(pair: PairRecord) -> bool:
-    given, beside = pair.figures.get("row_share"), pair.figures.get("row_chance")
-    return not pair.ok and pair.figures.get("known") == "stated" and given is not None and beside is not None and beside > given
+    given, beside = pair.figures.row_share, pair.figures.row_chance
+    return not pair.ok and pair.figures.known == "stated" and given is not None and beside is not None and beside > given
 
 
 def _counts(pairs: Iterable[PairRecord]) -> Counter[str]:
@@ -302,7 +303,7 @@ def _blamed(trouble: Finding, excused: tuple[str, ...] | None) -> Finding:
 
 def check_captures(night: Night) -> Iterator[Finding]:
     """Did captures change while they were worked on, and does each camera deliver pictures of its own?"""
-    moved = {camera.id: names for camera in night.record.cameras if (names := camera.figures.get("captures_in_motion"))}
+    moved = {camera.id: names for camera in night.record.cameras if (names := camera.captures_in_motion)}
     if moved:
         files = [name for names in moved.values() for name in names]
         yield finding("captures-in-motion", tuple(moved), {"captures": len(files)}, captures=_names(files))
@@ -314,7 +315,7 @@ def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]
     """Yield groups of cameras that deliver one and the same picture."""
     groups: dict[str, list[str]] = {}
     for camera in cameras:
-        if _number(camera, "contrast") > LEAST_CONTRAST and (found := camera.figures.get("picture_digest")):
+        if (camera.figures.contrast or 0.0) > LEAST_CONTRAST and (found := camera.figures.picture_digest):
             groups.setdefault(found, []).append(camera.id)
     yield from (tuple(names) for names in groups.values() if len(names) > 1)
 
@@ -322,31 +323,26 @@ def _same_pictures(cameras: Iterable[CameraRecord]) -> Iterator[tuple[str, ...]]
 def check_pictures(night: Night) -> Iterator[Finding]:
     """Are many pictures too blurred, or coded too coarsely, to be measured in?"""
     used = [camera for camera in night.record.cameras if camera.ok]
-    soft = [camera for camera in used if _number(camera, "blur_px") > SOFT_PX or _number(camera, "coarseness") > COARSE]
+    soft = [c for c in used if (c.figures.blur_px or 0.0) > SOFT_PX or (c.figures.coarseness or 0.0) > COARSE]
     if soft and len(soft) >= SOFT_SHARE * len(used):
-        blur, coarse = (max(_number(camera, name) for camera in soft) for name in ("blur_px", "coarseness"))
+        blur, coarse = max(c.figures.blur_px or 0.0 for c in soft), max(c.figures.coarseness or 0.0 for c in soft)
         figures = {"blur_px": blur, "coarseness": coarse}
         names = tuple(camera.id for camera in soft)
         yield finding("pictures-soft", names, figures, blur_px=blur, coarseness=coarse, cameras=_names(names))
 
 
-def _number(camera: CameraRecord, figure: str) -> float:
-    value = camera.figures.get(figure)
-    return float(value) if isinstance(value, int | float) else 0.0
-
-
 def check_calibration(night: Night) -> Iterator[Finding]:
     """Do the matches contradict what the site states of lenses and poses?"""
-    check = night.record.poses.calibration if night.record.poses else {}
-    if check.get("contradicted"):
-        figures = {name: check[name] for name in ("misfit", "better", "off_px")}
-        words = {"misfit": math.sqrt(check["misfit"]), "explanation": _explanation(check)}
-        yield finding("calibration-contradicted", tuple(check["cameras"]), figures, None, None, **words)
+    check = night.record.poses.calibration if night.record.poses else None
+    if check and check.contradicted:
+        figures = {"misfit": check.misfit, "better": check.better, "off_px": check.off_px}
+        words = {"misfit": math.sqrt(check.misfit), "explanation": _explanation(check)}
+        yield finding("calibration-contradicted", check.cameras, figures, None, None, **words)
 
 
-def _explanation(check: Mapping[str, Any]) -> str:
+def _explanation(check: CalibrationCheck) -> str:
     """What would explain the matches best, in words."""
-    amount, cameras = check["amount"], " and ".join(check["cameras"])
+    amount, cameras = check.amount, " and ".join(check.cameras)
     size = math.hypot(*amount)
 
     def longer(log_scale: float) -> str:
@@ -362,10 +358,10 @@ def _explanation(check: Mapping[str, Any]) -> str:
         "moved": lambda: f"{cameras} moved by {100 * size:.1f} % of the distance between cameras",
         "exchanged": lambda: f"the poses of {cameras} exchanged",
     }
-    cause = check["cause"]
+    cause = check.cause
     if cause.startswith("mirrored-"):
         causes[cause] = lambda: f"positions mirrored in {cause[-1]}"
-    return f"{causes[cause]()} would fit {check['better']:.1f} times better" if cause else "no single cause explains that"
+    return f"{causes[cause]()} would fit {check.better:.1f} times better" if cause else "no single cause explains that"
 
 
 def check_poses(night: Night) -> Iterator[Finding]:
@@ -383,7 +379,7 @@ def check_poses(night: Night) -> Iterator[Finding]:
         )
     if poses and poses.unsure_lenses:
         unsure = poses.unsure_lenses
-        worst = {name: max(sigma[name] for sigma in unsure.values()) for name in ("focal", "border_px")}
+        worst = {name: max(getattr(sigma, name) for sigma in unsure.values()) for name in ("focal", "border_px")}
         words: dict[str, Any] = {
             "cameras": _names(unsure),
             "focal_percent": 100 * worst["focal"],
@@ -434,7 +430,7 @@ def check_amounts(night: Night) -> Iterator[Finding]:
 
 
 def _amount(name: str, value: float) -> str:
-    units = {s.name: f"{s.reports.expects.unit} {s.reports.expects.words}" for s in STAGES if s.reports and s.reports.expects}
+    units = {s.name: " ".join(s.summary.AMOUNT) for s in STAGES if s.summary and issubclass(s.summary, SiteSummary)}
     things: dict[str, str] = {Measure.POINTS: "point", Measure.PAIRS: "pair", Measure.CAMERAS: "camera"}
     return f"{value:,.0f} {units[name]}" if name in units else counted(value, things[name])
 

@@ -11,7 +11,21 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from .reports import Entry, Expects, Reports, WorldReports
+from .summaries import (
+    ChangesSummary,
+    CoverageSummary,
+    DisparitySummary,
+    FeaturesSummary,
+    FrameSummary,
+    FuseSummary,
+    GeometrySummary,
+    HealthSummary,
+    MatchesSummary,
+    PairsSummary,
+    PosesSummary,
+    RectifySummary,
+    Summary,
+)
 
 FRAMES, HEALTH, PAIRS, MATCHES, GEOMETRY = "frames", "health", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
@@ -147,7 +161,7 @@ class Products:
     files: str = ""
     """Names and bytes of files that a run publishes beside its cloud."""
     title: str = ""
-    """Of its part of the report, where a site-wide stage `reports`."""
+    """Of its part of the report, where its summary is a `SiteSummary`."""
 
     @property
     def drawings(self) -> dict[str, str]:
@@ -181,8 +195,8 @@ class Stage:
     """Parameters that are set at the top of the site file, by the same name."""
     reuse: Reuse = Reuse()
     products: Products = Products()
-    reports: Reports | None = None
-    world_reports: WorldReports | None = None
+    summary: type[Summary] | None = None
+    """What the engine and run.json read of its results."""
 
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""
@@ -210,25 +224,6 @@ PLACE_COMMENTS = "wbflow_stages.io.cameras:place_comments"
 """The result of `poses` -> lines for the header of the cloud."""
 COMPONENT = "component"
 """The parameter of `fuse` that says which component of cameras it works on; each has a task."""
-
-_OF_A_FRAME = (
-    "brightness", "contrast", "saturated", "sharpness", "combing", "blocking", "blur_px", "coarseness", "cast", "colour",
-    "noise", "frames_used", "doubtful", "unchanged", "taken_first", "taken_last", "taken_in_order",
-    "picture_digest",
-)  # fmt: skip
-_OF_COVERAGE = {
-    "area_m2": "area", "seen_by_one": "seen_by_one", "seen_by_two": "seen_by_two",
-    "angle_deg": "median_angle_deg", "error_m": "median_error", "lost_without": "lost_without",
-}  # fmt: skip
-_OF_GEOMETRY = {
-    "inliers": "x1_count", "angle_deg": "angle_deg", "epipolar_px": "epipolar_px", "probability": "good_probability",
-}  # fmt: skip
-
-
-def _told(*figures: str) -> Reports:
-    """Figures that run.json has by the names that they have in the result."""
-    return Reports({name: name for name in figures})
-
 
 _SIDES = {"left": left("features"), "right": right("features")}
 _FRAMES = {"left": left("frames"), "right": right("frames")}
@@ -286,7 +281,7 @@ STAGES: tuple[Stage, ...] = (
         products=Products(
             picture="wbflow_stages.exports.previews:frame_preview", large="wbflow_stages.exports.previews:frame_large"
         ),
-        reports=Reports({name: name for name in _OF_A_FRAME}, notes="notes"),
+        summary=FrameSummary,
     ),
     Stage(
         "health",
@@ -302,6 +297,7 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         section="health",
         reuse=Reuse(stored=False),
+        summary=HealthSummary,
     ),
     Stage(
         "features",
@@ -310,7 +306,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"frame": own("frames")},
         reuse=_FEATURES,
         products=Products(marks="wbflow_stages.exports.previews:keypoint_marks"),
-        reports=Reports({"keypoints": "xy_count"}, notes="notes", sums=("keypoints",)),
+        summary=FeaturesSummary,
     ),
     Stage(
         "overlap",
@@ -331,7 +327,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"overlap": own("overlap")},
         section="pairs",
         reuse=_ALWAYS,
-        world_reports=WorldReports(camera_notes="crowded"),
+        summary=PairsSummary,
     ),
     Stage(
         "matches",
@@ -346,7 +342,7 @@ STAGES: tuple[Stage, ...] = (
             aggregate="wbflow_stages.pooled:pool_matches",
             too_little=("too-few-matches", "too-few-inliers", "clustered"),
         ),
-        reports=Reports({"matches": "x1_count"}),
+        summary=MatchesSummary,
     ),
     Stage(
         "geometry",
@@ -360,7 +356,7 @@ STAGES: tuple[Stage, ...] = (
             picture_inputs=_FRAMES,
             marks="wbflow_stages.exports.previews:inlier_marks",
         ),
-        reports=Reports(_OF_GEOMETRY, rejected={"inliers": "inliers"}),
+        summary=GeometrySummary,
     ),
     Stage(
         "poses",
@@ -376,12 +372,7 @@ STAGES: tuple[Stage, ...] = (
         offers={"frames": every("frames"), "features": every("features")},
         optional=True,
         reuse=Reuse(shifted=_HELD_POSES, moved=_HELD_POSES),
-        world_reports=WorldReports(
-            cameras={"pose": Entry("pose_checks"), "verified": Entry("pose_checks", "verified"), "pose_from": Entry("sources")},
-            pairs={"poses_px": Entry("pair_checks", "adjusted_px"), "known": Entry("pair_checks", "known")},
-            camera_notes="suspects",
-            lost_cameras="unsolved",
-        ),
+        summary=PosesSummary,
     ),
     Stage(
         "scene",
@@ -410,6 +401,7 @@ STAGES: tuple[Stage, ...] = (
         needed_if=_some_unposed,
         section="pairs",
         reuse=_ALWAYS,
+        summary=PairsSummary,
     ),
     Stage(
         "rectify",
@@ -427,7 +419,7 @@ STAGES: tuple[Stage, ...] = (
         offers=_PAIR_FEATURES,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
         reuse=Reuse(shifted="recompute", moved="recompute"),
-        reports=_told("angle_deg", "vertical_px", "method", "verified", "row_share", "row_chance", "row_error_px"),
+        summary=RectifySummary,
     ),
     Stage(
         "disparity",
@@ -446,7 +438,7 @@ STAGES: tuple[Stage, ...] = (
             picture="wbflow_stages.exports.previews:disparity_preview",
             picture_inputs={**_FRAMES, "rectification": own("rectify")},
         ),
-        reports=Reports({"density": "density"}),
+        summary=DisparitySummary,
     ),
     Stage(
         "depth",
@@ -494,7 +486,7 @@ STAGES: tuple[Stage, ...] = (
             picture_inputs={"cameras": own("poses", part="cameras")},
             view="wbflow_stages.exports.view:cloud_view",
         ),
-        world_reports=WorldReports(cameras={"points": Entry("given")}),
+        summary=FuseSummary,
     ),
     Stage(
         "coverage",
@@ -510,7 +502,7 @@ STAGES: tuple[Stage, ...] = (
             layer="wbflow_stages.exports.ground:coverage_layer",
             title="What the cameras see of the ground",
         ),
-        reports=Reports(_OF_COVERAGE, expects=Expects(("area_m2", "seen_by_two"), unit="m²", words="seen by two cameras")),
+        summary=CoverageSummary,
     ),
     Stage(
         "changes",
@@ -526,7 +518,7 @@ STAGES: tuple[Stage, ...] = (
             view="wbflow_stages.exports.view:changes_view",
             title="What has changed",
         ),
-        reports=_told("compared", "count", "changed_share", "unknown_share", "noise", "changes"),
+        summary=ChangesSummary,
     ),
 )
 

@@ -1,13 +1,311 @@
-"""What the figures of run.json mean, for people: words for a hover, and where good ends and bad begins.
+"""What the engine reads of results: a typed summary beside each stage, what run.json has of it, and what its figures mean.
 
-The bounds colour figures on a page; nothing is decided by them.
+A receipt keeps the plain fields of a result; a summary is built from those that somebody reads.  What is missing, as in a receipt
+of another version, is None or empty.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import AliasChoices, Field, ValidationError, model_validator
+
+from ..records.findings import HealthState
+from ..records.plain import Plain
+
+
+class Summary(Plain):
+    """Fields of a result that somebody reads; each has a default."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _read(cls, data: Any, read: Any) -> Self:
+        try:
+            made: Self = read(data)
+        except ValidationError:  # of another version, or of a function that is not ours
+            return cls()
+        return made
+
+
+def _named(*names: str) -> Any:
+    """The names of a field in a result, the first that is there, and in run.json."""
+    return Field(validation_alias=AliasChoices(*names))
+
+
+@dataclass(frozen=True)
+class Notes(Summary):
+    """Of any stage of a camera."""
+
+    notes: tuple[str, ...] = ()
+    """What the operator should know."""
+
+
+@dataclass(frozen=True)
+class FrameSummary(Summary):
+    """How the clean picture of a camera is (`stages.types.Frame`)."""
+
+    brightness: float | None = None
+    contrast: float | None = None
+    saturated: float | None = None
+    sharpness: float | None = None
+    combing: float | None = None
+    blocking: float | None = None
+    blur_px: float | None = None
+    coarseness: float | None = None
+    cast: float | None = None
+    colour: float | None = None
+    noise: float | None = None
+    frames_used: int | None = None
+    doubtful: float | None = None
+    unchanged: float | None = None
+    taken_first: str | None = None
+    taken_last: str | None = None
+    taken_in_order: bool | None = None
+    picture_digest: str | None = None
+
+
+@dataclass(frozen=True)
+class FeaturesSummary(Summary):
+    """Keypoints of a camera."""
+
+    keypoints: Annotated[int | None, _named("xy_count", "keypoints")] = None
+
+
+@dataclass(frozen=True)
+class CameraFigures(FeaturesSummary, FrameSummary):
+    """What run.json has of a camera: the summaries of its stages, and its part in those of the site."""
+
+    pose: Mapping[str, Any] | None = None
+    """How the pictures agree with its known pose (`stages.types.PoseCheck`)."""
+    verified: bool | None = None
+    pose_from: str | None = None
+    """stated, refined, corrected or solved."""
+    points: int | None = None
+
+
+@dataclass(frozen=True)
+class HealthSummary(Summary):
+    """How a camera is, compared with the reference (`stages.types.CameraHealth`)."""
+
+    state: HealthState = "ok"
+    text: str = ""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    expected: Mapping[str, Any] = field(default_factory=dict)
+    remedy: str = ""
+    corrected: bool = False
+
+
+@dataclass(frozen=True)
+class PairsSummary(Summary):
+    """The pair graph, or the dense pairs."""
+
+    pairs: tuple[tuple[str, str], ...] = ()
+    crowded: Mapping[str, str] = field(default_factory=dict)
+    """Notes by camera."""
+
+
+@dataclass(frozen=True)
+class MatchesSummary(Summary):
+    """Matches of a pair."""
+
+    matches: Annotated[int | None, _named("x1_count", "matches")] = None
+
+
+@dataclass(frozen=True)
+class GeometrySummary(Summary):
+    """The epipolar geometry of a pair; of a rejected one what was found too little."""
+
+    inliers: Annotated[int | None, _named("x1_count", "inliers")] = None
+    angle_deg: float | None = None
+    epipolar_px: float | None = None
+    probability: Annotated[float | None, _named("good_probability", "probability")] = None
+
+
+@dataclass(frozen=True)
+class RectifySummary(Summary):
+    """The rectification of a pair."""
+
+    angle_deg: float | None = None
+    vertical_px: float | None = None
+    method: str | None = None
+    verified: str | None = None
+    row_share: float | None = None
+    row_chance: float | None = None
+    row_error_px: float | None = None
+
+
+@dataclass(frozen=True)
+class DisparitySummary(Summary):
+    """Dense matches of a pair."""
+
+    density: float | None = None
+
+
+@dataclass(frozen=True)
+class PairFigures(DisparitySummary, RectifySummary, GeometrySummary, MatchesSummary):
+    """What run.json has of a pair: the summaries of its stages, and its part in that of the poses."""
+
+    poses_px: float | None = None
+    known: str | None = None
+
+
+@dataclass(frozen=True)
+class PairCheck(Summary):
+    """What the cameras of a whole site say of one pair (`stages.types.PairCheck`)."""
+
+    adjusted_px: float | None = None
+    known: str | None = None
+
+
+@dataclass(frozen=True)
+class CalibrationCheck(Summary):
+    """How the stated calibration as a whole agrees with the matches (`stages.types.CalibrationCheck`)."""
+
+    matches: int = 0
+    pairs: int = 0
+    confirmed: bool = False
+    misfit: float = 0.0
+    contradicted: bool = False
+    cause: str = ""
+    cameras: tuple[str, ...] = ()
+    amount: tuple[float, ...] = ()
+    better: float = 1.0
+    off_px: float = 0.0
+
+
+@dataclass(frozen=True)
+class LensSigma(Summary):
+    """Standard deviations of what was solved of a lens (`stages.types.LensSigma`)."""
+
+    focal: float = 0.0
+    border_px: float = 0.0
+
+
+@dataclass(frozen=True)
+class PosesSummary(Summary):
+    """How the cameras came to stand where they do (`stages.types.Poses`); the cameras themselves are in cameras.json."""
+
+    unsolved: Mapping[str, str] = field(default_factory=dict)
+    """Reason by camera."""
+    dropped: Mapping[str, str] = field(default_factory=dict)
+    metric: bool = True
+    """Lengths are metres."""
+    source: str = ""
+    suspects: Mapping[str, str] = field(default_factory=dict)
+    doubtful: Mapping[str, str] = field(default_factory=dict)
+    uncertain: Mapping[str, float] = field(default_factory=dict)
+    unsure_lenses: Mapping[str, LensSigma] = field(default_factory=dict)
+    strained: Mapping[str, float] = field(default_factory=dict)
+    focals: tuple[str, ...] = ()
+    components: tuple[tuple[str, ...], ...] = ()
+    joins: tuple[str, ...] = ()
+    """What would join the worlds that share no pair."""
+    scale: str = ""
+    crs: str = ""
+    """Coordinate system of the world as PROJ reads it; "" for a local one."""
+    notes: tuple[str, ...] = ()
+    """What the operator should know."""
+    points: int = 0
+    reprojection_px: float | None = None
+    calibration: CalibrationCheck | None = None
+    pair_checks: Annotated[Mapping[str, PairCheck], Field(exclude=True)] = field(default_factory=dict)
+    """This and the next two stand with the pairs and cameras in run.json."""
+    pose_checks: Annotated[Mapping[str, Mapping[str, Any]], Field(exclude=True)] = field(default_factory=dict)
+    sources: Annotated[Mapping[str, str], Field(exclude=True)] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FuseSummary(Summary):
+    """A cloud."""
+
+    points: Annotated[int, _named("points_count")] = 0
+    bounds: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    """Two opposite corners of the box around it."""
+    given: Mapping[str, int] = field(default_factory=dict)
+    """Samples by camera."""
+
+
+@dataclass(frozen=True)
+class SiteSummary(Summary):
+    """Of a site-wide stage that has a part of run.json and of the report, under its name."""
+
+    AMOUNT: ClassVar[tuple[str, str]] = ("", "")
+    """Unit and meaning of `amount`, where there is one; `expect` in the site file has it under the name of the stage."""
+
+    files: tuple[str, ...] = ()
+    """Names of what was published."""
+    reason: str | None = None
+    """Why there is no result."""
+
+    @property
+    def amount(self) -> float | None:
+        """What should be as much as is usual."""
+        return None
+
+    @property
+    def objects(self) -> Mapping[str, Change]:
+        """Things with a place, by name."""
+        return {}
+
+
+@dataclass(frozen=True)
+class CoverageSummary(SiteSummary):
+    """What the cameras see of the ground."""
+
+    AMOUNT = ("m²", "seen by two cameras")
+
+    area_m2: Annotated[float | None, _named("area", "area_m2")] = None
+    seen_by_one: float | None = None
+    seen_by_two: float | None = None
+    angle_deg: Annotated[float | None, _named("median_angle_deg", "angle_deg")] = None
+    error_m: Annotated[float | None, _named("median_error", "error_m")] = None
+    lost_without: Mapping[str, float] | None = None
+
+    @property
+    def amount(self) -> float | None:
+        return None if self.area_m2 is None or self.seen_by_two is None else self.area_m2 * self.seen_by_two
+
+
+@dataclass(frozen=True)
+class Change(Summary):
+    """One thing that has appeared, vanished or moved (`stages.types.Change`)."""
+
+    kind: str = ""
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    length: float | None = None
+    width: float | None = None
+    height: float | None = None
+    area: float | None = None
+    volume: float | None = None
+    volume_sigma: float | None = None
+    significance: float | None = None
+    likeness: float | None = None
+    points: int | None = None
+    cameras: str = ""
+    zone: str = ""
+    from_x: float | None = None
+    from_y: float | None = None
+    from_z: float | None = None
+
+
+@dataclass(frozen=True)
+class ChangesSummary(SiteSummary):
+    """What is not as it was when the reference was made."""
+
+    compared: bool | None = None
+    count: int | None = None
+    changed_share: float | None = None
+    unknown_share: float | None = None
+    noise: float | None = None
+    changes: Mapping[str, Change] | None = None
+
+    @property
+    def objects(self) -> Mapping[str, Change]:
+        return self.changes or {}
 
 
 @dataclass(frozen=True)

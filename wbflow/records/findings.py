@@ -7,7 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, model_serializer
+
+from .plain import Plain
 
 Figures = Mapping[str, Any]
 """What is reported of a camera, a pair, a night or the world, by name: numbers, words, and mappings of these."""
@@ -29,18 +33,16 @@ FINDING_ALIASES = {
 _FORMER = {new: old for old, new in FINDING_ALIASES.items()}
 
 
-def rounded(value: Any) -> Any:
-    """Four digits are more than anybody reads."""
-    if isinstance(value, Mapping):
-        return {key: rounded(entry) for key, entry in value.items()}
-    return round(value, 4) if isinstance(value, float) else value
+def _current(aliases: Mapping[str, str]) -> BeforeValidator:
+    """Words of earlier versions are read as those of today."""
+    return BeforeValidator(lambda word: aliases.get(word, word) if isinstance(word, str) else word)
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Plain):
     """Something that a person should look at."""
 
-    kind: str
+    kind: Annotated[str, _current(FINDING_ALIASES)]
     """Its code in `FINDINGS`: camera-lost, fewer-pairs, task-failed, ..."""
     subject: tuple[str, ...]
     """() for the site, (camera,), (left, right), or all the cameras that it is about."""
@@ -61,17 +63,9 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.about}: {self.text}" if self.subject else self.text
 
-    def to_json(self) -> dict[str, Any]:
-        numbers = {"figures": rounded(self.figures), "expected": rounded(self.expected)}
-        alias = {"alias": _FORMER[self.kind]} if self.kind in _FORMER else {}
-        return {"kind": self.kind, "subject": list(self.subject), "text": self.text, **numbers, "remedy": self.remedy, **alias}
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Finding:
-        """Raises KeyError, TypeError or ValueError for what is no finding."""
-        numbers = dict(data.get("figures") or {}), dict(data.get("expected") or {})
-        kind = FINDING_ALIASES.get(data["kind"], data["kind"])
-        return Finding(kind, tuple(data["subject"]), data["text"], *numbers, data.get("remedy") or "")
+    @model_serializer(mode="wrap")
+    def _with_alias(self, write: Any) -> dict[str, Any]:
+        return {**write(self), **({"alias": _FORMER[self.kind]} if self.kind in _FORMER else {})}
 
 
 @dataclass(frozen=True)
@@ -310,7 +304,7 @@ def finding(
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Plain):
     """What a night came to."""
 
     level: Level
@@ -322,22 +316,12 @@ class Verdict:
         """Is there nothing to look at?"""
         return self.level == "good"
 
-    def to_json(self) -> dict[str, Any]:
-        return {"level": self.level, "findings": [finding.to_json() for finding in self.findings]}
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Verdict:
-        """Raises KeyError, TypeError or ValueError for what is no verdict."""
-        if data["level"] not in get_args(Level):
-            raise ValueError(f"{data['level']!r} is no level of a verdict")
-        return Verdict(data["level"], tuple(map(Finding.from_json, data.get("findings") or ())))
-
 
 @dataclass(frozen=True)
-class Health:
+class Health(Plain):
     """How a camera is, compared with what it has been."""
 
-    state: HealthState
+    state: Annotated[HealthState, _current(STATE_ALIASES)]
     """shifted: turned by little, still in use; moved; obscured: too dark, dirty or out of focus; stale: not of tonight;
     wrong-scene: another place."""
     text: str = ""
@@ -354,22 +338,9 @@ class Health:
         """Is it as it has been?"""
         return self.state == "ok"
 
-    def to_json(self) -> dict[str, Any]:
-        numbers = {"figures": rounded(self.figures), "expected": rounded(self.expected)}
-        return {"state": self.state, "text": self.text, **numbers, "remedy": self.remedy}
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Health:
-        """Raises KeyError, TypeError or ValueError for what says nothing of a camera."""
-        state = STATE_ALIASES.get(data["state"], data["state"])
-        if state not in get_args(HealthState):
-            raise ValueError(f"{state!r} is no state of a camera")
-        numbers = dict(data.get("figures") or {}), dict(data.get("expected") or {})
-        return Health(state, data.get("text") or "", *numbers, data.get("remedy") or "")
-
 
 @dataclass(frozen=True)
-class Down:
+class Down(Plain):
     """Since when a camera gives nothing, or is not as it should be."""
 
     since: str
@@ -381,17 +352,9 @@ class Down:
         """Return since when; a camera that is used all the same is not down."""
         return f"{'down' if left_out else 'so'} since {self.since}, {self.nights} night{'s' * (self.nights != 1)}"
 
-    def to_json(self) -> dict[str, Any]:
-        return dict(vars(self))
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Down:
-        """Raises KeyError, TypeError or ValueError for what says nothing of the kind."""
-        return Down(str(data["since"]), int(data["nights"]))
-
 
 @dataclass(frozen=True)
-class Usual:
+class Usual(Plain):
     """What the last good nights gave, each figure by its median, or the reference: what tonight is compared with."""
 
     nights: int
@@ -402,13 +365,3 @@ class Usual:
     """Of each camera by id: brightness, ..."""
     reference: str = ""
     """The run that somebody has pinned, where the figures of the whole site are from that one."""
-
-    def to_json(self) -> dict[str, Any]:
-        base = {"nights": self.nights, "reference": self.reference}
-        return {**base, "figures": rounded(self.figures), "cameras": rounded(self.cameras)}
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Usual:
-        """Raises KeyError, TypeError or ValueError for what says nothing of the kind."""
-        cameras = {camera: dict(figures) for camera, figures in data.get("cameras", {}).items()}
-        return Usual(int(data["nights"]), dict(data["figures"]), cameras, str(data.get("reference") or ""))

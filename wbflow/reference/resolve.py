@@ -13,10 +13,11 @@ from typing import Any
 
 from ..cache.store import Cache, Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
+from ..pipeline.summaries import HealthSummary
 from ..records.record import Health
 from ..records.reference_folder import Reference, put_back
 from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
-from ..runner.state import Cause, Impossible, State, Waiting, because
+from ..runner.state import Cause, Impossible, State, Waiting, because, summary_of
 from ..task import Subject, Task, camera_of
 from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, ShiftHistory
 
@@ -216,7 +217,7 @@ class Pinned:
         state = self.state_of(camera)
         for view in self._views_of(camera):
             task = self.states.get(Task(HEALTH, (view,)))
-            if task and task.usable and task.receipt and task.receipt.figures.get("corrected"):
+            if task and task.usable and summary_of(task, HealthSummary).corrected:
                 return _TURNED
         return _STILL if state == "ok" else _LOST
 
@@ -252,9 +253,8 @@ def judged(state: State | None) -> Health | None:
     """What a task of the stage `health` found."""
     if state is None or not state.usable or state.receipt is None:
         return None
-    told = state.receipt.figures
-    numbers = told.get("figures") or {}, told.get("expected") or {}
-    return Health(told["state"], told.get("text") or "", *numbers, told.get("remedy") or "")
+    found = summary_of(state, HealthSummary)
+    return Health(found.state, found.text, found.figures, found.expected, found.remedy)
 
 
 def _held_before(stage: Stage) -> set[str]:

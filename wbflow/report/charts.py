@@ -56,7 +56,7 @@ def trends(data: ReportData) -> list[Chart]:
     for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # those follow, by their own titles
         found.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
     for stage, name in _stage_figures(nights):
-        values = [_number((night.later.get(stage) or {}).get(name)) for night in nights]
+        values = [_number(getattr(night.results.get(stage), name, None)) for night in nights]
         if meaning(name).share:
             found.append(_chart(data, titled(name), [None if value is None else 100 * value for value in values], "%"))
         else:
@@ -95,10 +95,10 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
 
 def _stage_figures(nights: list[RunRecord]) -> Iterator[tuple[str, str]]:
     """Yield stage and name of each number that a site-wide stage reports."""
-    for stage in STAGES:
-        for name in stage.reports.fields if stage.scope == "site" and stage.reports else ():
-            if any(_number((night.later.get(stage.name) or {}).get(name)) is not None for night in nights):
-                yield stage.name, name
+    found = {(stage, name): None for night in nights for stage, result in night.results.items() for name in vars(result)}
+    for stage, name in found:
+        if any(_number(getattr(night.results.get(stage), name, None)) is not None for night in nights):
+            yield stage, name
 
 
 def _number(value: object) -> float | None:

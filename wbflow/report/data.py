@@ -11,6 +11,7 @@ from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
+from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
 from ..records.reference_folder import BadReference, Reference, read_reference
@@ -149,7 +150,7 @@ class Comparison:
     """The last good night."""
     known: Mapping[str, str]
     """Tonight's objects that were there then, and their names of then."""
-    gone: Mapping[str, Mapping[str, Any]]
+    gone: Mapping[str, Change]
     """Objects of then that are as in the reference again."""
 
 
@@ -158,26 +159,21 @@ def since_last_good(data: ReportData, stage: str) -> Comparison | None:
     record, good = data.record, data.last_good
     if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
         return None
-    then = objects_of(good.later.get(stage)) if good.run != record.reference else {}
+    then = objects_of(good, stage) if good.run != record.reference else {}
     known: dict[str, str] = {}
-    for name, thing in objects_of(record.later.get(stage)).items():
+    for name, thing in objects_of(record, stage).items():
         same = next((n for n, other in then.items() if n not in known.values() and _same(thing, other)), None)
         if same is not None:
             known[name] = same
     return Comparison(good.date, known, {name: thing for name, thing in then.items() if name not in known.values()})
 
 
-def objects_of(figures: Any) -> dict[str, Mapping[str, Any]]:
-    """Return all objects with a place in a stage's figures, by name."""
-    found = {}
-    for value in figures.values() if isinstance(figures, Mapping) else ():
-        for name, thing in value.items() if isinstance(value, Mapping) else ():
-            if isinstance(thing, Mapping) and {"x", "y", "z"} <= set(thing):
-                found[str(name)] = thing
-    return found
+def objects_of(record: RunRecord, stage: str) -> Mapping[str, Change]:
+    """Return all objects with a place that a stage reports, by name."""
+    result = record.results.get(stage)
+    return result.objects if result else {}
 
 
-def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    size = max(float(thing.get("length") or 0) for thing in (a, b))
-    apart = math.dist(*((thing["x"], thing["y"], thing["z"]) for thing in (a, b)))
-    return a.get("kind") == b.get("kind") and apart <= _SAME_PLACE * size
+def _same(a: Change, b: Change) -> bool:
+    apart = math.dist((a.x, a.y, a.z), (b.x, b.y, b.z))
+    return a.kind == b.kind and apart <= _SAME_PLACE * max(a.length or 0.0, b.length or 0.0)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from ..errors import counted
 from ..outcome.baseline import figures_of
 from ..pipeline.stages import STAGES
+from ..pipeline.summaries import ChangesSummary, SiteSummary
 from ..records.record import Finding, RunRecord
 from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
-from .data import ReportData, objects_of, since_last_good
+from .data import ReportData, since_last_good
 from .pictures import Picture, Pictures
 
 _MOST_OF_A_KIND = 4
@@ -112,13 +113,13 @@ def _facts(data: ReportData) -> list[Fact]:
         base = usual.get(Measure.POINTS)
         words = f"{whose}: {base:,.0f}" if base else ""
         found.append(Fact(f"{record.cloud.points:,}", "points", words, _grade(now[Measure.POINTS], base)))
-    for stage in STAGES:
-        if stage.name in now and stage.reports and (expects := stage.reports.expects):
-            base = usual.get(stage.name)
-            words = f"{whose}: {base:,.0f} {expects.unit}" if base else ""
-            found.append(Fact(f"{now[stage.name]:,.0f} {expects.unit}", expects.words, words, _grade(now[stage.name], base)))
-        if (count := _change_count(record, stage.name)) is not None:
-            since, words = since_last_good(data, stage.name), f"change{'s' * (count != 1)} since the reference"
+    for stage, result in record.results.items():
+        if stage in now:
+            base, (unit, measured) = usual.get(stage), result.AMOUNT
+            words = f"{whose}: {base:,.0f} {unit}" if base else ""
+            found.append(Fact(f"{now[stage]:,.0f} {unit}", measured, words, _grade(now[stage], base)))
+        if (count := _change_count(result)) is not None:
+            since, words = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
             found.append(Fact(str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else ""))
     seconds = record.seconds.wall
     found.append(
@@ -130,20 +131,18 @@ def _facts(data: ReportData) -> list[Fact]:
     return found
 
 
-def _change_count(record: RunRecord, stage: str) -> int | None:
+def _change_count(result: SiteSummary) -> int | None:
     """Return how many objects a stage has found to differ from the reference; None where it compared nothing."""
-    figures = record.later.get(stage) or {}
-    count = figures.get("count") if isinstance(figures, dict) and figures.get("compared") else None
-    return count if isinstance(count, int) else None
+    return result.count if isinstance(result, ChangesSummary) and result.compared else None
 
 
 def _changes(data: ReportData) -> str:
     """Return a sentence with the number and kinds of changes since the reference; "" without any."""
-    for stage in STAGES:
-        if count := _change_count(data.record, stage.name):
-            kinds = Counter(str(thing.get("kind") or "other") for thing in objects_of(data.record.later[stage.name]).values())
+    for stage, result in data.record.results.items():
+        if count := _change_count(result):
+            kinds = Counter(thing.kind or "other" for thing in result.objects.values())
             named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
-            since = since_last_good(data, stage.name)
+            since = since_last_good(data, stage)
             newer = f"; {count - len(since.known) or 'none'} of them since {since.date}" if since else ""
             return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}."
     return ""

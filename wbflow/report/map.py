@@ -122,7 +122,7 @@ def map_of(data: ReportData, scene: Scene) -> Map:
         dots.append(Dot(camera.id, camera.state, x, y, view, title))
     if len(dots) > _FEW:
         dots = _outside(dots)
-    most = max((pair.figures.get("inliers") or 0 for pair in data.record.pairs), default=0) or 1
+    most = max((pair.figures.inliers or 0 for pair in data.record.pairs), default=0) or 1
     lines = [
         _line(pair, spot(standing[pair.cameras[0]].C), spot(standing[pair.cameras[1]].C), most)
         for pair in sorted(data.record.pairs, key=lambda pair: pair.ok)
@@ -182,8 +182,8 @@ def _field_of_view(camera: SceneCamera, reach: float) -> list[tuple[float, float
 
 
 def _line(pair: PairRecord, start: tuple[float, float], end: tuple[float, float], most: float) -> Line:
-    share = math.sqrt((pair.figures.get("inliers") or 0) / most)
-    note = f"{pair.figures.get('inliers') or 0:,} inliers" if pair.ok else f"{pair.outcome}: {pair.reason or ''}"
+    share = math.sqrt((pair.figures.inliers or 0) / most)
+    note = f"{pair.figures.inliers or 0:,} inliers" if pair.ok else f"{pair.outcome}: {pair.reason or ''}"
     return Line(pair.name, pair.outcome, *start, *end, 1 + _WIDEST * share if pair.ok else 1.5, note)
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..outcome.beside import spoken
-from ..pipeline.stages import STAGES
 from ..records.events import Event, WarningEvent
 from ..records.record import RunRecord
 from ..records.run_folder import RunFolder
@@ -170,7 +169,7 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
     """Yield how the cameras were placed, with residuals of distances and control points."""
     if record.poses is None:
         return
-    plain = {name: value for name, value in record.poses.figures.items() if isinstance(value, str | int | float) and value != ""}
+    plain = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}
     words = (f"{name.replace('_', ' ')} {spoken(value)}" for name, value in plain.items())
     yield f"The cameras' places: {', '.join(words)}."
     yield from record.poses.notes
@@ -190,7 +189,6 @@ def _files(data: ReportData) -> Iterator[dict[str, str]]:
         yield {"href": cloud.path, "text": f"{cloud.path} ({cloud.points:,} points)"}
     if data.cameras:
         yield {"href": paths.cameras.name, "text": paths.cameras.name}
-    results = [record.later.get(stage.name) for stage in STAGES]
-    named = {name for figures in results if isinstance(figures, Mapping) for name in figures.get("files") or ()}
+    named = {name for result in record.results.values() for name in result.files}
     for name in (*sorted(named), paths.record.name, paths.log.name):
         yield {"href": name, "text": name}

@@ -159,12 +159,12 @@ def _camera(data: ReportData, camera: Any, place: tuple[Mapping[str, Any], str],
 
 
 def _objects(data: ReportData, rows: Array, origin: Array) -> Iterator[SceneObject]:
-    for stage, figures in data.record.later.items():
+    for stage in data.record.results:
         since = since_last_good(data, stage)
-        for name, thing in objects_of(figures).items():
-            at = _vector(rows @ (np.array([thing["x"], thing["y"], thing["z"]]) - origin))
-            size = math.hypot(thing.get("length") or 0, thing.get("width") or 0)
-            yield SceneObject(name, str(thing.get("kind") or ""), at, size, since is not None and name in since.known)
+        for name, thing in objects_of(data.record, stage).items():
+            at = _vector(rows @ (np.array([thing.x, thing.y, thing.z]) - origin))
+            size = math.hypot(thing.length or 0.0, thing.width or 0.0)
+            yield SceneObject(name, thing.kind, at, size, since is not None and name in since.known)
 
 
 def _box(points: Array, trimmed: float) -> tuple[Array, Array]:

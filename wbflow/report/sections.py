@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import mimetypes
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from ..cache.store import Preimage, Receipt
 from ..outcome.beside import number, shown
-from ..outcome.run_record import reported
 from ..pipeline.stages import STAGES, Stage
-from ..pipeline.summaries import meaning
+from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning
 from ..records.record import CameraRecord, PairRecord
 from ..task import Task
 from .charts import Bar, camera_bars
@@ -114,13 +113,13 @@ def camera_cards(data: ReportData, album: Pictures) -> list[CameraCard]:
     found, bars = [], camera_bars(data)
     for k, camera in enumerate(data.record.cameras, 1):
         state = state_of(camera, data.record)
-        numbers = {name: value for name, value in camera.figures.items() if isinstance(value, int | float)}
+        numbers = {name: value for name, value in vars(camera.figures).items() if isinstance(value, int | float)}
         figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool) and name != "points")
         pairs = data.record.pairs_of(camera.id)
         used = Cell("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
         picture = album.of_frame(camera.id, camera.id)
-        main = (used, *(c for c in (cell("points", camera.figures.get("points")),) if c.value), *_shares(data, camera.id))
+        main = (used, *(c for c in (cell("points", camera.figures.points),) if c.value), *_shares(data, camera.id))
         words = _words(camera, data.record.reference is None), camera.notes
         counts = _keypoint_counts(camera, pairs)
         found.append(CameraCard(camera.id, k, state, badge, *words, picture, bars[camera.id], counts, main, figures))
@@ -128,7 +127,7 @@ def camera_cards(data: ReportData, album: Pictures) -> list[CameraCard]:
 
 
 def _keypoint_counts(camera: CameraRecord, pairs: list[PairRecord]) -> str:
-    points, agreed = camera.figures.get("keypoints"), [p.figures.get("inliers") for p in pairs if p.figures.get("matched")]
+    points, agreed = camera.figures.keypoints, [p.figures.inliers for p in pairs if p.matched]
     known = [count for count in agreed if count]
     words = [f"{points:,} keypoints"] if points else []
     return ", ".join([*words, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
@@ -143,25 +142,23 @@ def _words(camera: CameraRecord, alone: bool) -> str:
 
 def _shares(data: ReportData, camera: str) -> Iterator[Cell]:
     """Yield a camera's shares in site-wide results."""
-    for stage in STAGES:
-        results = data.record.later.get(stage.name)
-        for name, value in results.items() if isinstance(results, Mapping) else ():
+    for result in data.record.results.values():
+        for name, value in vars(result).items():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera), float):
-                yield Cell(
-                    meaning(name).title, meaning(name).words or f"{stage.products.title}: {name}", f"{100 * share:.1f} %", ""
-                )
+                yield Cell(meaning(name).title, meaning(name).words, f"{100 * share:.1f} %", "")
 
 
 def pair_columns(data: ReportData) -> list[str]:
     """Return the names of the figures that any pair has."""
-    return [n for n in reported("pair") if any(pair.figures.get(n) not in {None, ""} for pair in data.record.pairs)]
+    names = [field.name for field in fields(PairFigures)]
+    return [name for name in names if any(getattr(pair.figures, name) not in {None, ""} for pair in data.record.pairs)]
 
 
 def pair_rows(data: ReportData) -> list[PairRow]:
     """Return the pairs in the order of the pair graph."""
     names = pair_columns(data)
     return [
-        PairRow(pair, tuple(cell(n, pair.figures.get(n)) for n in names), () if pair.ok else tuple(_tried(data, pair)))
+        PairRow(pair, tuple(cell(n, getattr(pair.figures, n)) for n in names), () if pair.ok else tuple(_tried(data, pair)))
         for pair in data.record.pairs
     ]
 
@@ -180,16 +177,13 @@ def _tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]
 
 
 def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
-    """Yield the numbers of a receipt by the names of run.json, those that run.json has first."""
-    names = {theirs: ours for ours, theirs in stage.reports.fields.items()} if stage.reports else {}
-    figures: Mapping[str, Any] = receipt.figures
-    numbers = {name: value for name, value in figures.items() if isinstance(value, int | float) and not isinstance(value, bool)}
-    known = [name for name in names if name in numbers]
-    others = [name for name in numbers if name not in names and not name.endswith("_count")]
-    for name in [*known, *others][:_MOST_FIGURES]:
-        value = numbers[name]
+    """Yield the numbers of a result by the names of run.json; of a rejection those behind the reason."""
+    made = stage.summary if receipt.outcome != "rejected" else None
+    figures = vars(made.from_json(receipt.figures)) if made else receipt.figures
+    numbers = {name: v for name, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    for name, value in list(numbers.items())[:_MOST_FIGURES]:
         if value == value:  # not nan
-            yield f"{meaning(names.get(name, name)).title} {number(value) if isinstance(value, float) else f'{value:,}'}"
+            yield f"{meaning(name).title} {number(value) if isinstance(value, float) else f'{value:,}'}"
 
 
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
@@ -208,52 +202,44 @@ def parts(data: ReportData, album: Pictures) -> list[Part]:
     """Return the results of each site-wide stage in run.json."""
     found = []
     for stage in STAGES:
-        results = data.record.later.get(stage.name)
-        if stage.scope == "site" and stage.reports and isinstance(results, Mapping) and results:
-            files = tuple(results.get("files") or ())
+        if result := data.record.results.get(stage.name):
             since = since_last_good(data, stage.name)
             unit = "m" if data.record.poses is None or data.record.poses.metric else ""
-            things = tuple(thing for value in results.values() for thing in _things(value, files, album, since, unit))
-            reason, gone = str(results.get("reason") or ""), _gone(since, unit) if since else ""
-            title = stage.products.title
-            if results.get("compared") is False:
-                found.append(
-                    Part(stage.products.title, reason, None, (), (), files, "There was nothing to compare this night with.")
-                )
+            things = tuple(_things(result, album, since, unit))
+            reason, gone = result.reason or "", _gone(since, unit) if since else ""
+            title, files = stage.products.title, result.files
+            if isinstance(result, ChangesSummary) and result.compared is False:
+                found.append(Part(title, reason, None, (), (), files, "There was nothing to compare this night with."))
                 continue
             picture = album.of_task(Task(stage.name), title)
-            found.append(Part(title, reason, picture, tuple(shown(results)), things, files, gone))
+            found.append(Part(title, reason, picture, tuple(shown(vars(result))), things, files, gone))
     return found
 
 
 def _gone(since: Comparison, unit: str) -> str:
-    gone = [f"{thing.get('kind') or 'something'} ({_dimensions(thing, unit)})" for thing in since.gone.values()]
+    gone = [f"{thing.kind or 'something'} ({_dimensions(thing, unit)})" for thing in since.gone.values()]
     return f"Differed on {since.date}, the last good night, and are as in the reference again: {', '.join(gone)}." if gone else ""
 
 
-def _things(entries: Any, files: tuple[str, ...], album: Pictures, since: Comparison | None, unit: str) -> Iterator[Thing]:
-    for name, entry in entries.items() if isinstance(entries, Mapping) else ():
-        if not isinstance(entry, Mapping):
-            continue
-        file = next((f for f in files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
-        title = f"{name}: {entry.get('kind') or ''}".rstrip(": ")
-        texts = [f"{key}: {value.replace(',', ', ')}" for key, value in entry.items() if isinstance(value, str) and value]
+def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[Thing]:
+    for name, entry in result.objects.items():
+        file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
+        title, fields_of = f"{name}: {entry.kind}".rstrip(": "), vars(entry).items()
+        texts = [f"{key}: {value.replace(',', ', ')}" for key, value in fields_of if isinstance(value, str) and value]
         words = tuple(line for line in texts if not line.startswith("kind: "))
-        numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in entry.items() if isinstance(value, int | float))
+        numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in fields_of if isinstance(value, int | float))
         picture = album.of_product(file, f"{title}: then and this night") if file else None
         known = since.known.get(name) if since else None
         when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
         yield Thing(title, _dimensions(entry, unit), when, words, picture, numbers)
 
 
-def _dimensions(entry: Mapping[str, Any], unit: str) -> str:
+def _dimensions(entry: Change, unit: str) -> str:
     """Return the size and place of an object, as far as it has them."""
-    sides = [entry.get(name) for name in ("length", "width", "height")]
-    size = " × ".join(f"{side:.1f}" for side in sides if isinstance(side, int | float))
-    volume, sigma = entry.get("volume"), entry.get("volume_sigma")
+    size = " × ".join(f"{side:.1f}" for side in (entry.length, entry.width, entry.height) if side is not None)
+    volume, sigma = entry.volume, entry.volume_sigma
     room = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
-    at = [entry.get(name) for name in ("x", "y", "z")]
-    where = "at " + ", ".join(f"{v:.1f}" for v in at if isinstance(v, int | float)) if None not in at else ""
+    where = f"at {entry.x:.1f}, {entry.y:.1f}, {entry.z:.1f}"
     return "; ".join(filter(None, (f"{size} {unit}".strip(), room and f"volume {room}", where)))
 
 

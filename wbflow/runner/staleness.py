@@ -9,10 +9,10 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from ..cache.artifact import digest
 from ..cache.digests import Digests, Seen
+from ..pipeline.summaries import FrameSummary
 from ..records.record import Health
 from ..site.models import Camera, Site
 from .captures import CaptureFile, captures_of, pattern_of
@@ -155,31 +155,29 @@ def _middle(hours: list[float]) -> float:
     return min(hours, key=lambda hour: sum(abs(_apart(hour, other)) for other in hours))
 
 
-def night_by_pictures(figures: Iterable[Mapping[str, Any]]) -> str:
+def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
     """The night (ISO 8601) of most cameras by what these wrote into their pictures; "" where nothing is written, or no night is
     that of most.
 
     Photographs whose names say no date are of whatever night they are of: old ones are not stale, only those that differ.
     """
-    moments = sorted(taken[-1] for told in figures if (taken := _taken(told)))
+    moments = sorted(taken[-1] for frame in frames if (taken := _taken(frame)))
     middle = moments[len(moments) // 2] if moments else None
     if middle is None or 2 * sum(abs(_hours(moment - middle)) <= NIGHT_HOURS for moment in moments) <= len(moments):
         return ""
     return str(middle.date())
 
 
-def by_picture(figures: Mapping[str, Any], night: str, in_order: bool) -> Health | None:
+def by_picture(frame: FrameSummary, night: str, in_order: bool) -> Health | None:
     """A camera whose pictures themselves say that they are of another time.
 
-    figures: `unchanged`, the share of pixels that agree to the last grey level between captures; `taken_first` and
-    `taken_last`, when the captures were taken by what the camera wrote into them (ISO 8601); `taken_in_order`.
     night: ISO 8601, "" where none is known.  in_order: do names say in which order captures were taken?
     """
-    unchanged = figures.get("unchanged")
-    if isinstance(unchanged, float) and unchanged > SAME_PIXELS:
+    unchanged = frame.unchanged
+    if unchanged is not None and unchanged > SAME_PIXELS:
         text = f"{100 * unchanged:.1f} % of the pixels are the same in all captures of the night: the picture is frozen"
         return Health("stale", text, {"unchanged": unchanged}, {"unchanged": SAME_PIXELS}, _REMEDY)
-    taken = _taken(figures)
+    taken = _taken(frame)
     if not taken or not night:
         return None
     noon = datetime.datetime.combine(datetime.date.fromisoformat(night), datetime.time(12))
@@ -187,17 +185,17 @@ def by_picture(figures: Mapping[str, Any], night: str, in_order: bool) -> Health
     if abs(off) > NIGHT_HOURS:
         text = f"its captures say that they were taken on {taken[0]:%Y-%m-%d %H:%M}; the night is that of {night}"
         return Health("stale", text, {"hours_off": off}, {"hours_off": NIGHT_HOURS}, _CLOCK)
-    if in_order and figures.get("taken_in_order") is False:
+    if in_order and frame.taken_in_order is False:
         text = "its captures say that they were taken in another order than their names"
         return Health("stale", text, {}, {}, _CLOCK)
     return None
 
 
-def _taken(figures: Mapping[str, Any]) -> list[datetime.datetime]:
+def _taken(frame: FrameSummary) -> list[datetime.datetime]:
     """When the first and the last capture of a camera were taken; [] where it does not say."""
     try:
-        return [datetime.datetime.fromisoformat(str(figures[name])) for name in ("taken_first", "taken_last")]
-    except (KeyError, ValueError):
+        return [datetime.datetime.fromisoformat(at or "") for at in (frame.taken_first, frame.taken_last)]
+    except ValueError:
         return []
 
 

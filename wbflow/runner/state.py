@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Literal, TypeVar
 
 from ..cache.store import Receipt
+from ..pipeline.summaries import Summary
 from ..task import Task
 
 Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
@@ -60,6 +61,14 @@ class State:
     def usable(self) -> bool:
         """Did it leave an artifact?"""
         return self.outcome in {"cached", "ran"}
+
+
+_S = TypeVar("_S", bound=Summary)
+
+
+def summary_of(state: State | None, kind: type[_S]) -> _S:
+    """Return what the engine reads of a task's result, or of its rejection; an empty summary where there is neither."""
+    return kind.from_json(state.receipt.figures) if state and state.receipt else kind()
 
 
 def cached_state(receipt: Receipt) -> State:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, POSES, Source, Stage, stage_named
+from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..site.models import Camera, Site
 from ..task import Task, component_name
-from .state import State
+from .state import State, summary_of
 
 _NEAR = 8
 """Cameras that show more of what one sees than its partners alone; each is one more picture that a task reads."""
@@ -58,7 +58,7 @@ class Subjects:
         if state is None:
             return 0
         if self._groups is None or self._groups[0] is not state:
-            self._groups = state, sum(len(group) > 1 for group in _listed("components", state))
+            self._groups = state, sum(len(group) > 1 for group in _components(state))
         return self._groups[1]
 
     def around(self, camera: str) -> list[str]:
@@ -108,7 +108,7 @@ class Subjects:
         if name == DENSE_PAIRS and not state.usable:
             return self._known_graph(dense=False)
         if task not in self._graphs or self._graphs[task].state is not state:
-            self._graphs[task] = graph = _Graph(state, [tuple(pair) for pair in _listed("pairs", state)])
+            self._graphs[task] = graph = _Graph(state, list(summary_of(state, PairsSummary).pairs) if state.usable else [])
             for pair in graph.pairs:
                 for camera in pair:
                     graph.of.setdefault(camera, []).append(pair)
@@ -129,6 +129,5 @@ class _Graph:
 _WORLD = Task(POSES)
 
 
-def _listed(figure: str, state: State) -> list[Any]:
-    """A figure of a site-wide result that is a list."""
-    return list(state.receipt.figures.get(figure, ())) if state.usable and state.receipt else []
+def _components(state: State) -> tuple[tuple[str, ...], ...]:
+    return summary_of(state, PosesSummary).components if state.usable else ()

@@ -11,8 +11,8 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from wbflow.outcome.beside import shown
 from wbflow.pipeline import stages as pipeline
-from wbflow.pipeline.reports import Reports
 from wbflow.pipeline.stages import Products
+from wbflow.pipeline.summaries import SiteSummary
 
 STAGE = """
 from wbflow_stages.types import Poses, Scene
@@ -31,6 +31,11 @@ ROW = next(row for row in pipeline.STAGES if row.products.files)
 """A row that publishes files, on which no other rests."""
 
 
+@dataclasses.dataclass(frozen=True)
+class ToySummary(SiteSummary):
+    source: str | None = None
+
+
 @pytest.fixture
 def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     """A toy site with one more stage, whose result is published as a text."""
@@ -39,9 +44,9 @@ def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     site["stages"][ROW.name] = {"use": "toylook:look"}
     toy.file.write_text(json.dumps(site))
     (toy.folder / "toylook.py").write_text(STAGE)
-    mine = dataclasses.replace(ROW, products=Products(files="toyfiles:files", title="The toy"), reports=Reports({"box": "box"}))
+    mine = dataclasses.replace(ROW, products=Products(files="toyfiles:files", title="The toy"), summary=ToySummary)
     rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
-    for module in ("wbflow.runner.planner", "wbflow.outcome.beside", "wbflow.report.sections"):
+    for module in ("wbflow.runner.planner", "wbflow.outcome.beside", "wbflow.report.sections", "wbflow.records.record"):
         monkeypatch.setattr(f"{module}.STAGES", rows)
     write(toy, "first")
     return toy
@@ -61,7 +66,7 @@ def latest(toy: ToySite) -> Path:
 def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> None:
     record = toy_with_files.run()
     assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
-    assert record[ROW.name] == {"box": None, "files": ["toy.txt"], "reason": None}
+    assert record[ROW.name] == {"source": None, "files": ["toy.txt"], "reason": None}
     page = (latest(toy_with_files) / "report.html").read_text()
     assert "<h2>The toy</h2>" in page
     assert "href='toy.txt'" in page

@@ -17,6 +17,7 @@ from tests.wbflow.outcome.test_verdict import NAMES, camera, lost, night, withou
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
 from wbflow.outcome.compare import Row, compare, told
+from wbflow.pipeline.summaries import ChangesSummary, CoverageSummary
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
 
@@ -51,8 +52,9 @@ def test_what_a_lost_camera_takes_along_is_told_with_percentages() -> None:
 
 
 def test_what_site_wide_stages_tell_is_compared_too() -> None:
-    seen = [{"coverage": {"seen_by_two": share, "files": []}, "changes": {"compared": True, "count": 2}} for share in (0.8, 0.6)]
-    a, b = (replace(night("2026-11-19"), later=told_by) for told_by in seen)
+    changes = ChangesSummary(compared=True, count=2)
+    seen = [{"coverage": CoverageSummary(seen_by_two=share), "changes": changes} for share in (0.8, 0.6)]
+    a, b = (replace(night("2026-11-19"), results=results) for results in seen)
     rows = told(compare(a, b))[3:]
     assert [(row.what, row.a, row.b) for row in rows] == [("coverage: seen by two", 0.8, 0.6)]
 

@@ -11,6 +11,7 @@ import pytest
 from wbflow.errors import ExitCode
 from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
+from wbflow.pipeline.summaries import CameraFigures, CoverageSummary, LensSigma, PairFigures, PosesSummary
 from wbflow.records.findings import FINDINGS, findings_table
 from wbflow.records.record import (
     CameraRecord,
@@ -22,7 +23,6 @@ from wbflow.records.record import (
     Seconds,
     TaskCounts,
     Verdict,
-    WorldRecord,
 )
 from wbflow.runner.state import Cause, State
 from wbflow.site.models import Expected
@@ -35,12 +35,12 @@ LOOKS = {"brightness": 110.0, "sharpness": 0.27}
 
 
 def camera(name: str, **figures: float) -> CameraRecord:
-    return CameraRecord(name, "ok", figures=LOOKS | figures)
+    return CameraRecord(name, "ok", figures=CameraFigures.from_json(LOOKS | figures))
 
 
 def pair(left: str, right: str, outcome: str = "ok", matched: bool = True) -> PairRecord:
     reason = None if outcome == "ok" else "23 inliers, 30 needed"
-    return PairRecord(left, right, outcome, reason, figures={"matched": matched})
+    return PairRecord(left, right, outcome, reason, matched=matched)
 
 
 EVERY_PAIR = tuple(pair(*names) for names in PAIRS)
@@ -252,26 +252,26 @@ def test_a_reason_that_names_every_file_is_cut() -> None:
 
 
 def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
-    world = WorldRecord({"suspects": {"mast": "seems to be turned by 3.1 degrees. Has it been moved?"}})
+    world = PosesSummary(suspects={"mast": "seems to be turned by 3.1 degrees. Has it been moved?"})
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
 
 
 def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stays_in_use() -> None:
-    world = WorldRecord({"doubtful": {"mast": "2 of its 2 pairs contradict its known pose by up to 33.8 px"}})
+    world = PosesSummary(doubtful={"mast": "2 of its 2 pairs contradict its known pose by up to 33.8 px"})
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
 
 
 def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
-    world = WorldRecord({"uncertain": {"mast": 4.07, "gate": 2.9}})
+    world = PosesSummary(uncertain={"mast": 4.07, "gate": 2.9})
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
     assert "up to 4.1 px beside the row" in only(record).text
 
 
 def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
-    world = WorldRecord({"unsure_lenses": {name: {"focal": 0.031, "border_px": 2.24} for name in ("mast", "gate")}})
+    world = PosesSummary(unsure_lenses={name: LensSigma(0.031, 2.24) for name in ("mast", "gate")})
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
@@ -280,7 +280,7 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
 
 
 def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
-    world = WorldRecord({"strained": {"gate": 21.7, "mast": 21.7}})
+    world = PosesSummary(strained={"gate": 21.7, "mast": 21.7})
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-inconsistent", ("gate", "mast"), ExitCode.DEGRADED)
@@ -291,9 +291,7 @@ def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
 
 @pytest.mark.parametrize("known", ["stated", "solved"])
 def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_elsewhere(known: str) -> None:
-    tried = [
-        replace(p, outcome="rejected", figures={**p.figures, "known": known}) if "roof" in p.cameras else p for p in EVERY_PAIR
-    ]
+    tried = [replace(p, outcome="rejected", figures=PairFigures(known=known)) if "roof" in p.cameras else p for p in EVERY_PAIR]
     finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-no-usable-pair")
     assert finding.subject == ("roof",)
     assert ("its pose is not what the site file says" in finding.remedy) is (known == "stated")
@@ -301,8 +299,8 @@ def test_a_camera_whose_pairs_give_nothing_where_its_pose_puts_them_may_stand_el
 
 def rows(left: str, right: str, given: float, beside: float) -> PairRecord:
     """A pair refused by its rows, of stated poses."""
-    figures = {"matched": True, "known": "stated", "row_share": given, "row_chance": beside}
-    return PairRecord(left, right, "rejected", "dense matching does not confirm the cameras", figures=figures)
+    figures = PairFigures(known="stated", row_share=given, row_chance=beside)
+    return PairRecord(left, right, "rejected", "dense matching does not confirm the cameras", matched=True, figures=figures)
 
 
 def test_of_two_cameras_without_a_pair_the_one_that_explains_the_others_is_named() -> None:
@@ -359,7 +357,7 @@ def test_an_interrupted_night_says_so_and_is_never_usual() -> None:
 
 def test_less_of_the_ground_than_usual() -> None:
     seen = [
-        replace(night(date), poses=WorldRecord({"metric": True}), later={"coverage": {"area_m2": 400.0, "seen_by_two": share}})
+        replace(night(date), poses=PosesSummary(), results={"coverage": CoverageSummary(area_m2=400.0, seen_by_two=share)})
         for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
     ]
     record = judge(replace(seen[1], usual=Baseline((seen[0],)).usual("as ever")), Facts(), Baseline(), Expected())
@@ -373,7 +371,7 @@ def test_usual_is_the_median() -> None:
 
 
 def test_captures_that_change_during_the_run_are_named() -> None:
-    moving = CameraRecord("gate", "ok", figures=LOOKS | {"captures_in_motion": ["gate.jpg"]})
+    moving = replace(camera("gate"), captures_in_motion=("gate.jpg",))
     record = night(cameras=[moving, *map(camera, ("crane", "mast", "roof"))])
     finding = only(record)
     assert (finding.kind, finding.subject, record.exit_code) == ("captures-in-motion", ("gate",), ExitCode.DEGRADED)
@@ -382,7 +380,7 @@ def test_captures_that_change_during_the_run_are_named() -> None:
 
 def test_cameras_that_deliver_one_picture_are_named_unless_it_shows_nothing() -> None:
     def showing(name: str, contrast: float) -> CameraRecord:
-        return CameraRecord(name, "ok", figures=LOOKS | {"picture_digest": "a" if name != "roof" else "b", "contrast": contrast})
+        return CameraRecord(name, "ok", figures=CameraFigures(picture_digest="a" if name != "roof" else "b", contrast=contrast))
 
     finding = only(night(cameras=[showing(name, 40.0) for name in NAMES]))
     assert (finding.kind, finding.subject) == ("cameras-alike", ("crane", "gate", "mast"))

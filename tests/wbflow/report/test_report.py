@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests.helpers import made_up_run
+from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.record import Finding, RunRecord, Verdict
 from wbflow.runner.state import Cause
 
@@ -242,7 +243,7 @@ def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_s
     ids = made_up_run.names(5)
     lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
     night = made_up_run.record(ids, cloud=None, pairs=(), verdict=Verdict("failed", tuple(lost)), exit_code=1)
-    night = replace(night, later={"changes": {"compared": False, "count": 0, "noise": 1.0, "files": [], "reason": None}})
+    night = replace(night, results={"changes": ChangesSummary(compared=False, count=0, noise=1.0)})
     told = made_up_run.page(tmp_path, night, nights=0).read_text()
     assert "The same is wrong with every camera." in told
     assert f"4 more like these: {', '.join(ids[1:])}" in told
@@ -251,9 +252,9 @@ def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_s
 
 def test_a_good_night_with_changes_names_their_number_and_kinds_first(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(3), verdict=Verdict("good"), exit_code=0)
-    places = ({"x": 1.0, "y": 2.0, "z": 0.0, "length": 2.0, "kind": kind} for kind in ("new", "new", "vanished"))
-    things = {str(k): thing for k, thing in enumerate(places, 1)}
-    night = replace(night, later={"changes": {"compared": True, "count": 3, "files": [], "reason": None, "changes": things}})
+    kinds = enumerate(("new", "new", "vanished"), 1)
+    things = {str(k): Change(kind, 1.0, 2.0, 0.0, length=2.0) for k, kind in kinds}
+    night = replace(night, results={"changes": ChangesSummary(compared=True, count=3, changes=things)})
     page = made_up_run.page(tmp_path, night, nights=0).read_text()
     assert "3 changes since the reference (2 new, 1 vanished)." in page
     assert "There is nothing to do." not in page

@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any, cast
 
 from tests.wbflow.outcome.test_verdict import night
+from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.record import RunRecord, Verdict
 from wbflow.report.data import Comparison, ReportData, since_last_good
 
-CONTAINER = {"kind": "new", "x": 9.2, "y": 15.3, "z": 1.3, "length": 6.3, "width": 2.7, "volume": 39.2}
-VAN = {"kind": "new", "x": 28.3, "y": 16.3, "z": 1.2, "length": 4.7, "width": 2.3, "volume": 17.4}
-STACK = {"kind": "vanished", "x": 6.8, "y": 20.8, "z": 4.2, "length": 1.8, "width": 0.7, "volume": 3.8}
+CONTAINER = Change("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2)
+VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
+STACK = Change("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8)
 
 
-def told(record: RunRecord, things: dict[str, Any], reference: str = "20261101T031500Z") -> RunRecord:
-    return replace(record, reference=reference, later={"changes": {"compared": True, "changes": things}})
+def told(record: RunRecord, things: dict[str, Change], reference: str = "20261101T031500Z") -> RunRecord:
+    return replace(record, reference=reference, results={"changes": ChangesSummary(compared=True, changes=things)})
 
 
 def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
@@ -27,7 +28,7 @@ def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
 
 
 def test_what_was_there_on_the_last_good_night_is_told_from_what_is_new_and_what_is_over() -> None:
-    nudged = {**CONTAINER, "x": 9.5, "volume": 38.7}
+    nudged = replace(CONTAINER, x=9.5, volume=38.7)
     good = told(night("2026-11-18"), {"1": nudged, "2": STACK})
     bad = replace(told(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
     tonight = told(night("2026-11-20"), {"1": CONTAINER, "2": VAN})

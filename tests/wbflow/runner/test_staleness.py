@@ -9,6 +9,7 @@ import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.digests import Digests, Seen
+from wbflow.pipeline.summaries import FrameSummary
 from wbflow.runner.captures import find_captures
 from wbflow.runner.staleness import Delivered, by_picture, look_at, night_by_pictures
 from wbflow.site.load import Site, load_site
@@ -115,13 +116,13 @@ def test_names_without_a_date_are_stale_only_where_others_are_new(tmp_path: Path
     ],
 )
 def test_pictures_themselves_say_that_they_are_of_another_time(figures: dict[str, object], words: str | None) -> None:
-    health = by_picture(figures, "2026-11-19", in_order=True)
+    health = by_picture(FrameSummary.from_json(figures), "2026-11-19", in_order=True)
     assert (health is None) == (words is None)
     assert health is None or (health.state == "stale" and words is not None and words in health.text)
 
 
-def photographed(*moments: str) -> list[dict[str, object]]:
-    return [{"taken_first": moment, "taken_last": moment} for moment in moments]
+def photographed(*moments: str) -> list[FrameSummary]:
+    return [FrameSummary(taken_first=moment, taken_last=moment) for moment in moments]
 
 
 def test_photographs_without_a_date_in_their_names_are_of_the_night_that_most_say() -> None:
@@ -131,7 +132,7 @@ def test_photographs_without_a_date_in_their_names_are_of_the_night_that_most_sa
     assert [by_picture(figures, "2010-10-12", in_order=False) is None for figures in one_day] == [True, True, True, False]
     assert night_by_pictures(week) == "", "taken over a week: none of them is wrong"
     assert all(by_picture(figures, "", in_order=False) is None for figures in week)
-    assert night_by_pictures([{}, {"taken_first": ""}]) == ""
+    assert night_by_pictures([FrameSummary(), FrameSummary(taken_first="")]) == ""
 
 
 def test_nights_are_caught_up_with_in_order_and_the_worst_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,57 @@
+"""Dataclasses that are read from JSON and written to it; keys that they do not know are ignored."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import TypeAdapter, model_serializer, model_validator
+
+DIGITS = 4
+"""More are read by nobody."""
+
+
+class Plain:
+    """A dataclass with a form in JSON."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its fields by name, numbers rounded."""
+        kind: Any = type(self)
+        data: dict[str, Any] = rounded(_adapter(kind).dump_python(self))
+        return data
+
+    @classmethod
+    def from_json(cls, data: Any) -> Self:
+        """Return the dataclass of such fields.  Raises ValueError for anything else."""
+        kind: Any = cls
+        made: Self = _adapter(kind).validate_python(data)
+        return made
+
+
+class Flat(Plain):
+    """One whose `figures` stand among its own fields in JSON."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nest(cls, data: Any) -> Any:
+        return {**data, "figures": data} if isinstance(data, Mapping) else data
+
+    @model_serializer(mode="wrap")
+    def _flatten(self, write: Any) -> dict[str, Any]:
+        data = write(self)
+        return {**data.pop("figures"), **data}
+
+
+@functools.cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def rounded(value: Any) -> Any:
+    """Return numbers rounded to `DIGITS`; those in lists (corners of boxes) stay as they are."""
+    if isinstance(value, Mapping):
+        return {key: rounded(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(entry) if isinstance(entry, Mapping) else entry for entry in value]
+    return round(value, DIGITS) if isinstance(value, float) else value
