@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib.resources import files
 from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from ..cache.atomic import write_atomic
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
 from ..pipeline.stages import DISPARITY, FRAMES, POSES
+from ..report.page import render
 from ..site.load import load_site
 from ..site.models import Site
 from .artifacts import FinishedRun, function
@@ -74,13 +74,9 @@ def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
 
 def _page(names: list[str], told: dict[str, Any]) -> str:
     """A page of the pictures, as large as they are, with the figures behind them and links to the files."""
-    from jinja2 import Environment, StrictUndefined
-
-    words = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = words.from_string((files("wbflow.report") / "assets" / "pair.html").read_text(encoding="utf-8"))
     pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
     rows = [(name.replace("_", " "), value) for name, value in told.items() if isinstance(value, str | int | float)]
-    return template.render(pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
+    return render("pair.html", pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
 
 
 def failure(run: FinishedRun) -> str | None:

@@ -19,7 +19,7 @@ from .data import ReportData, state_of
 
 WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0
 SPARK_NIGHTS = 14
-TIMETABLE_WIDTH, ROW = 1000.0, 16.0
+TIMETABLE_WIDTH = 1000.0
 _MOST_ROWS = 64
 
 
@@ -45,7 +45,6 @@ class Chart:
     median: str
     median_y: float
     points: tuple[Point, ...]
-    path: str
 
 
 def trends(data: ReportData) -> list[Chart]:
@@ -55,16 +54,15 @@ def trends(data: ReportData) -> list[Chart]:
     names = dict.fromkeys(name for night in nights for name in figures_of(night))
     for name in (name for name in names if name not in {stage.name for stage in STAGES}):  # those follow, by their own titles
         found.append(_chart(data, titles.get(name, name), [figures_of(night).get(name) for night in nights]))
-    for stage, name in _stage_figures(nights):
+    fields = {(stage, name): None for night in nights for stage, result in night.results.items() for name in vars(result)}
+    for stage, name in fields:
         values = [_number(getattr(night.results.get(stage), name, None)) for night in nights]
-        if meaning(name).share:
-            found.append(_chart(data, titled(name), [None if value is None else 100 * value for value in values], "%"))
-        else:
-            found.append(_chart(data, titled(name), values))
+        scale, unit = (100, "%") if meaning(name).share else (1, "")
+        found.append(_chart(data, titled(name), [None if value is None else scale * value for value in values], unit))
     found.append(_chart(data, "time", [night.seconds.wall for night in nights], "s"))
     found.append(_chart(data, "CPU", [night.seconds.cpu for night in nights], "s"))
     found.append(_chart(data, "size of the night's files", [_megabytes(data, night) for night in nights], "MB"))
-    return [entry for entry in found if entry]
+    return [chart for chart in found if chart]
 
 
 def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: str = "") -> Chart | None:
@@ -89,16 +87,7 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
             state = night.verdict.level if night.verdict else ""
             points.append(Point(EDGE + k * step, y(value), state, f"{night.date}: {words(value)}", link))
     median, last = sorted(known)[len(known) // 2], values[-1]
-    path = " ".join(f"{p.x:.1f},{p.y:.1f}" for p in points)
-    return Chart(title, "–" if last is None else words(last), words(median), y(median), tuple(points), path)
-
-
-def _stage_figures(nights: list[RunRecord]) -> Iterator[tuple[str, str]]:
-    """Yield stage and name of each number that a site-wide stage reports."""
-    found = {(stage, name): None for night in nights for stage, result in night.results.items() for name in vars(result)}
-    for stage, name in found:
-        if any(_number(getattr(night.results.get(stage), name, None)) is not None for night in nights):
-            yield stage, name
+    return Chart(title, "–" if last is None else words(last), words(median), y(median), tuple(points))
 
 
 def _number(value: object) -> float | None:
@@ -119,12 +108,12 @@ class Bar:
 
     state: str
     height: float
-    """0 to 1."""
+    """0 to 1: the share of its pairs that find common points."""
     title: str
 
 
-def camera_bars(data: ReportData) -> dict[str, tuple[Bar, ...]]:
-    """Return each camera's last nights: the share of its pairs that found common points, and its state."""
+def camera_bars(data: ReportData) -> dict[str, list[Bar]]:
+    """Return each camera's last nights."""
     bars: dict[str, list[Bar]] = {camera.id: [] for camera in data.record.cameras}
     for night in data.nights[-SPARK_NIGHTS:]:
         figures = appearance_of(night)
@@ -133,7 +122,7 @@ def camera_bars(data: ReportData) -> dict[str, tuple[Bar, ...]]:
                 share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
                 title = f"{night.date}: {_camera_words(camera, share)}"
                 bars[camera.id].append(Bar(state_of(camera, night), max(0.12, share), title))
-    return {camera: tuple(found) for camera, found in bars.items()}
+    return bars
 
 
 def _camera_words(camera: CameraRecord, share: float) -> str:
@@ -143,35 +132,13 @@ def _camera_words(camera: CameraRecord, share: float) -> str:
     return f"{health}, {100 * share:.0f} % of its pairs find common points"
 
 
-@dataclass(frozen=True)
-class StageTime:
-    """Tasks and time of a stage."""
-
-    name: str
-    cached: int
-    ran: int
-    other: int
-    """Rejected, failed or skipped."""
-    wall: float
-    cpu: float
-    share: float
-    """Of the CPU time of all stages."""
-
-
-def stage_times(data: ReportData) -> list[StageTime]:
-    """Return tasks and time of each stage of the night."""
+def tasks_of_stages(data: ReportData) -> Iterator[tuple[str, Counter[str]]]:
+    """Yield name and outcomes of the tasks of each stage: ran, cached, rejected, failed, skipped."""
     counts: dict[str, Counter[str]] = {}
     for task, event in data.tasks.items():
-        kind = "ran" if event.outcome == "ran" and event.fresh else "cached" if event.usable else event.outcome
-        counts.setdefault(task.stage, Counter())[kind] += 1
-    spent = data.record.seconds.stages
-    total = sum(row.cpu for row in spent.values()) or 1.0
-    found = []
-    for name, count in ((stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts):
-        wall, cpu = (spent[name].wall, spent[name].cpu) if name in spent else (0.0, 0.0)
-        other = count.total() - count["ran"] - count["cached"]
-        found.append(StageTime(name, count["cached"], count["ran"], other, wall, cpu, cpu / total))
-    return found
+        outcome = "cached" if event.usable and not (event.outcome == "ran" and event.fresh) else event.outcome
+        counts.setdefault(task.stage, Counter())[outcome] += 1
+    yield from ((stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts)
 
 
 @dataclass(frozen=True)
@@ -192,7 +159,7 @@ class Timetable:
 
     bars: tuple[TaskBar, ...]
     seconds: float
-    height: float
+    rows: int
     stages: tuple[tuple[int, str], ...]
 
 
@@ -220,8 +187,7 @@ def timetable(data: ReportData) -> Timetable | None:
         width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
         bars.append(TaskBar(numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
     shown = {bar.stage for bar in bars}
-    stages = tuple((k, stage.name) for k, stage in enumerate(STAGES) if k in shown)
-    return Timetable(tuple(bars), span, len(free) * ROW, stages)
+    return Timetable(tuple(bars), span, len(free), tuple((k, stage.name) for k, stage in enumerate(STAGES) if k in shown))
 
 
 def _finished(receipt: Receipt) -> float | None:

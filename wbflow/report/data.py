@@ -11,13 +11,14 @@ from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
+from ..pipeline.stages import FRAMES
 from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.models import Site
-from ..task import Task
+from ..task import Task, view_name
 
 NIGHTS = 30
 """Nights in the report's charts."""
@@ -53,8 +54,13 @@ class ReportData:
         return {task: event.key for task, event in self.tasks.items() if event.usable and event.key}
 
     def drawing(self, task: Task, name: str) -> bytes | None:
-        """What was drawn of a result (see `Products.drawings`); None where it is gone, or never was."""
+        """Return what was drawn of a result (see `Products.drawings`); None where it is gone, or never was."""
         return self.cache.drawing(task, key, name) if (key := self.keys.get(task)) else None
+
+    def frame(self, camera: str) -> Task:
+        """Return the task of a camera's frame: of several views the first, which shows the middle."""
+        whole, first = (Task(FRAMES, (name,)) for name in (camera, view_name(camera, 1)))
+        return first if first in self.tasks else whole
 
     @cached_property
     def earlier(self) -> list[RunRecord]:

@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..outcome.beside import spoken
+from ..pipeline.summaries import meaning
 from ..records.events import Event, WarningEvent
 from ..records.record import RunRecord
 from ..records.run_folder import RunFolder
 from ..site.models import Site
-from .charts import stage_times, timetable, trends
-from .data import NIGHTS, ReportData
-from .headline import findings, headline
-from .map import map_of
-from .pictures import Pictures, Points, large_pictures, layers_of, points_of
-from .scene import scene_of
-from .sections import camera_cards, cell, pair_columns, pair_pictures, pair_rows, parts, settings
+from .charts import camera_bars, tasks_of_stages, timetable, trends
+from .data import ReportData
+from .map import Map, scene_of
+from .pictures import Pictures, large_pictures, layers_of, points_of
+from .sections import camera_cards, findings, headline, pair_columns, pair_pictures, parts, settings, tried
 
-if TYPE_CHECKING:
-    from jinja2 import Template
-
-ASSETS = files(__package__) / "assets"
-_VIEWER = ("points.js", "view.js")
-_SCRIPTS = ("large.js", "page.js")
 MOST_BYTES = 14_000_000
 """Of a page, about: large pictures get the room that nothing else needs."""
 _ROW_BYTES = 4000
@@ -60,109 +52,72 @@ def build_report(
     products : Path
         The folder in which the run's products lie now.
     """
-    return _template().render(**_content(ReportData(cache, record, tuple(events), cameras, products, site)))
+    return render("page.html", **_content(ReportData(cache, record, tuple(events), cameras, products, site)))
 
 
-def _template() -> Template:
-    """Return the template; it is compiled once a machine, not once a night."""
-    from jinja2 import DictLoader, Environment, FileSystemBytecodeCache, StrictUndefined  # here: only pages need it
+def render(template: str, **content: Any) -> str:
+    """Return the page of a template in `assets`; all that is put in is escaped, but for the assets."""
+    from jinja2 import Environment, StrictUndefined  # here: only pages need it
+    from markupsafe import Markup
 
-    compiled = None
-    with suppress(OSError, RuntimeError):  # no folder for temporary files, or not this user's
-        compiled = FileSystemBytecodeCache()
-    page = DictLoader({"page": _asset("page.html")})
-    environment = Environment(loader=page, autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True)
-    return environment.get_template("page")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.globals["asset"] = lambda name: Markup(_asset(name))
+    return environment.from_string(_asset(template)).render(content)
 
 
 def _asset(name: str) -> str:
-    return (ASSETS / name).read_text(encoding="utf-8")
+    return (files(__package__) / "assets" / name).read_text(encoding="utf-8")
 
 
 def _content(data: ReportData) -> dict[str, Any]:
-    from markupsafe import Markup
-    from rcssmin import cssmin
-    from rjsmin import jsmin
-
     record, album = data.record, Pictures(data)
     points = points_of(data) if record.cloud else []
     scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
-    drawn = map_of(data, scene) if scene else None
+    drawn = Map(scene) if scene else None
+    columns = pair_columns(data)
     content = {
         "record": record,
-        "style": Markup(cssmin(_asset("style.css"))),
-        "viewer": Markup(jsmin("\n".join(map(_asset, _VIEWER)))),
-        "script": Markup(jsmin("\n".join(map(_asset, _SCRIPTS)))),
+        "nights": data.nights,
+        "meaning": meaning,
+        "spoken": spoken,
         "headline": headline(data),
         "findings": findings(data, album),
+        "parts": parts(data, album),
+        "points": points,
         "scene": scene,
         "map": drawn,
-        "layers": layers_of(data, scene, drawn) if scene and drawn else [],
-        "points": points,
-        "modes": list(_modes(points)),
-        "warnings": list(_warnings(data)),
+        "layers": layers_of(data, drawn) if drawn else [],
+        "warnings": [event for event in data.events if isinstance(event, WarningEvent)],
         "cameras": camera_cards(data, album),
-        "columns": [cell(name, None) for name in pair_columns(data)],
-        "pair_rows": pair_rows(data),
-        "pairs_words": _pairs_words(record),
-        "parts": parts(data, album),
+        "bars": camera_bars(data),
+        "columns": columns,
+        "pairs": [(pair, [getattr(pair.figures, name) for name in columns]) for pair in record.pairs],
+        "tried": lambda pair: list(tried(data, pair)),
         "pair_pictures": pair_pictures(data, album),
         "charts": trends(data),
-        "charts_nights": min(NIGHTS, len(data.nights)),
-        "stages": stage_times(data),
+        "tasks_of_stages": list(tasks_of_stages(data)),
         "timetable": timetable(data),
-        "time_words": _time_words(record),
         "settings": settings(data),
         "notes": list(_pose_notes(record)),
-        "links": {"nights": list(_other_nights(data)), "files": list(_files(data)), "cloud": _last_cloud(data)},
+        "other_nights": list(_other_nights(data)),
+        "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
+        "files": list(_files(data)),
     }
     rows = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
     held = (album.held + sum(len(stream.data) for stream in points)) * 4 // 3  # as Base64
     return {**content, "large_pictures": large_pictures(data, MOST_BYTES - rows - held)}
 
 
-def _warnings(data: ReportData) -> Iterator[tuple[str, str]]:
-    for event in data.events:
-        if isinstance(event, WarningEvent):
-            yield str(event.task or "run"), f"{event.what}; {event.remedy}" if event.remedy else event.what
-
-
-def _modes(points: list[Points]) -> Iterator[tuple[str, str]]:
-    """Yield the colourings of the cloud and their labels."""
-    if not points:
-        return
-    yield "photograph", "photograph"
-    yield "height", "height"
-    for layer in points[0].head["layers"]:
-        yield layer["name"], {"views": "number of views", "sigma": "uncertainty"}.get(layer["name"], layer["name"])
-    if any(stream.kind == "change" and stream.head["n"] for stream in points):
-        yield "change", "change"
-
-
-def _pairs_words(record: RunRecord) -> str:
-    if not record.pairs:
-        return "No two cameras were matched."
-    good = sum(pair.ok for pair in record.pairs)
-    return f"{good} of {len(record.pairs)} could be used. Rest the pointer on a figure for its meaning."
-
-
-def _time_words(record: RunRecord) -> str:
-    seconds, tasks = record.seconds, record.tasks.to_json()
-    counts = ", ".join(f"{count} {name}" for name, count in tasks.items() if count)
-    memory = f"; peak {record.peak_rss_mb} MB a worker" if record.peak_rss_mb else ""
-    return f"Wall {seconds.wall:.1f} s, CPU {seconds.cpu:.1f} s{memory}; tasks: {counts or 'none'}."
-
-
-def _other_nights(data: ReportData) -> Iterator[dict[str, str]]:
+def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
+    """Yield text and link of the reports before and after this one."""
     if data.earlier:
-        earlier = data.earlier[0]
-        yield {"href": data.report_of(earlier.run), "text": f"← {earlier.date}"}
-        good = next((night for night in data.earlier if night.verdict and night.verdict.good), None)
-        if good and good.run != earlier.run:
-            yield {"href": data.report_of(good.run), "text": f"last good night, {good.date}"}
+        before = data.earlier[0]
+        yield f"← {before.date}", data.report_of(before.run)
+        if data.last_good and data.last_good.run != before.run:
+            yield f"last good night, {data.last_good.date}", data.report_of(data.last_good.run)
     later = [run for run in data.work.run_ids() if run > data.record.run]
     if later:
-        yield {"href": data.report_of(later[-1]), "text": "newest run →"}
+        yield "newest run →", data.report_of(later[-1])
 
 
 def _pose_notes(record: RunRecord) -> Iterator[str]:
@@ -176,19 +131,13 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
     yield from record.poses.joins
 
 
-def _last_cloud(data: ReportData) -> dict[str, str] | None:
-    """Return the link to the last earlier cloud."""
-    earlier = next((night for night in data.earlier if night.cloud), None)
-    return {"href": data.report_of(earlier.run), "text": f"the last one is of {earlier.date}"} if earlier else None
-
-
-def _files(data: ReportData) -> Iterator[dict[str, str]]:
+def _files(data: ReportData) -> Iterator[tuple[str, str]]:
+    """Yield text and name of the run's files."""
     record, paths = data.record, data.work.run(data.record.run)
-    clouds = [cloud for cloud in (record.cloud, *record.other_clouds) if cloud]
-    for cloud in clouds:
-        yield {"href": cloud.path, "text": f"{cloud.path} ({cloud.points:,} points)"}
-    if data.cameras:
-        yield {"href": paths.cameras.name, "text": paths.cameras.name}
+    for cloud in (record.cloud, *record.other_clouds):
+        if cloud:
+            yield f"{cloud.path} ({cloud.points:,} points)", cloud.path
     named = {name for result in record.results.values() for name in result.files}
-    for name in (*sorted(named), paths.record.name, paths.log.name):
-        yield {"href": name, "text": name}
+    cameras = [paths.cameras.name] if data.cameras else []
+    for name in (*cameras, *sorted(named), paths.record.name, paths.log.name):
+        yield name, name

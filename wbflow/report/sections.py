@@ -1,132 +1,230 @@
-"""The sections of the report: cameras, pairs with what was tried, results of site-wide stages, and settings."""
+"""The sections of the report: the first screen, cameras, pairs with what was tried, results of site-wide stages, and settings."""
 
 from __future__ import annotations
 
 import mimetypes
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 from ..cache.store import Preimage, Receipt
-from ..outcome.beside import number, shown
+from ..errors import counted
+from ..outcome.baseline import figures_of
+from ..outcome.beside import shown, spoken
 from ..pipeline.stages import STAGES, Stage
 from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning
-from ..records.record import CameraRecord, PairRecord
+from ..records.record import CameraRecord, Finding, PairRecord, RunRecord
+from ..runner.state import Cause
+from ..site.models import Measure
 from ..task import Task
-from .charts import Bar, camera_bars
 from .data import Comparison, ReportData, since_last_good, state_of
 from .pictures import Picture, Pictures
 
 _BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
+_MOST_OF_A_KIND = 4
+"""Findings of one kind that are shown; more are folded."""
 _MOST_FIGURES = 8
 """Figures of a step that was tried."""
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A figure."""
+class Fact:
+    """A main figure of the night."""
 
+    value: str
+    words: str
+    usual: str = ""
+    grade: str = ""
+    """fair or bad where it is clearly below usual."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The verdict in words, and the main figures."""
+
+    level: str
     title: str
     words: str
-    """Its meaning."""
-    value: str
-    grade: str
-    raw: str = ""
-    """Sort key."""
+    facts: tuple[Fact, ...]
+
+
+def headline(data: ReportData) -> Headline:
+    """Return the verdict, what to do first, and the main figures."""
+    record, verdict = data.record, data.record.verdict
+    level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
+    findings = verdict.findings if verdict else ()
+    cameras = [finding for finding in findings if finding.kind.startswith("camera-")]
+    changes = _changes(data)
+    if level == "good":
+        title = "A good night"
+        words = (
+            "The findings below may wait."
+            if findings
+            else "There is nothing to repair."
+            if changes
+            else "There is nothing to do."
+        )
+        words = f"{changes} {words}".strip()
+    elif level == "degraded":
+        title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
+        cloud = "There is a cloud, but it is not as good as it should be. " if record.cloud else ""
+        words = f"{cloud}{_first_remedy(findings)} {changes}".strip()
+    else:
+        interrupted = any(finding.kind == "interrupted" for finding in findings)
+        title = "Interrupted" if interrupted else "No cloud this night"
+        words = _shared(record, cameras) or _first_remedy(findings) or "The reasons are below."
+    return Headline(level, title, words, tuple(_facts(data)))
+
+
+def _shared(record: RunRecord, cameras: list[Finding]) -> str:
+    """Return what to do where nearly all cameras have the same fault: then none of them is to blame."""
+    kinds = {finding.kind for finding in cameras}
+    if len(kinds) != 1 or len(cameras) < max(3, 0.8 * len(record.cameras)):
+        return ""
+    whose = "every camera" if len(cameras) == len(record.cameras) else f"{len(cameras)} of {len(record.cameras)} cameras"
+    return f"The same is wrong with {whose}. First: look at what they share: power, network, the folder of the captures."
+
+
+def _first_remedy(findings: tuple[Finding, ...]) -> str:
+    with_remedy = [finding for finding in findings if finding.remedy]
+    first = next((finding for finding in with_remedy if finding.subject), next(iter(with_remedy), None))
+    if first is None:
+        return ""
+    end = "" if first.remedy[-1] in ".?!" else "."
+    return f"First: {f'{first.about}: ' if first.subject else ''}{first.remedy}{end}"
+
+
+def _facts(data: ReportData) -> Iterator[Fact]:
+    record = data.record
+    usual = record.usual.figures if record.usual else {}
+    now = figures_of(record)
+    whose = "reference" if record.usual and record.usual.reference else "usual"
+    well, good = sum(camera.ok for camera in record.cameras), sum(pair.ok for pair in record.pairs)
+    yield Fact(f"{well} of {len(record.cameras)}", "cameras", grade="" if well == len(record.cameras) else "bad")
+    if most := max(len(record.pairs), round(usual.get(Measure.PAIRS, 0))):
+        yield Fact(f"{good} of {most}", "pairs of cameras", grade=_grade(good, usual.get(Measure.PAIRS)))
+    if record.cloud:
+        base = usual.get(Measure.POINTS)
+        words = f"{whose}: {base:,.0f}" if base else ""
+        yield Fact(f"{record.cloud.points:,}", "points", words, _grade(now[Measure.POINTS], base))
+    for stage, result in record.results.items():
+        if stage in now:
+            base, (unit, measured) = usual.get(stage), result.AMOUNT
+            words = f"{whose}: {base:,.0f} {unit}" if base else ""
+            yield Fact(f"{now[stage]:,.0f} {unit}", measured, words, _grade(now[stage], base))
+        if (count := _change_count(result)) is not None:
+            since, words = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
+            yield Fact(str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else "")
+    seconds = record.seconds.wall
+    took = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
+    yield Fact(took, "from captures to cloud" if record.cloud else "until it was clear")
+
+
+def _change_count(result: SiteSummary) -> int | None:
+    """Return how many objects a stage has found to differ from the reference; None where it compared nothing."""
+    return result.count if isinstance(result, ChangesSummary) and result.compared else None
+
+
+def _changes(data: ReportData) -> str:
+    """Return a sentence with the number and kinds of changes since the reference; "" without any."""
+    for stage, result in data.record.results.items():
+        if count := _change_count(result):
+            kinds = Counter(thing.kind or "other" for thing in result.objects.values())
+            named = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
+            since = since_last_good(data, stage)
+            newer = f"; {count - len(since.known) or 'none'} of them since {since.date}" if since else ""
+            return f"{counted(count, 'change')} since the reference{f' ({named})' if named else ''}{newer}."
+    return ""
+
+
+def _grade(value: float, base: float | None) -> str:
+    """Compare a figure with what is usual: for the colour alone, the verdict has its own limits."""
+    if not base:
+        return ""
+    return "" if value >= 0.9 * base else "fair" if value >= 0.7 * base else "bad"
+
+
+@dataclass(frozen=True)
+class ShownFinding:
+    """A finding with its pictures."""
+
+    finding: Finding
+    number: int
+    """Of the camera that it is about in the page, from 1; 0 if it is about none."""
+    pictures: tuple[tuple[Picture | None, str], ...]
+    """With their captions; None for a picture that is missing."""
+    missing: str
+    """Text instead of a missing picture."""
+    folded: bool
+
+
+def findings(data: ReportData, album: Pictures) -> list[ShownFinding]:
+    """Return the findings of a night with their pictures, the most important first."""
+    record = data.record
+    numbers = {camera.id: k for k, camera in enumerate(record.cameras, 1)}
+    absent = {camera.id for camera in record.cameras if camera.code == Cause.NO_CAPTURE}
+    found: list[ShownFinding] = []
+    kinds, stated = Counter[str](), record.verdict.findings if record.verdict else ()
+    most = 1 if _shared(record, [finding for finding in stated if finding.kind.startswith("camera-")]) else _MOST_OF_A_KIND
+    for finding in stated:
+        kinds[finding.kind] += 1
+        folded, number = kinds[finding.kind] > most, numbers.get(finding.about, 0)
+        pictures = () if folded else tuple(_pictures(data, album, finding, number))
+        missing = "no picture arrived" if finding.about in absent else "no picture could be read"
+        found.append(ShownFinding(finding, number, pictures, missing, folded))
+    return found
+
+
+def _pictures(data: ReportData, album: Pictures, finding: Finding, number: int) -> Iterator[tuple[Picture | None, str]]:
+    name = finding.about
+    if number:
+        tonight, then = album.of_frame(name, f"{name} on {data.record.date}"), album.of_last_good(name)
+        if tonight or then:
+            yield tonight, f"this night, {data.record.date}"
+        if then:
+            yield then, then.alt
+    elif len(finding.subject) == 2:
+        of_pair = (album.of_task(Task(stage.name, finding.subject), name) for stage in STAGES if stage.scope == "pair")
+        yield from [(picture, name) for picture in of_pair if picture][:2]
 
 
 @dataclass(frozen=True)
 class CameraCard:
     """A camera."""
 
-    id: str
+    camera: CameraRecord
     number: int
     """In the site file, from 1."""
     state: str
     badge: str
     words: str
-    notes: tuple[str, ...]
     picture: Picture | None
-    spark: tuple[Bar, ...]
     keypoints: str
     """How many keypoints and inliers its picture has."""
-    main: tuple[Cell, ...]
-    figures: tuple[Cell, ...]
-
-
-@dataclass(frozen=True)
-class PairRow:
-    """A pair."""
-
-    pair: PairRecord
-    cells: tuple[Cell, ...]
-    tried: tuple[tuple[str, str, str], ...]
-    """Stage, outcome and figures of each step, for a pair that could not be used."""
-
-
-@dataclass(frozen=True)
-class Thing:
-    """An object that a stage reports, with its own figures."""
-
-    title: str
-    size: str
-    since: str
-    """Whether it was there on the last good night."""
-    words: tuple[str, ...]
-    picture: Picture | None
-    figures: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
-class Part:
-    """The results of a site-wide stage."""
-
-    title: str
-    reason: str
-    picture: Picture | None
-    rows: tuple[tuple[str, str], ...]
-    things: tuple[Thing, ...]
-    files: tuple[str, ...]
-    since: str = ""
-    """Objects of the last good night that are gone."""
-
-
-def cell(name: str, value: Any) -> Cell:
-    """Return a figure by its name."""
-    known = meaning(name)
-    raw = "" if value is None else str(value)
-    return Cell(known.title, known.words, _shown(value), known.grade(value), raw)
-
-
-def _shown(value: Any) -> str:
-    if value is None or value == "":
-        return ""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.2f}" if abs(value) < 100 else f"{value:,.0f}"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    main: tuple[tuple[str, str, str], ...]
+    """Title, meaning and value of its main figures."""
+    figures: Mapping[str, Any]
 
 
 def camera_cards(data: ReportData, album: Pictures) -> list[CameraCard]:
     """Return the cameras: those that gave nothing first, then those to look at; else in the order of the site file."""
-    found, bars = [], camera_bars(data)
+    found = []
     for k, camera in enumerate(data.record.cameras, 1):
         state = state_of(camera, data.record)
-        numbers = {name: value for name, value in vars(camera.figures).items() if isinstance(value, int | float)}
-        figures = tuple(cell(name, value) for name, value in numbers.items() if not isinstance(value, bool) and name != "points")
-        pairs = data.record.pairs_of(camera.id)
-        used = Cell("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}", "")
+        numbers = {name: v for name, v in vars(camera.figures).items() if isinstance(v, int | float) and not isinstance(v, bool)}
+        points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
         badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
-        picture = album.of_frame(camera.id, camera.id)
-        main = (used, *(c for c in (cell("points", camera.figures.points),) if c.value), *_shares(data, camera.id))
-        words = _words(camera, data.record.reference is None), camera.notes
-        counts = _keypoint_counts(camera, pairs)
-        found.append(CameraCard(camera.id, k, state, badge, *words, picture, bars[camera.id], counts, main, figures))
+        main = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
+        if points is not None:
+            main.append((meaning("points").title, meaning("points").words, spoken(points)))
+        main += _shares(data, camera.id)
+        words, picture = _words(camera, data.record.reference is None), album.of_frame(camera.id, camera.id)
+        found.append(CameraCard(camera, k, state, badge, words, picture, _keypoints(camera, pairs), tuple(main), numbers))
     return sorted(found, key=lambda card: ("bad", "warn", "good").index(card.state))
 
 
-def _keypoint_counts(camera: CameraRecord, pairs: list[PairRecord]) -> str:
+def _keypoints(camera: CameraRecord, pairs: list[PairRecord]) -> str:
     points, agreed = camera.figures.keypoints, [p.figures.inliers for p in pairs if p.matched]
     known = [count for count in agreed if count]
     words = [f"{points:,} keypoints"] if points else []
@@ -140,12 +238,12 @@ def _words(camera: CameraRecord, alone: bool) -> str:
     return "; ".join(filter(None, (words, camera.down.words(left_out=not camera.ok) if camera.down else "")))
 
 
-def _shares(data: ReportData, camera: str) -> Iterator[Cell]:
+def _shares(data: ReportData, camera: str) -> Iterator[tuple[str, str, str]]:
     """Yield a camera's shares in site-wide results."""
     for result in data.record.results.values():
         for name, value in vars(result).items():
             if isinstance(value, Mapping) and isinstance(share := value.get(camera), float):
-                yield Cell(meaning(name).title, meaning(name).words, f"{100 * share:.1f} %", "")
+                yield meaning(name).title, meaning(name).words, f"{100 * share:.1f} %"
 
 
 def pair_columns(data: ReportData) -> list[str]:
@@ -154,17 +252,8 @@ def pair_columns(data: ReportData) -> list[str]:
     return [name for name in names if any(getattr(pair.figures, name) not in {None, ""} for pair in data.record.pairs)]
 
 
-def pair_rows(data: ReportData) -> list[PairRow]:
-    """Return the pairs in the order of the pair graph."""
-    names = pair_columns(data)
-    return [
-        PairRow(pair, tuple(cell(n, getattr(pair.figures, n)) for n in names), () if pair.ok else tuple(_tried(data, pair)))
-        for pair in data.record.pairs
-    ]
-
-
-def _tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
-    """Yield the stages of a pair as far as it came, with their figures."""
+def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
+    """Yield the stages of a pair as far as it came: name, outcome, and figures."""
     for stage in (stage for stage in STAGES if stage.scope == "pair"):
         event = data.tasks.get(Task(stage.name, (pair.left, pair.right)))
         if event is None or event.outcome == "skipped":
@@ -180,39 +269,59 @@ def _step_figures(stage: Stage, receipt: Receipt) -> Iterator[str]:
     """Yield the numbers of a result by the names of run.json; of a rejection those behind the reason."""
     made = stage.summary if receipt.outcome != "rejected" else None
     figures = vars(made.from_json(receipt.figures)) if made else receipt.figures
-    numbers = {name: v for name, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-    for name, value in list(numbers.items())[:_MOST_FIGURES]:
-        if value == value:  # not nan
-            yield f"{meaning(name).title} {number(value) if isinstance(value, float) else f'{value:,}'}"
+    numbers = [(n, v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool) and v == v]
+    yield from (f"{meaning(name).title} {spoken(value)}" for name, value in numbers[:_MOST_FIGURES])
 
 
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
     """Return the pictures of each pair that has any."""
-    found = []
     drawn = [stage.name for stage in STAGES if stage.scope == "pair" and stage.products.picture]
-    for pair in data.record.pairs:
-        tasks = (Task(name, (pair.left, pair.right)) for name in drawn)
-        pictures = [picture for task in tasks if (picture := album.of_task(task, str(task)))]
-        if pictures:
-            found.append((pair.name, pictures))
-    return found
+    tasks = {pair.name: [Task(name, (pair.left, pair.right)) for name in drawn] for pair in data.record.pairs}
+    found = [(name, [p for task in each if (p := album.of_task(task, str(task)))]) for name, each in tasks.items()]
+    return [(name, pictures) for name, pictures in found if pictures]
+
+
+@dataclass(frozen=True)
+class Thing:
+    """An object that a stage reports, with its own figures."""
+
+    name: str
+    title: str
+    size: str
+    since: str
+    """Whether it was there on the last good night."""
+    picture: Picture | None
+    figures: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Part:
+    """The results of a site-wide stage."""
+
+    title: str
+    reason: str
+    files: tuple[str, ...]
+    since: str
+    """Objects of the last good night that are gone."""
+    picture: Picture | None = None
+    rows: tuple[tuple[str, str], ...] = ()
+    things: tuple[Thing, ...] = ()
 
 
 def parts(data: ReportData, album: Pictures) -> list[Part]:
     """Return the results of each site-wide stage in run.json."""
     found = []
+    unit = "m" if data.record.poses is None or data.record.poses.metric else ""
     for stage in STAGES:
         if result := data.record.results.get(stage.name):
-            since = since_last_good(data, stage.name)
-            unit = "m" if data.record.poses is None or data.record.poses.metric else ""
-            things = tuple(_things(result, album, since, unit))
-            reason, gone = result.reason or "", _gone(since, unit) if since else ""
-            title, files = stage.products.title, result.files
+            title, reason = stage.products.title, result.reason or ""
             if isinstance(result, ChangesSummary) and result.compared is False:
-                found.append(Part(title, reason, None, (), (), files, "There was nothing to compare this night with."))
+                found.append(Part(title, reason, result.files, "There was nothing to compare this night with."))
                 continue
+            since = since_last_good(data, stage.name)
+            things, gone = tuple(_things(result, album, since, unit)), _gone(since, unit) if since else ""
             picture = album.of_task(Task(stage.name), title)
-            found.append(Part(title, reason, picture, tuple(shown(vars(result))), things, files, gone))
+            found.append(Part(title, reason, result.files, gone, picture, tuple(shown(vars(result))), things))
     return found
 
 
@@ -224,14 +333,12 @@ def _gone(since: Comparison, unit: str) -> str:
 def _things(result: SiteSummary, album: Pictures, since: Comparison | None, unit: str) -> Iterator[Thing]:
     for name, entry in result.objects.items():
         file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and _is_picture(f)), None)
-        title, fields_of = f"{name}: {entry.kind}".rstrip(": "), vars(entry).items()
-        texts = [f"{key}: {value.replace(',', ', ')}" for key, value in fields_of if isinstance(value, str) and value]
-        words = tuple(line for line in texts if not line.startswith("kind: "))
-        numbers = tuple((key.replace("_", " "), _shown(value)) for key, value in fields_of if isinstance(value, int | float))
+        title = f"{name}: {entry.kind}".rstrip(": ")
+        figures = {key.replace("_", " "): value for key, value in vars(entry).items() if key != "kind"}
         picture = album.of_product(file, f"{title}: then and this night") if file else None
         known = since.known.get(name) if since else None
         when = "" if since is None else f"already so on {since.date}" if known else f"since {since.date}, the last good night"
-        yield Thing(title, _dimensions(entry, unit), when, words, picture, numbers)
+        yield Thing(name, title, _dimensions(entry, unit), when, picture, figures)
 
 
 def _dimensions(entry: Change, unit: str) -> str:

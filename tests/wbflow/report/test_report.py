@@ -258,3 +258,7 @@ def test_a_good_night_with_changes_names_their_number_and_kinds_first(tmp_path: 
     page = made_up_run.page(tmp_path, night, nights=0).read_text()
     assert "3 changes since the reference (2 new, 1 vanished)." in page
     assert "There is nothing to do." not in page
+    first, _, rest = page.partition('class="stage"')
+    assert re.findall(r'data-mark="(\d)">\d: (\w+)', first) == [("1", "new"), ("2", "new"), ("3", "vanished")]
+    assert "2.0 m; at 1.0, 2.0, 0.0" in first, "what changed stands on the first screen, and leads to its place"
+    assert rest.count('class="card thing"') == 3

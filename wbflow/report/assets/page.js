@@ -77,6 +77,11 @@
     if (!cam) return;
     e.preventDefault(); root.scrollIntoView({behavior: "smooth", block: "nearest"}); view.flyTo(cam);
   });
+  for (const link of $$("[data-mark]")) link.addEventListener("click", e => {
+    const mark = scene.marks.find(m => m.name === link.dataset.mark);
+    if (!mark) return;
+    e.preventDefault(); root.scrollIntoView({behavior: "smooth", block: "nearest"}); colour("change"); view.flyToMark(mark);
+  });
 
   function drawPlan(points) { // the same points from above, below the drawing
     const canvas = $(".plan canvas");

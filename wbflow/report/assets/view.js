@@ -193,7 +193,7 @@ class CloudView {
   click(e) {
     const found = this.nearest(e);
     if (found?.cam) this.flyTo(found.cam);
-    else if (found?.mark) this.fly({...this.pose(), target: found.mark.at, distance: 0.35 * this.scene.radius});
+    else if (found?.mark) this.flyToMark(found.mark);
     else this.onPlace?.(this.under(e));
   }
   flyTo(cam) { // see the cloud as this camera does
@@ -202,6 +202,7 @@ class CloudView {
     this.fly({target: plus(cam.C, ahead, reach), distance: reach, yaw: Math.atan2(-ahead[1], -ahead[0]), pitch, fov: cam.fov || FOV});
     this.onCamera?.(cam);
   }
+  flyToMark(mark) { this.fly({...this.pose(), target: mark.at, distance: 0.35 * this.scene.radius}); }
   reset() { this.chosen = null; this.onCamera?.(null); this.fly(this.home); }
   above() { this.fly({...this.home, yaw: -Math.PI / 2, pitch: 1.5707}); }
   fly(to) {
