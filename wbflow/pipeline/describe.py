@@ -166,11 +166,14 @@ def _methods(stage: Stage, own: dict[str, Parameter], reader: FunctionReader) ->
 
 def _elsewhere(stage: Stage, name: str) -> str:
     """Where in a site file a parameter is set that is not set in the stage's section."""
-    if name in stage.site_keys:
-        return f", set by {name} at the top of the site file"
-    if stage.section:
-        return f", set by {name} in the section {stage.section}"
+    if key := stage.set_by_site().get(name):
+        return f", set by {_place(key)} of the site file"
     return ", each component in turn" if (stage.name, name) == (FUSE, COMPONENT) else ""
+
+
+def _place(key: str) -> str:
+    section, _, name = key.rpartition(".")
+    return f"{name} in the section {section}" if section else f"{name} at the top"
 
 
 def _row(parameter: Parameter, docs: dict[str, ParameterDoc], elsewhere: str) -> ParameterRow:

@@ -182,17 +182,13 @@ class Stage:
     """By argument name."""
     offers: Mapping[str, Source] = field(default_factory=dict)
     """Further inputs that another function in its place, or a method of it, may ask for by argument name."""
-    optional: bool = False
-    """The site file may switch it off."""
-    needed_if: Condition | None = None
-    """It has nothing to do where this is not so."""
+    optional: bool | Condition = False
+    """The site file may switch it off; of a condition: it has nothing to do where this is not so, either."""
     dense: bool = False
     """Of pairs: works on the dense ones, rather than on those that are matched."""
     method: Method | None = None
-    section: str = ""
-    """Its parameters are the section of this name of the site file."""
     site_keys: tuple[str, ...] = ()
-    """Parameters that are set at the top of the site file, by the same name."""
+    """Where the site file sets parameters of it outside of `stages`: "resolution", "pairs.degree"."""
     reuse: Reuse = Reuse()
     products: Products = Products()
     summary: type[Summary] | None = None
@@ -201,6 +197,14 @@ class Stage:
     def needed(self) -> set[str]:
         """The stages without which it can do nothing."""
         return {source.name for source in self.inputs.values() if source.kind == "stage" and not source.optional}
+
+    def worth_doing(self, site: Any) -> bool:
+        """Has it anything to do on this site?"""
+        return not callable(self.optional) or self.optional(site)
+
+    def set_by_site(self) -> dict[str, str]:
+        """Return the key of the site file that sets each parameter which is not set in `stages`."""
+        return {key.rpartition(".")[2]: key for key in self.site_keys}
 
     @property
     def table(self) -> PointTable | None:
@@ -243,6 +247,7 @@ _REFERENCE_SURFACE = {
     "reference_depths": reference("depth", of="every"),
     "reference_refined": reference("refine", of="every"),
 }
+_PAIR_KEYS = ("pairs.degree", "pairs.min_angle", "pairs.max_angle", "pairs.include", "pairs.exclude")
 _ALWAYS = Reuse(shifted="reuse", moved="reuse")
 """Of results that do not depend on where single cameras look."""
 _FEATURES = Reuse(shifted="reuse", moved="recompute")
@@ -295,7 +300,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"pinned_features": reference("features")},
         optional=True,
-        section="health",
+        site_keys=("health.nudged_px", "health.moved_deg", "health.flat", "health.dark"),
         reuse=Reuse(stored=False),
         summary=HealthSummary,
     ),
@@ -325,7 +330,7 @@ STAGES: tuple[Stage, ...] = (
         scope="site",
         function="wbflow.pipeline.pairs:select_pairs",
         inputs={"overlap": own("overlap")},
-        section="pairs",
+        site_keys=_PAIR_KEYS,
         reuse=_ALWAYS,
         summary=PairsSummary,
     ),
@@ -388,8 +393,7 @@ STAGES: tuple[Stage, ...] = (
         scope="site",
         function="wbflow_stages.shared:find_shared",
         inputs={"poses": own("poses")},
-        optional=True,
-        needed_if=_some_unposed,
+        optional=_some_unposed,
         reuse=_ALWAYS,
     ),
     Stage(
@@ -397,9 +401,8 @@ STAGES: tuple[Stage, ...] = (
         scope="site",
         function="wbflow.pipeline.pairs:select_dense_pairs",
         inputs={"shared": own("shared"), "pairs": own("pairs")},
-        optional=True,
-        needed_if=_some_unposed,
-        section="pairs",
+        optional=_some_unposed,
+        site_keys=_PAIR_KEYS,
         reuse=_ALWAYS,
         summary=PairsSummary,
     ),

@@ -11,6 +11,7 @@ import functools
 import heapq
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
 from ..cache.store import Cache, Receipt
@@ -140,7 +141,7 @@ class Plan:
         self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
         self._folder = self.site.file.resolve().parent
         off = {name for name, stage in settings.items() if not stage.enabled}
-        off |= {stage.name for stage in STAGES if stage.needed_if and not stage.needed_if(self.site)}
+        off |= {stage.name for stage in STAGES if not stage.worth_doing(self.site)}
         for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
             off |= {stage.name} if stage.optional and off & stage.needed() else set()
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
@@ -359,8 +360,7 @@ class Plan:
 
     def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
-        values: dict[str, Any] = dict(getattr(self.site, stage.section)) if stage.section else {}
-        values |= {name: getattr(self.site, name) for name in stage.site_keys}
+        values: dict[str, Any] = {name: attrgetter(key)(self.site) for name, key in stage.set_by_site().items()}
         if stage.name == FUSE:
             numbers = range(1, self._subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)

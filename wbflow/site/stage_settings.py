@@ -117,7 +117,7 @@ class _Section:
         for key, value in values.items():
             self._check(bound, key, value, written.get(key, key))
         for name, parameter in bound.parameters.items():
-            if parameter.required and name not in values and name not in self._fed(bound):
+            if parameter.required and name not in values and name not in self._fed():
                 self._problem("use", f"{bound.function.dotted} has {name!r} without a default", f"set it here: {name}: ...")
         return StageSettings(use, values, files=files)
 
@@ -171,18 +171,17 @@ class _Section:
             self.notes.append(self.document.problem(location, what, f"write {now}", key=True))
         return found
 
-    def _fed(self, bound: Binding) -> set[str]:
+    def _fed(self) -> set[str]:
         """Parameters that are set elsewhere in the site file, or by the plan."""
-        if self.stage.section:
-            return set(bound.parameters)
-        return {*self.stage.site_keys, *([COMPONENT] if self.stage.name == FUSE else [])}
+        return {*self.stage.set_by_site(), *([COMPONENT] if self.stage.name == FUSE else [])}
 
     def _check(self, bound: Binding, key: str, value: Any, written: str) -> None:
         """One parameter.  written: what it is called in the file."""
-        fed = self._fed(bound)
+        fed = self._fed()
         parameter = bound.parameters.get(key)
         if key in fed and parameter:
-            where = f"in the section {self.stage.section}" if self.stage.section else "at the top of the file"
+            section = self.stage.set_by_site().get(key, "").rpartition(".")[0]
+            where = f"in the section {section}" if section else "at the top of the file"
             remedy = f"set {key} {where}" if key != COMPONENT else "leave it out: each component has its turn"
             self._problem(written, f"{key!r} is not set here", remedy, key=True)
         elif parameter is None:
