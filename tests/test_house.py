@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -157,6 +159,68 @@ def test_no_imports_run_in_circles() -> None:
     for name in modules:
         graph.add_edges_from((name, other) for other in imports(NAMES[name]) if other in modules and other != name)
     assert not [sorted(circle) for circle in networkx.strongly_connected_components(graph) if len(circle) > 1]
+
+
+def room_of(name: str) -> str:
+    """The room of a module: its folder; of the packages themselves the folder "wbflow", "stages" or "sites.demo"."""
+    return name.rpartition(".")[0] if NAMES[name].name != "__init__.py" else name
+
+
+MODULES = [name for name, file in NAMES.items() if file.name != "__init__.py"]
+IMPORTED = {name: {other for other in imports(NAMES[name]) if other in NAMES and other != name} for name in MODULES}
+
+
+def levels(room: str) -> int:
+    """How many modules of a room stand on top of each other: the longest chain of imports within it."""
+    within = networkx.DiGraph()
+    within.add_nodes_from(name for name in MODULES if room_of(name) == room)
+    within.add_edges_from((name, other) for name in within.nodes for other in IMPORTED[name] if other in within.nodes)
+    return int(networkx.dag_longest_path_length(within)) + 1
+
+
+ROOMS = sorted({room_of(name) for name in MODULES})
+MOST_LEVELS = 4
+DEEPER = {
+    "sites.demo": 9, "stages.mvs": 5, "stages.sfm": 6, "stages.twoview": 5, "stages.types": 5, "wbflow.cache": 5,
+    "wbflow.outcome": 5, "wbflow.report": 7, "wbflow.runner": 7, "wbflow.site": 7,
+}  # fmt: skip
+"""Rooms that are deeper still: none may become so, and none of these deeper."""
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_room_is_deeper_than_four_levels(room: str) -> None:
+    assert levels(room) <= DEEPER.get(room, MOST_LEVELS)
+
+
+TWICE = {"stages": {"cameras", "ground", "health", "matcher", "propagation", "world"}}
+"""Base names that two rooms of the vision still have: no further ones."""
+
+
+@pytest.mark.parametrize("package", ["wbflow", "stages", "sites"])
+def test_no_two_modules_of_a_package_have_one_base_name(package: str) -> None:
+    names = Counter(name.rpartition(".")[2] for name in MODULES if name.partition(".")[0] == package)
+    assert {name for name, count in names.items() if count > 1} <= TWICE.get(package, set())
+
+
+def test_table() -> None:
+    """`python -m pytest tests/test_house.py -k table -s` shows it."""
+    lines = {name: len(NAMES[name].read_text().splitlines()) for name in MODULES}
+    importers = Counter(other for found in IMPORTED.values() for other in found)
+    small = {name for name in MODULES if importers[name] == 1 and lines[name] < 60}
+    rows = ["", f"{'room':22}{'files':>6}{'lines':>7}{'levels':>7}  modules under 60 lines with one importer"]
+    for room in ROOMS:
+        here = [name for name in MODULES if room_of(name) == room]
+        alone = ", ".join(name.rpartition(".")[2] for name in here if name in small)
+        rows.append(f"{room:22}{len(here):6}{sum(map(lines.__getitem__, here)):7}{levels(room):7}  {alone}".rstrip())
+    for package in ("wbflow", "stages", "sites"):
+        here = [name for name in MODULES if name.partition(".")[0] == package]
+        rows.append(f"{package + ', all':22}{len(here):6}{sum(map(lines.__getitem__, here)):7}")
+    sys.stdout.write("\n".join(rows) + "\n")
+    assert small <= {
+        "stages.exports.las",
+        "stages.fusion.surface_support",
+        "wbflow.outcome.calibrate",
+    }  # each is an idea of its own
 
 
 def literals(tree: ast.Module) -> Iterator[str]:

@@ -1,0 +1,117 @@
+"""What it takes to add something: the diffs of stages/README.md, applied to a copy of the project and run there."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+
+ROOT = Path(__file__).resolve().parent.parent
+MATCHER, EXPORT, STAGE = re.findall(r"^```diff\n(.*?)^```$", (ROOT / "stages/README.md").read_text(), re.MULTILINE | re.DOTALL)
+
+
+def files_of(diff: str) -> list[str]:
+    return re.findall(r"^\+\+\+ b/(.*)$", diff, re.MULTILINE)
+
+
+@dataclass
+class CopiedSite(ToySite):
+    """A toy site that the project of another folder works on."""
+
+    tree: str = ""
+
+    def env(self) -> dict[str, str]:
+        env = super().env()
+        return {**env, "PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join([self.tree, env["PYTHONPATH"]])}
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A copy of the project, which Python finds before the installed one."""
+    folder = tmp_path / "project"
+    for package in ("wbflow", "stages"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "wbflow_stages").symlink_to("stages")
+    return folder
+
+
+def apply(diff: str, tree: Path) -> None:
+    """Apply a diff, file by file, as git does to a folder that is in no repository."""
+    env = {**os.environ, "GIT_CEILING_DIRECTORIES": str(tree.parent)}
+    for part in re.split(r"^(?=--- )", diff, flags=re.MULTILINE)[1:]:
+        command = ["git", "apply", "--recount", "-"]
+        done = subprocess.run(command, cwd=tree, env=env, input=part, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"a diff in stages/README.md no longer fits:\n{part}\n{done.stderr}"
+
+
+def pass_their_tests(tree: Path, diff: str) -> None:
+    tests = [file for file in files_of(diff) if file.startswith("tests/")]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--noconftest", "-c", os.devnull, *tests]
+    done = subprocess.run(
+        command, cwd=tree, env={**os.environ, "PYTHONPATH": str(tree)}, capture_output=True, text=True, check=False
+    )
+    assert tests and done.returncode == 0, done.stdout
+
+
+def toy(tree: Path, **stages: object) -> CopiedSite:
+    site = CopiedSite(tree.parent / "toy", ["gate", "roof", "mast"], tree=str(tree))
+    change_stages(site, **stages)
+    return site
+
+
+def change_stages(site: CopiedSite, **stages: object) -> None:
+    written = json.loads(site.file.read_text())
+    site.file.write_text(json.dumps({**written, "stages": {**written["stages"], **stages}}))
+
+
+def record(site: CopiedSite) -> dict[str, list[dict[str, object]]]:
+    """What `wbflow run` leaves, in a process of the copied project."""
+    done = site.wbflow("run", "--json", "--jobs", "1", "--backend", "threading")
+    assert done.returncode in {0, 3}, done.stderr
+    found: dict[str, list[dict[str, object]]] = json.loads(done.stdout)
+    return found
+
+
+def test_a_matcher_touches_two_files(tree: Path) -> None:
+    assert len(files_of(MATCHER)) <= 2
+    apply(MATCHER, tree)
+    site = toy(tree, matches={"matcher": "nearby", "radius_px": 500.0, "min_matches": 1})
+    assert {pair["matches"] for pair in record(site)["pairs"]} == {1}
+    change_stages(site, matches={"matcher": "nerby"})
+    assert "mutual, kdtree, nearby, onnx" in site.wbflow("check").stderr
+
+
+def test_an_export_touches_three_files(tree: Path) -> None:
+    assert len(files_of(EXPORT)) <= 3
+    apply(EXPORT, tree)
+    pass_their_tests(tree, EXPORT)
+    site = toy(tree)
+    record(site)
+    assert "--xyz" in site.wbflow("export", "--help").stdout
+    done = site.wbflow("export", "--xyz", "--out", str(site.folder / "out"))
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"(-?\d+\.\d{4} -?\d+\.\d{4} -?\d+\.\d{4}\n)+", (site.folder / "out" / "cloud.xyz").read_text())
+
+
+def test_a_stage_touches_five_files(tree: Path) -> None:
+    """Those of the diff, and the paragraph of stages/README.md."""
+    assert len(files_of(STAGE)) + 1 <= 5
+    apply(STAGE, tree)
+    pass_their_tests(tree, STAGE)
+    site = toy(tree, shadows={"darkest": 0.8})
+    cameras = record(site)["cameras"]
+    assert all(0 < float(str(camera["shadow"])) < 1 for camera in cameras)
+    assert len(list((site.work / "cache" / "shadows").glob("*/*.json"))) == len(cameras)
+    said = subprocess.run(site.command("stages", "shadows"), env=site.env(), capture_output=True, text=True, check=True).stdout
+    assert "darkest = 0.3" in said
+    change_stages(site, shadows=False)
+    assert "shadows" not in site.wbflow("status").stdout
