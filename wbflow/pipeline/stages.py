@@ -533,6 +533,8 @@ ROUGH_SECONDS = {
     "fuse": (0.3, 1.2, 6.0), "coverage": (0.5, 0.1, 1.0), "changes": (0.5, 0.1),
 }  # fmt: skip
 """Seconds: of a task on one core, roughly; for each million pixels (site-wide: of each camera); to compile its kernels, once."""
+ANY_SECONDS = (0.5, 0.1)
+"""The same of a stage of which nothing is known yet."""
 
 _BY_NAME = {stage.name: stage for stage in STAGES}
 

@@ -17,6 +17,7 @@ from typing import Any
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
 from ..pipeline.stages import (
+    ANY_SECONDS,
     COMPONENT,
     DENSE_PAIRS,
     FRAMES,
@@ -391,14 +392,14 @@ def outlook(plan: Plan, past: TaskCosts) -> tuple[StageOutlook, ...]:
         walls = [past.expected(stage.name, str(task)) for task in tasks if task not in plan.states] if known else []
         seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, _rough(plan, stage))
         count = (plan.likely_pairs(stage.dense) if stage.scope == "pair" else None) or len(tasks)
-        compiles = 0.0 if known else sum(ROUGH_SECONDS[stage.name][2:])
+        compiles = 0.0 if known else sum(ROUGH_SECONDS.get(stage.name, ANY_SECONDS)[2:])
         found.append(StageOutlook(stage.name, count, settled, seconds, known, compiles))
     return tuple(found)
 
 
 def _rough(plan: Plan, stage: Stage) -> float:
     """What a task of a stage takes that nobody has timed yet."""
-    fixed, each, *_ = ROUGH_SECONDS[stage.name]
+    fixed, each, *_ = ROUGH_SECONDS.get(stage.name, ANY_SECONDS)
     stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
     across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
     return fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)
