@@ -26,6 +26,8 @@ _ROLLED, _STEADY = 60.0, 25.0
 """Grey levels by which a digit's strokes change at least, and those of a letter at most."""
 _LEAST_ROLLED, _LEAST_STEADY, _LEAST_READ = 8, 0.25, 0.7
 """Pixels of digits; share of the strokes that stay; share of them that do one or the other."""
+_WRITTEN = 0.15
+"""Where a digit changes, each capture has strokes on this share of the pixels: a shadow or a person leaves none."""
 
 Box = tuple[int, int, int, int]
 """x, y, width and height, pixels."""
@@ -61,9 +63,24 @@ def _line(grey: Sequence[Uint8s], usable: Bools, highest: float) -> Box | None:
     for x, y, w, h, _ in boxes[1:].tolist():
         box = slice(y, y + h), slice(x, x + w)
         count = int(written[box].sum())
-        digits, letters = int(rolled[box].sum()), int(steady[box].sum())
-        if h > highest or w < _LONG * h or digits < _LEAST_ROLLED:
+        if h > highest or w < _LONG * h:
             continue
-        if letters >= _LEAST_STEADY * count and digits + letters >= _LEAST_READ * count:
+        digits, letters = _digits(strokes[:, box[0], box[1]] & rolled[box], h), int(steady[box].sum())
+        if digits >= _LEAST_ROLLED and letters >= _LEAST_STEADY * count and digits + letters >= _LEAST_READ * count:
             return x, y, w, h
     return None
+
+
+def _digits(strokes: Bools, height: int) -> int:
+    """Pixels at which digits change into digits, of the changing strokes (captures, height, w) of a line.
+
+    What changes is looked at in parts that stand apart, as digits do: a passer-by or a shadow may cross the bright stones of a
+    paved row, and leaves none of them bright.
+    """
+    changing = np.flatnonzero(strokes.any(axis=(0, 1)))
+    found = 0
+    for columns in np.split(changing, np.flatnonzero(np.diff(changing) > max(1, height // 8)) + 1):
+        each = strokes[:, :, columns].sum(axis=(1, 2))
+        whole = int(strokes[:, :, columns].any(axis=0).sum())
+        found += whole if each.min() >= _WRITTEN * whole else 0
+    return found

@@ -42,3 +42,24 @@ def test_a_name_that_stands_still_cars_and_a_mask_are_no_clock() -> None:
     assert running_clock(night(TIMES)[:1], usable) is None
     usable[:40] = False
     assert running_clock(night(TIMES), usable) is None
+
+
+def paved(shadows: tuple[int | None, ...]) -> list[Uint8s]:
+    """Captures of a paved row of bright and dark stones; across one a shadow falls from the left of each capture's column."""
+    rng = np.random.default_rng(3)
+    stones = np.repeat(np.where(rng.random(40) < 0.5, 220.0, 120.0), 16)
+    scene = np.full((HEIGHT, WIDTH), 110.0)
+    scene[330:342] = stones
+    captures = []
+    for left in shadows:
+        picture = scene + rng.normal(0, 2, scene.shape)
+        if left is not None:
+            picture[300:, left : left + 60] *= 0.45
+        captures.append(np.repeat(np.clip(picture, 0, 255).astype(np.uint8)[..., None], 3, axis=2))
+    return captures
+
+
+def test_shadows_that_cross_bright_paving_are_no_digits() -> None:
+    usable = np.ones((HEIGHT, WIDTH), np.bool_)
+    assert running_clock(paved((None, 200, None)), usable) is None
+    assert running_clock(paved((100, 260, 420)), usable) is None
