@@ -194,7 +194,7 @@ class _Clean:
 def _cleaned(image: Uint8s, camera: Straight, name: str, privacy: Privacy | None, resolution: int | None) -> _Clean:
     area = private_area(privacy, camera.width, camera.height, name)
     image = blanked(image, area)  # first: no figure may depend on what is private
-    digest = hashlib.sha256(np.ascontiguousarray(image)).hexdigest()[:32]
+    digest = hashlib.sha256(image.tobytes()).hexdigest()[:32]
     signal, (image, repair) = signal_of(image), put_right(image)
     straight = _resized(camera.undistort(image), *camera.working_size(resolution))
     return _Clean(camera, name, straight, area, signal, repair, digest)

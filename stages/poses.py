@@ -35,6 +35,7 @@ from .sfm.pose_check import (
 )
 from .sfm.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .sfm.rigs import beside
+from .sfm.survey_check import check_survey
 from .types import CalibrationCheck, Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
 
 MOST_NAMES = 6
@@ -97,6 +98,7 @@ def solve_poses(
         return found
     calibration = _calibration(known, cameras, set(moved), seen)
     found = replace(found, uncertain=_uncertain(adjusted, geometries), calibration=calibration)
+    found = replace(found, **check_survey(found, views, placements, survey))
     return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
 
 
@@ -133,6 +135,8 @@ def _checked(
     known, cameras, trusted = stages
     checks = check_cameras(cameras, seen, told)
     unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
+    common = _common(unclear, told)
+    open_ = dict.fromkeys(unclear, _doubt(unclear, cameras, seen, told)) if unclear else {}
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
     pair_checks = _pair_checks(found, _fit(cameras, seen, max_epipolar_px))
@@ -144,8 +148,8 @@ def _checked(
         source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
         suspects={**suspects, **found.suspects},
-        doubtful={name: _doubtful(name, cameras, seen, told) for name in _common(unclear, told)},
-        notes=(*suspects.values(), *([_doubt(unclear, cameras, seen, told)] if unclear else []), *found.notes),
+        doubtful={**found.doubtful, **{name: _doubtful(name, cameras, seen, told) for name in common}},
+        contradicting={**found.contradicting, **(open_ if not common else {})},
     )
 
 
@@ -294,9 +298,6 @@ def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[
     by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
-    if common := _common(names, told):
-        what = f"the known poses of {_listed(names)} contradict each other{by}: all pairs that say so have {common[0]} in common."
-        return f"{what} It is the likeliest to be wrong, and stays in use, unverified. Has it been moved?"
     what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong cannot be told."
     what += " They stay in use, unverified: the matches may be of look-alikes."
     if len(names) == len(cameras) > 2:
@@ -333,4 +334,5 @@ def _as_stated(
         return Rejected(Reason.NO_POSED_CAMERA, {"cameras": len(views)})
     metric = all(placements[name].metric for name in stated)
     scale = "calibration" if metric else "calibration, not metric"
-    return Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)
+    found = Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)
+    return replace(found, **check_survey(found, views, placements, survey))

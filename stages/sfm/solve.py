@@ -133,17 +133,15 @@ def _collect(
             cameras[name] = replace(solved[name], component=len(groups) - 1)
             groups[-1].append(name)
     suspects = {name: reason for world in worlds for name, reason in world.suspects.items()}
-    notes = [*suspects.values(), *(note for world in worlds for note in world.notes)]
+    notes: list[str] = []
     if main.placed:
         for name, camera in stated.items():
             if name not in cameras:
                 cameras[name] = camera
                 groups[0].append(name)
-                notes.append(f"{name}: pose as stated; no pair could check it")
     order = [name for name in graph.names if name in cameras]
     checks = {graph.pair(edge): _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px) for edge in graph.geometries}
     unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
-    notes += [f"{name} is not in the cloud: {reason}" for name, reason in unsolved.items()]
     if bent := {name: px for name in order if (px := residual_px(cameras[name])) > STRAIGHT_PX}:
         what = f"the lenses of {', '.join(bent)} bend straight lines (corners by up to {max(bent.values()):.1f} px)"
         notes.append(
@@ -158,6 +156,8 @@ def _collect(
         source="mixed" if set(stated) & set(cameras) - set(suspects) else "solved",
         pair_checks=checks,
         suspects=suspects,
+        doubtful={name: reason for world in worlds for name, reason in world.doubtful.items()},
+        contradicting={name: reason for world in worlds for name, reason in world.contradicting.items()},
         focals=tuple(name for view, name in enumerate(graph.names) if view in graph.lenses.solved and name in cameras),
         components=tuple(tuple(name for name in order if name in group) for group in groups),
         joins=_joins(graph, groups),

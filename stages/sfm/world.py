@@ -6,7 +6,7 @@ All that is known is compared with the solved model at once, and what contradict
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, islice
 
 import cv2
@@ -42,7 +42,10 @@ class World:
     """Where it comes from."""
     suspects: dict[str, str]
     """Known poses that the images contradict, by id."""
-    notes: tuple[str, ...] = ()
+    doubtful: Mapping[str, str] = field(default_factory=dict)
+    """Known poses in use, by id, that the model of the others has elsewhere."""
+    contradicting: Mapping[str, str] = field(default_factory=dict)
+    """Known poses, by id, that the model contradicts so far that it stands apart."""
 
 
 def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement], survey: Survey) -> World:
@@ -68,7 +71,7 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     metric = all(p.metric for p in placed.values() if p.C is not None)
     up = upward([replace(cameras[view], R=whole_R(cameras[view])) for view in firsts])
     depth = _median_depth(model)
-    scale, scale_notes = _scale_of_distances(graph, cameras, survey)
+    scale = _scale_of_distances(graph, cameras, survey)
     alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None) if landmarks else None
     if alignment is None:
         known_scale = scale is not None
@@ -79,17 +82,18 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
         again = {graph.names[view] for views in rigs_of(dict(enumerate(graph.views))).values() for view in views[1:]}
         count = sum(p.C is not None for name, p in placements.items() if name not in again)
         alone = count == 1  # without a scale it fits nothing else that is placed
-        return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {}, scale_notes)
+        return World(model, bool(landmarks) and (known_scale or alone), known_scale, why, {})
     unplaced, model = model, _moved(model, alignment.similarity)
     exact = [view for view, p in placed.items() if p.R is not None and p.C is not None and max(p.sigma_m, p.sigma_deg) == 0]
     number = {name: view for view, name in enumerate(graph.names)}
     held = [number[name] for name in alignment.trusted if (p := placements.get(name)) and p.R is not None and p.sigma_m == 0]
     if len(held) < 2 <= len(exact):  # the model contradicts the known poses, and no more than it can be right
         names = " and ".join(graph.names[view] for view in exact)
-        note = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
+        why_apart = f"the model of {len(cameras)} cameras contradicts the known poses of {names}: it stands apart, unverified"
+        apart = {graph.names[view]: why_apart for view in exact}
         similarity = _own_frame(unplaced.cameras, [], up, scale if scale is not None else 1 / _median_baseline(graph, cameras))
         why = "known distances" if scale is not None else "none: the median baseline is 1, the cloud is not metric"
-        return World(_moved(unplaced, similarity), False, scale is not None, why, {}, (*scale_notes, note))
+        return World(_moved(unplaced, similarity), False, scale is not None, why, {}, contradicting=apart)
     if len(held) >= 2:
         held = [view for view in cameras if any(view == h or same_camera(cameras[view], cameras[h]) for h in held)]
         stated = {view: _at(model.cameras[view], placements[graph.names[view]]) for view in held}
@@ -102,13 +106,13 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
             model = refine(model, positions=positions)
     known = {graph.names[view] for view in exact}
     suspects = {name: _suspicion(name, *off) for name, off in alignment.doubted.items() if name not in known}
-    scale_notes += tuple(
-        f"the known pose of {name} is unverified: the model of the others has it {off[0]:.3g} m away; it stays in use"
+    doubtful = {
+        name: f"the model of the others has it {off[0]:.3g} m away from its known pose. It stays in use: has it been moved?"
         for name, off in alignment.doubted.items()
         if name in known
-    )
+    }
     source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
-    return World(model, True, metric or scale is not None, source, suspects, scale_notes)
+    return World(model, True, metric or scale is not None, source, suspects, doubtful)
 
 
 def _source(trusted: tuple[str, ...], known: int) -> str:
@@ -120,19 +124,15 @@ def _source(trusted: tuple[str, ...], known: int) -> str:
     return " and ".join(f"{count} {what}" for count, what in parts if count)
 
 
-def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> tuple[float | None, tuple[str, ...]]:
-    """Metres for each unit of the model from the known distances, and a note where they disagree."""
+def _scale_of_distances(graph: ViewGraph, cameras: Mapping[int, Camera], survey: Survey) -> float | None:
+    """Metres for each unit of the model from the known distances."""
     ratios = []
     placed = {camera_id(graph.names[view], camera): camera.C for view, camera in cameras.items()}
     for i, j, metres in survey.distances:
         a, b = survey.cameras[int(i)], survey.cameras[int(j)]
         if a in placed and b in placed:
             ratios.append(metres / np.linalg.norm(placed[a] - placed[b]))
-    if not ratios:
-        return None, ()
-    scale = float(np.median(ratios))
-    spread = max(abs(ratio / scale - 1) for ratio in ratios)
-    return scale, (f"known distances disagree by up to {100 * spread:.1f} %",) if spread > 0.01 else ()
+    return float(np.median(ratios)) if ratios else None
 
 
 def _own_frame(cameras: Mapping[int, Camera], landmarks: list[Landmark], up: Float64s, scale: float) -> Similarity:

@@ -102,6 +102,15 @@ class Poses:
     """Known poses (by id) that the images contradict, and by how much."""
     doubtful: Mapping[str, str] = field(default_factory=dict)
     """Known poses (by id) that stay in use, though all that contradicts known poses has them in common; and by how much."""
+    contradicting: Mapping[str, str] = field(default_factory=dict)
+    """Known poses (by id) that stay in use, though they contradict each other or the model of the others, and how: which is wrong
+    is open."""
+    distances_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Stated distances ("left--right") that the cameras contradict: as stated, and between the cameras; metres."""
+    points_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Control points by name that the cameras contradict: how far off they are, and what is tolerated; metres."""
+    units_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """"nearest": metres from a camera to the nearest other one (median) and the limit, where no site is so small or so large."""
     uncertain: Mapping[str, float] = field(default_factory=dict)
     """Known poses (by id) that the images tell no better than they are stated, where that is not well enough to match along rows:
     standard deviation of the rows of the camera's best pair, pixels."""

@@ -367,6 +367,10 @@ def _explanation(check: CalibrationCheck) -> str:
 def check_poses(night: Night) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
     poses = night.record.poses
+    if poses and not (poses.calibration and poses.calibration.contradicted):  # that finding explains what these say
+        for reason in dict.fromkeys(poses.contradicting.values()):
+            names = tuple(name for name, why in poses.contradicting.items() if why == reason)
+            yield finding("poses-contradicted", names, reason=reason)
     if poses and poses.uncertain:
         row_px = max(poses.uncertain.values())
         yield finding(
@@ -386,6 +390,35 @@ def check_poses(night: Night) -> Iterator[Finding]:
             "border_px": worst["border_px"],
         }
         yield finding("lens-undetermined", tuple(unsure), worst, None, None, **words)
+
+
+def check_survey(night: Night) -> Iterator[Finding]:
+    """Do stated distances, control points and units agree with where the cameras stand?"""
+    poses = night.record.poses
+    if poses is None:
+        return
+    if poses.distances_off:
+        pair, (stated, found) = max(poses.distances_off.items(), key=lambda entry: abs(math.log(entry[1][1] / entry[1][0])))
+        more = f"; so are {others} more distances" if (others := len(poses.distances_off) - 1) else ""
+        words = {"pair": pair, "stated": stated, "found": found, "more": more}
+        yield finding("distances-contradicted", tuple(pair.split("--")), {"metres": found}, {"metres": stated}, None, **words)
+    if poses.points_off:
+        off, tolerated = max(poses.points_off.values())
+        yield finding(
+            "control-contradicted",
+            (),
+            {"off_m": off},
+            {"off_m": tolerated},
+            off=off,
+            tolerated=tolerated,
+            points=_names(poses.points_off),
+        )
+    if "nearest" in poses.units_off:
+        nearest, limit = poses.units_off["nearest"]
+        small = "kilometres" if nearest < limit else "millimetres"
+        yield finding(
+            "units-implausible", (), {"nearest_m": nearest}, {"nearest_m": limit}, nearest=nearest, limit=limit, unit=small
+        )
 
 
 def _names(cameras: Iterable[str]) -> str:
@@ -467,6 +500,7 @@ CHECKS: tuple[Check, ...] = (
     check_pictures,
     check_calibration,
     check_poses,
+    check_survey,
     check_tasks,
     check_amounts,
 )

@@ -195,6 +195,10 @@ class PosesSummary(Summary):
     source: str = ""
     suspects: Mapping[str, str] = field(default_factory=dict)
     doubtful: Mapping[str, str] = field(default_factory=dict)
+    contradicting: Mapping[str, str] = field(default_factory=dict)
+    distances_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    points_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    units_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     uncertain: Mapping[str, float] = field(default_factory=dict)
     unsure_lenses: Mapping[str, LensSigma] = field(default_factory=dict)
     strained: Mapping[str, float] = field(default_factory=dict)
@@ -214,6 +218,11 @@ class PosesSummary(Summary):
     """This and the next two stand with the pairs and cameras in run.json."""
     pose_checks: Annotated[Mapping[str, Mapping[str, Any]], Field(exclude=True)] = field(default_factory=dict)
     sources: Annotated[Mapping[str, str], Field(exclude=True)] = field(default_factory=dict)
+
+    @property
+    def unverified(self) -> bool:
+        """Are lenses and poses stated, and were there too few matches to check them?"""
+        return self.source in {"calibration", "mixed"} and self.calibration is None
 
 
 @dataclass(frozen=True)

@@ -237,6 +237,35 @@ FINDINGS: Mapping[str, FindingType] = {
             "these captures; without `calibration:` lenses and poses are solved",
         ),
         FindingType(
+            "poses-contradicted",
+            "degraded",
+            "Stated poses contradict each other, or what the other cameras see; which is wrong is open, and they stay in use.",
+            "{reason}",
+            "measure these poses again, or name the calibration that belongs to these captures; a camera without pose is solved",
+        ),
+        FindingType(
+            "distances-contradicted",
+            "degraded",
+            "A stated distance contradicts the other distances, or the positions of the cameras.",
+            "{pair} are stated to be {stated:.4g} m apart; by all else that is known it is {found:.4g} m{more}",
+            "measure it again; check its unit (metres), and between which cameras it is",
+        ),
+        FindingType(
+            "control-contradicted",
+            "degraded",
+            "Control points are not where the cameras see them.",
+            "{points}: up to {off:.3g} m from where the cameras see them; {tolerated:.3g} m are tolerated",
+            "check their coordinates, and the pixels at which they are marked",
+        ),
+        FindingType(
+            "units-implausible",
+            "degraded",
+            "The cameras stand nearer to each other, or farther apart, than those of any site.",
+            "cameras stand {nearest:.4g} m from the nearest other one (median), the limit is {limit:g} m: are positions or "
+            "distances in {unit}?",
+            "state positions and distances in metres; or name the coordinate system (crs), where such lengths are meant",
+        ),
+        FindingType(
             "poses-inconsistent",
             "degraded",
             "Matches contradict each other, and the solved poses rest on some of them.",

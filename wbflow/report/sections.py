@@ -108,6 +108,8 @@ def _facts(data: ReportData) -> Iterator[Fact]:
         base = usual.get(Measure.POINTS)
         words = f"{whose}: {base:,.0f}" if base else ""
         yield Fact(f"{record.cloud.points:,}", "points", words, _grade(now[Measure.POINTS], base))
+    if record.poses and record.poses.unverified:
+        yield Fact("unverified", "calibration: too few matches to check it", grade="fair")
     for stage, result in record.results.items():
         if stage in now:
             base, (unit, measured) = usual.get(stage), result.AMOUNT

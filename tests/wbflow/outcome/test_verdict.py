@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from wbflow.errors import ExitCode
 from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
-from wbflow.pipeline.summaries import CameraFigures, CoverageSummary, LensSigma, PairFigures, PosesSummary
+from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, LensSigma, PairFigures, PosesSummary
 from wbflow.records.findings import FINDINGS, findings_table
 from wbflow.records.record import (
     CameraRecord,
@@ -391,3 +392,28 @@ def test_the_guide_lists_every_finding_with_its_meaning_and_remedy() -> None:
     guide = (Path(__file__).parents[3] / "sites" / "README.md").read_text()
     listed = [line for line in guide.splitlines() if line.startswith(tuple(f"| `{code}`" for code in FINDINGS))]
     assert listed == [f"| `{code}` | {meaning} | {remedy} |" for code, meaning, remedy in findings_table()]
+
+
+@pytest.mark.parametrize(
+    ("figures", "kind", "subject", "words"),
+    [
+        ({"contradicting": {"gate": "by 5.0 degrees", "mast": "by 5.0 degrees"}}, "poses-contradicted", ("gate", "mast"), "5.0"),
+        ({"distances_off": {"gate--mast": (120.0, 12.0)}}, "distances-contradicted", ("gate", "mast"), "120 m apart"),
+        ({"points_off": {"control point 2": (2.0, 0.4)}}, "control-contradicted", (), "control point 2"),
+        ({"units_off": {"nearest": (8200.0, 1000.0)}}, "units-implausible", (), "millimetres"),
+    ],
+)
+def test_what_is_stated_and_contradicted_degrades_the_night(
+    figures: dict[str, Any], kind: str, subject: tuple[str, ...], words: str
+) -> None:
+    record = judge(replace(night(), poses=PosesSummary(**figures)), Facts(), Baseline(), Expected())
+    found = only(record)
+    assert (found.kind, found.subject, record.exit_code) == (kind, subject, ExitCode.DEGRADED)
+    assert words in found.text
+
+
+def test_a_calibration_that_nothing_could_check_is_unverified_and_no_fault() -> None:
+    world = PosesSummary(source="calibration")
+    assert world.unverified and judge(replace(night(), poses=world), Facts(), Baseline(), Expected()).exit_code == ExitCode.GOOD
+    assert not PosesSummary(source="solved").unverified
+    assert not PosesSummary(source="calibration", calibration=CalibrationCheck(misfit=1.0)).unverified

@@ -1,0 +1,74 @@
+"""Do distances, control points and units agree with where the cameras stand in the end?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.cameras import camera_id
+from ..types import Camera, Float64s, Placement, Poses, Survey, View
+
+if TYPE_CHECKING:
+    from .world import Landmark
+
+DISTANCE_SHARE = 0.03
+"""A stated distance may differ from that of the cameras by this share, and three standard deviations of their positions."""
+POINT_SHARE = 0.02
+"""A control point may lie off by this share of its distance from the cameras, and as many standard deviations."""
+NEAREST_M = (0.005, 1000.0)
+"""Metres from a camera to the nearest other one, median over a site: less or more than any site of local coordinates has."""
+
+
+def check_survey(
+    poses: Poses, views: Mapping[str, View], placements: Mapping[str, Placement], survey: Survey
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """Fields of `Poses`: what the site states, and the cameras contradict.
+
+    Parameters
+    ----------
+    poses : with the cameras as they are in the end.
+    views : the pinhole of each camera's frame.
+    placements : what is stated of the poses, by id.
+    survey : distances and control points.
+    """
+    cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+    if not poses.metric or len(cameras) < 2:
+        return {}
+    sigma = 3 * max((placements[name].sigma_m for name in cameras if name in placements), default=0.0)
+    centres = {camera_id(name, camera): camera.C for name, camera in cameras.items()}
+    distances: dict[str, tuple[float, float]] = {}
+    points: dict[str, tuple[float, float]] = {}
+    units: dict[str, tuple[float, float]] = {}
+    for i, j, stated in survey.distances:
+        a, b = survey.cameras[int(i)], survey.cameras[int(j)]
+        if a in centres and b in centres:
+            found = float(np.linalg.norm(centres[a] - centres[b]))
+            if abs(found - stated) > DISTANCE_SHARE * min(stated, found) + np.sqrt(2) * sigma:
+                distances[f"{a}--{b}"] = float(stated), found
+    for mark in _landmarks(cameras, views, survey) if len(survey.points) else ():
+        off = float(np.linalg.norm(mark.model_X - mark.world_X))
+        away = float(np.median([np.linalg.norm(C - mark.world_X) for C in centres.values()]))
+        if off > (tolerated := POINT_SHARE * away + sigma):
+            points[mark.name] = off, tolerated
+    if not survey.crs and len(centres) > 1 and not NEAREST_M[0] <= (nearest := _nearest(centres)) <= NEAREST_M[1]:
+        units["nearest"] = nearest, NEAREST_M[nearest > 1]
+    return {"distances_off": distances, "points_off": points, "units_off": units}
+
+
+def _landmarks(cameras: Mapping[str, Camera], views: Mapping[str, View], survey: Survey) -> list[Landmark]:
+    from .world import control_landmarks  # here: few sites have control points, and it takes what solves poses
+
+    names = list(views)
+    return control_landmarks({names.index(name): c for name, c in cameras.items()}, names, list(views.values()), survey)
+
+
+def _nearest(centres: Mapping[str, Float64s]) -> float:
+    """Median distance from a camera to the nearest other one."""
+    nearest = dict.fromkeys(centres, np.inf)
+    for a, b in combinations(centres, 2):
+        length = float(np.linalg.norm(centres[a] - centres[b]))
+        nearest[a], nearest[b] = min(nearest[a], length), min(nearest[b], length)
+    return float(np.median(list(nearest.values())))
