@@ -30,7 +30,7 @@ from hostile_captures import GOOD, Hostile, capture_cases, lay
 from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
 
 from wbflow.errors import ExitCode, WbflowError
-from wbflow.runner.context import open_night
+from wbflow.runner.context import plan_run
 from wbflow.site.load import load_site
 
 SECONDS = 60.0
@@ -83,7 +83,7 @@ def load(file: Path) -> str:
         with within(patience()):
             own_work = b'"work"' in file.read_bytes()
             site = load_site(file, None if own_work else file.parent / "work")  # one memo of functions for all
-            open_night(site).plan.refresh()
+            plan_run(site).plan.refresh()
             site.reader.save()
     except WbflowError as error:
         if error.exit_code is not ExitCode.USAGE:

@@ -12,24 +12,24 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .cache.layout import WorkFolder
 from .cache.owner import claim
-from .cache.room import bytes_of, disk_fault
-from .errors import UsageError
+from .cache.room import FULL, REMEDY, bytes_of
+from .errors import UsageError, WbflowError
 from .outcome.artifacts import FinishedRun, function, task_named
-from .outcome.through import mend_ledger, through
+from .outcome.through import mend_ledger, run_pipeline
 from .records.events import Event, Listener, Watcher
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
-from .runner.context import arrivals
-from .runner.journal import Costs, Journal
+from .runner.context import Options, plan_run
+from .runner.journal import Journal
 from .runner.loop import terminate_as_interrupt
-from .runner.options import Options
 from .site.load import load_site as read_site
 from .site.models import Site
 from .task import Task
@@ -105,7 +105,7 @@ class Run:
         return [task for task, event in self.finished.tasks.items() if event.usable]
 
     def artifact(self, task: Task | str) -> Any:
-        """Return what a task made: a dataclass of `wbflow_stages.types`.
+        """What a task made: a dataclass of `wbflow_stages.types`.
 
         Parameters
         ----------
@@ -204,22 +204,16 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    try:
-        most = bytes_of(memory) if memory else None
-    except ValueError as error:
-        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
+    most = _size(memory) if memory else None
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, most, time_limit, stop_at)
-    options.check()
-    options.check_subjects(site)
-    try:
-        return _run(site, options, listen or (lambda event: None), watch)
-    except OSError as error:
-        raise disk_fault(error, site.work) from error
+    options.check(site)
+    with _faults_of_the_disk(site):
+        return _run(site, options, listen or _quiet, watch)
 
 
 def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
-    """Return a finished run.
+    """A run that is finished.
 
     Parameters
     ----------
@@ -248,23 +242,32 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
     with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
         warning = claim(place, site.name, site.file)
         name, started = new_run(place)
-        costs = Costs(started)
-        there = arrivals(site, options.date, watch)
-        journal = Journal(mirror.listening(listen) if mirror else listen, watch, options.jobs)
+        journal = Journal(mirror.listening(listen) if mirror else listen, watch, options.jobs, started)
         if mirror:
             journal.behind = mirror.behind
         if warning:
             journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-        for damage in filter(None, (there.digests.damage, there.seen.damage, site.reader.damage)):
-            journal.repaired(damage)
         mend_ledger(place, journal)
-        finished = through(name, site, there, options, journal, costs, lambda run: _notify(site, run, journal))
+        context = plan_run(site, options.date, options.until, options.force, watch)
+        for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
+            journal.repaired(damage)
+        finished = run_pipeline(name, context, options, journal, lambda run: _notify(site, run, journal))
         if mirror and (fault := mirror.finish()):
             journal.warn(fault)
             finished.folder.add(journal.events[-1])
         return Run(finished)
+
+
+@contextmanager
+def _faults_of_the_disk(site: Site) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        what = f"{error.filename or site.work}: {error.strerror or error}"
+        remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
+        raise WbflowError(what, remedy=remedy) from error
 
 
 def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
@@ -278,3 +281,14 @@ def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
     except (NotTold, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])
+
+
+def _size(text: str) -> int:
+    try:
+        return bytes_of(text)
+    except ValueError as error:
+        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
+
+
+def _quiet(event: Event) -> None:
+    """A listener that ignores events."""

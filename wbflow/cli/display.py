@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..errors import printable
-from ..records.events import ArrivalsEvent, Event, PlannedEvent, Signal, StartedEvent, TaskEvent, WarningEvent
+from ..records.events import CapturesEvent, Event, PlannedEvent, Signal, StartedEvent, TaskEvent, WarningEvent
 from ..task import Task
 from .common import LONGEST_TEXT, echo
 
@@ -228,7 +228,7 @@ class Progress:
         """Take in an event; returns the stages that end with it and had something to do."""
         if isinstance(event, PlannedEvent):
             return self._plan(event)
-        if isinstance(event, ArrivalsEvent):
+        if isinstance(event, CapturesEvent):
             left = duration((time.monotonic() - self.begun) * (event.of - event.cameras) / max(1, event.cameras))
             self.captures_read = f"captures of {event.cameras}/{event.of} cameras read; the plan in about {left}"
         elif isinstance(event, StartedEvent):

@@ -122,7 +122,7 @@ def run(
 
 
 def _nights(site: Site, date: datetime.date | None, since: datetime.date | None) -> list[datetime.date | None]:
-    from ..runner.captures import backlog
+    from ..site.captures import backlog
 
     return [date] if since is None else [*backlog(site, since)]
 
@@ -242,13 +242,10 @@ def status(site: Path, date: datetime.date | None, work: str | None, until: str 
 
 
 def _plan(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Plan:
-    from ..runner.context import open_night
-    from ..runner.options import Options
+    from ..runner.context import Options, plan_run
 
-    options = Options(until=until, force=force)
-    options.check()
-    options.check_subjects(site)
-    plan = open_night(site, date, until, force).plan
+    Options(until=until, force=force).check(site)
+    plan = plan_run(site, date, until, force).plan
     plan.refresh()
     return plan
 

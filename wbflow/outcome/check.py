@@ -17,8 +17,8 @@ from ..errors import ExitCode, printable
 from ..pipeline.exports import DECODE
 from ..pipeline.stages import SITE_TYPES
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..runner.captures import CaptureFile, expected, pattern_of
-from ..runner.context import Night, open_night
+from ..runner.context import RunContext, plan_run
+from ..site.captures import CaptureFile, expected, pattern_of
 from ..site.models import Camera, Site
 from .artifacts import function
 
@@ -56,7 +56,7 @@ def check(site: Site, date: datetime.date | None) -> list[Finding]:
     machine = check_machine()
     if any(finding.severity == "error" for finding in machine):
         return machine + _disk(site)
-    return [*check_captures(site, open_night(site, date)), *machine, *_disk(site), *check_published(site.work_folder)]
+    return [*check_captures(site, plan_run(site, date)), *machine, *_disk(site), *check_published(site.work_folder)]
 
 
 def exit_code(findings: Iterable[Finding]) -> ExitCode:
@@ -64,7 +64,7 @@ def exit_code(findings: Iterable[Finding]) -> ExitCode:
     return min((finding.code for finding in findings if finding.severity == "error"), default=ExitCode.GOOD)
 
 
-def check_captures(site: Site, night: Night) -> list[Finding]:
+def check_captures(site: Site, context: RunContext) -> list[Finding]:
     """Is every capture there, whole, and of the size that its intrinsics are for?"""
     found = []
     if len(site.cameras) < 2:
@@ -73,9 +73,9 @@ def check_captures(site: Site, night: Night) -> list[Finding]:
     for camera in site.cameras:
         place = site.document.problem(camera.location, "")
         where = f"{site.file}:{place.line}:{place.column}: camera {camera.id}"
-        files = night.captures[camera.id]
+        files = context.captures[camera.id]
         if not files:
-            what = f"{where}: there is no capture {expected(site, camera, night.date)}"
+            what = f"{where}: there is no capture {expected(site, camera, context.date)}"
             found.append(Finding("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
         for file in files:
             size, problem = _look_at(file)

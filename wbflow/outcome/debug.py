@@ -18,11 +18,10 @@ from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.exports import FROM_PLAIN_FILES, PLAIN_FILES
 from ..pipeline.stages import DENSE_PAIRS, PAIRS, REJECTED, stage_named
-from ..runner.context import open_night
+from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.planner import Plan
-from ..runner.spec import Input, Stored, TaskSpec
-from ..runner.state import Impossible, State, Waiting
+from ..runner.spec import Impossible, Input, State, Stored, TaskSpec, Waiting
 from ..runner.worker import arguments_of
 from ..site.models import Site
 from ..task import Task
@@ -72,19 +71,20 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     DamagedArtifact
         One of them has been damaged on disk.
     """
-    night = open_night(site, date)
-    night.plan.refresh()
-    spec = _spec(night.plan, task)
+    context = plan_run(site, date)
+    plan = context.plan
+    plan.refresh()
+    spec = _spec(plan, task)
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
     offer(spec.folder)
-    values = arguments_of(spec, night.plan.cache)
-    nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, night.plan.cache) for name, value in values.items()}
-    state = night.plan.states.get(task)
-    receipt = Cache(night.plan.cache.work).by_key(task, spec.preimage().key())
+    values = arguments_of(spec, plan.cache)
+    nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
+    state = plan.states.get(task)
+    receipt = Cache(plan.cache.work).by_key(task, spec.preimage().key())
     told: dict[str, Any] = {
         "stage": task.stage,
         "subject": list(task.subject),
-        "night": str(night.date),
+        "night": str(context.date),
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": nodes,
@@ -94,7 +94,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "folder": str(spec.folder) if spec.folder else None,
     }
     module, _, name = spec.function.partition(":")
-    (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=night.date, module=module, name=name))
+    (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=context.date, module=module, name=name))
     (out / TASK_FILE).write_text(json.dumps(told, indent=1))
     return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
 

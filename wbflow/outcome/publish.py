@@ -10,16 +10,16 @@ from html import escape
 from typing import Any
 
 from ..cache import artifact
-from ..cache.layout import WorkFolder, cloud_name
+from ..cache.layout import cloud_name
 from ..cache.ply import with_comments
 from ..cache.signed import Damaged, read_signed, write_signed
 from ..pipeline.stages import CALIBRATION, FUSE, PLACE_COMMENTS, POSES
 from ..records.events import TaskEvent
 from ..records.record import RunRecord
 from ..records.run_folder import UnfinishedRun
-from ..runner.context import Night
-from ..runner.journal import Costs, Journal
-from ..runner.loop import Product, Worked
+from ..runner.context import RunContext
+from ..runner.journal import Journal
+from ..runner.loop import Worked
 from ..runner.planner import Plan
 from ..task import Task
 from .artifacts import FinishedRun, function
@@ -30,23 +30,17 @@ from .run_record import run_record
 from .verdict import judge_run
 
 
-def publish(
-    run: str, work: WorkFolder, night: Night, worked: Worked, journal: Journal, costs: Costs, own_process: bool
-) -> FinishedRun:
-    """Write what a night left into the folder of its run; `latest` leads there.
+def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> FinishedRun:
+    """Write what a run left into its folder; `latest` leads there.
 
     Parameters
     ----------
     run : str
         The run's id.
-    work : WorkFolder
-        Where it goes.
-    night, worked : Night, Worked
+    context, worked : RunContext, Worked
         What was to be done, and what has become of it.
     journal : Journal
-        What happened; a report that cannot be drawn is told there, too.
-    costs : Costs
-        What it has cost so far.
+        What happened and what it cost; it receives a warning where no report can be drawn.
     own_process : bool
         Did the tasks run in this process?
 
@@ -55,31 +49,31 @@ def publish(
     OSError
         The disk is full, or there is no right to write.
     """
-    told = _told_of_world(night.plan, worked.products, journal)
+    plan, work = context.plan, context.plan.cache.work
+    told = _told_of_world(plan, worked.products, journal)
     unfinished = UnfinishedRun(work, run)
     for task, cloud in worked.products.items():
         if task.stage == FUSE:
             comments = tuple(told.comments) if told and not task.subject else ()
-            unfinished.write(cloud_name(task.subject), with_comments(cloud.data, comments))
+            unfinished.write(cloud_name(task.subject), with_comments(cloud, comments))
     cameras = told.calibration if told else {}
     if told:
         unfinished.write_cameras(cameras)
-    beside = files_beside(night.plan, journal)
+    beside = files_beside(plan, journal)
     for name, data in (entry for files in beside.values() for entry in files.items()):
         unfinished.write(name, data)
-    seconds = costs.seconds(own_process)
-    record = run_record(run, night.plan, costs.started, seconds, costs.peak_rss_mb, beside)
-    in_motion = night.captures_in_motion()
+    record = run_record(run, plan, journal.started, journal.seconds(own_process), journal.peak_rss_mb, beside)
+    in_motion = context.captures_in_motion()
     cameras_now = (replace(camera, captures_in_motion=tuple(in_motion.get(camera.id, ()))) for camera in record.cameras)
     record = replace(record, cameras=tuple(cameras_now))
-    record = judge_run(record, night.plan, Baseline.before(work, run, record.date), worked.interrupted, journal.behind())
+    record = judge_run(record, plan, Baseline.before(work, run, record.date), worked.interrupted, journal.behind())
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
-    page = _report(night.plan, record, journal, cameras, unfinished)
+    page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with suppress(OSError):  # it costs reading functions again
-        night.site.reader.save()
+        context.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
-    return FinishedRun(work, folder, record, tasks, night.plan.cache)
+    return FinishedRun(work, folder, record, tasks, plan.cache)
 
 
 @dataclass(frozen=True)
@@ -92,7 +86,7 @@ class _World:
     comments: list[str]
 
 
-def _told_of_world(plan: Plan, products: Mapping[Task, Product], journal: Journal) -> _World | None:
+def _told_of_world(plan: Plan, products: Mapping[Task, bytes], journal: Journal) -> _World | None:
     task = Task(POSES)
     state = plan.states.get(task)
     if task not in products or state is None or state.receipt is None:
@@ -108,7 +102,7 @@ def _told_of_world(plan: Plan, products: Mapping[Task, Product], journal: Journa
         journal.repaired(f"{damage.what}: made again", task=task)
     except TypeError:  # by another version
         pass
-    result = artifact.decode(products[task].data)  # numpy is imported for this
+    result = artifact.decode(products[task])  # numpy is imported for this
     calibration, comments = (function(dotted)(result) for dotted in functions)
     made = _World(code, calibration, list(comments))
     write_signed(memo, plan.cache.work.place(memo), asdict(made))

@@ -25,10 +25,10 @@ from ..pipeline.summaries import (
     Summary,
 )
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
-from ..runner.captures import pattern_of
 from ..runner.planner import Plan
-from ..runner.staleness import by_picture, night_by_pictures
-from ..runner.state import Cause, State, summary_of
+from ..runner.spec import Cause, State, summary_of
+from ..site.captures import pattern_of
+from ..site.staleness import by_picture, night_by_pictures
 from ..task import Task, camera_of
 
 _F = TypeVar("_F", CameraFigures, PairFigures)

@@ -10,13 +10,14 @@ from ..cache.cleanup import clean
 from ..cache.layout import WorkFolder
 from ..cache.room import in_words
 from ..errors import WbflowError
+from ..pipeline.stages import FRAMES
 from ..records.ledger import Ledger
 from ..reference.create import prepare
-from ..runner.context import Arrivals, open_night
-from ..runner.journal import Costs, Journal
+from ..runner.context import Options, RunContext
+from ..runner.journal import Journal
 from ..runner.loop import work
-from ..runner.options import Options
 from ..site.models import Site
+from ..task import Task
 from .artifacts import FinishedRun
 from .publish import publish
 
@@ -34,9 +35,9 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
 def afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and remove what need not stay.
 
-    The night is published: a fault here costs nothing, but is told of.
+    The run is published: a fault here costs nothing, and becomes a warning.
     """
-    told = len(journal.events)
+    before = len(journal.events)
     try:
         with Ledger(run.work, writes=True, records=run.folder.id) as ledger:
             fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
@@ -58,34 +59,26 @@ def afterwards(run: FinishedRun, site: Site, journal: Journal) -> None:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
         journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
-    with contextlib.suppress(OSError):  # a full disk: it has been told
-        for event in journal.events[told:]:
+    with contextlib.suppress(OSError):  # a full disk: that has been reported
+        for event in journal.events[before:]:
             run.folder.add(event)
 
 
-def through(
-    run: str,
-    site: Site,
-    there: Arrivals,
-    options: Options,
-    journal: Journal,
-    costs: Costs,
-    tell: Callable[[FinishedRun], None],
+def run_pipeline(
+    run: str, context: RunContext, options: Options, journal: Journal, tell: Callable[[FinishedRun], None]
 ) -> FinishedRun:
-    """Plan a night, do its work, and publish it.
+    """Do the work of a run, and publish it.
 
     Parameters
     ----------
     run : str
         The run's id.
-    site : Site
-        Whose night; the caller holds the lock of its work folder.
-    there : Arrivals
-        What has arrived.
+    context : RunContext
+        With its plan; the caller holds the lock of its work folder.
     options : Options
-        What else is asked.
-    journal, costs : Journal, Costs
-        Are told.
+        How it is done.
+    journal : Journal
+        Receives everything that happens.
     tell : callable
         Tells people of the finished run.
 
@@ -94,12 +87,12 @@ def through(
     OSError
         The disk is full, or there is no right to write.
     """
-    night = open_night(site, options.date, options.until, options.force, there)
-    place = night.plan.cache.work
-    prepare(night, journal)
-    worked = work(night, options, journal, costs)
-    finished = publish(run, place, night, worked, journal, costs, own_process=options.backend == "threading")
-    afterwards(finished, site, journal)
+    for camera, note in context.notes.items():
+        journal.warn(note, task=Task(FRAMES, (camera,)))
+    prepare(context, journal)
+    worked = work(context, options, journal)
+    finished = publish(run, context, worked, journal, own_process=options.backend == "threading")
+    afterwards(finished, context.site, journal)
     if not options.until and not worked.interrupted:
         tell(finished)
     return finished

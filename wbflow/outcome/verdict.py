@@ -21,7 +21,7 @@ from ..pipeline.summaries import CalibrationCheck, SiteSummary
 from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
 from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual
 from ..runner.planner import Plan
-from ..runner.state import Cause, State
+from ..runner.spec import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from .baseline import Baseline, figures_of, reference_usual, settings_of, with_appearance

@@ -127,7 +127,7 @@ class StartedEvent:
 
 
 @dataclass(frozen=True)
-class ArrivalsEvent:
+class CapturesEvent:
     """Captures were looked at; for whoever watches, and in no log."""
 
     cameras: int
@@ -139,7 +139,7 @@ class ArrivalsEvent:
 Event = TaskEvent | WarningEvent
 """What a log keeps."""
 
-Signal = ArrivalsEvent | PlannedEvent | StartedEvent
+Signal = CapturesEvent | PlannedEvent | StartedEvent
 """What is only told while a run works."""
 
 Listener = Callable[[Event], None]

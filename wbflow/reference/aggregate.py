@@ -21,7 +21,7 @@ from ..records.events import TaskEvent
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.planner import Plan
-from ..runner.state import Impossible, Waiting, cached_state
+from ..runner.spec import Impossible, Waiting, cached_state
 from ..runner.worker import run_chain
 from ..site.models import Site
 from ..task import Subject, Task, camera_of
@@ -114,19 +114,19 @@ def _reference_s_night(cache: Cache, reference: Reference, site: Site) -> Plan:
     plan = Plan(site, {}, reference.date, cache)
     for task, pinned in reference.artifacts.items():
         if receipt := cache.by_key(task, pinned.key):
-            plan.settle(task, cached_state(receipt))
+            plan.commit(task, cached_state(receipt))
     return plan
 
 
 def _made_of(pooled: Receipt, stage: Stage, then: Plan) -> list[Receipt] | None:
     """What is made from the pooled result of a pair as in the reference's night; None where it is too little even so."""
     pair = pooled.preimage.task.subject
-    then.settle(pooled.preimage.task, cached_state(pooled))
+    then.commit(pooled.preimage.task, cached_state(pooled))
     try:
         done = [done for other in _resting_on(stage) for done in run_chain([then.spec_of(Task(other.name, pair))], then.cache)]
     except (Waiting, Impossible):
         return None
-    made = [one.receipt for one in done if one.receipt and one.receipt.outcome == "ran"]
+    made = [one.state.receipt for one in done if one.state.receipt and one.state.receipt.outcome == "ran"]
     return made if len(made) == len(done) else None
 
 

@@ -10,8 +10,8 @@ from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, is_file
 from ..pipeline.stages import FRAMES, Adapt, Reuse, Stage
 from ..records.reference_folder import Reference
-from ..runner.captures import CaptureFile, file_of_stage
 from ..runner.spec import Files, Value, input_digests, stated, stated_of_site
+from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Site
 from ..task import Task, camera_of
 

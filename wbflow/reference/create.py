@@ -11,7 +11,7 @@ from ..pipeline.stages import STAGES
 from ..records.record import RunRecord
 from ..records.reference_folder import PinnedArtifact, Reference, mend_record, restore, write_reference
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..runner.context import Night
+from ..runner.context import RunContext
 from ..runner.journal import Journal
 
 
@@ -80,10 +80,10 @@ def fit_to_pin(record: RunRecord) -> bool:
     return record.exit_code == ExitCode.GOOD and record.cloud is not None
 
 
-def prepare(night: Night, journal: Journal) -> None:
-    """Have at hand what the reference holds, and tell where it cannot be used.  The caller holds the lock."""
-    plan, work = night.plan, night.plan.cache.work
-    fault = mend_record(work) if night.site.pin != "none" else None
+def prepare(context: RunContext, journal: Journal) -> None:
+    """Restore what the reference holds, and warn where it cannot be used.  The caller holds the lock."""
+    plan, work = context.plan, context.plan.cache.work
+    fault = mend_record(work) if context.site.pin != "none" else None
     if fault:
         journal.repaired(fault)
     if plan.misfit and not fault:

@@ -16,8 +16,21 @@ from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stag
 from ..pipeline.summaries import HealthSummary
 from ..records.record import Health
 from ..records.reference_folder import Reference, put_back
-from ..runner.spec import Absent, Input, Joined, Part, Stored, Value, subject_of
-from ..runner.state import Cause, Impossible, State, Waiting, because, summary_of
+from ..runner.spec import (
+    Absent,
+    Cause,
+    Impossible,
+    Input,
+    Joined,
+    Part,
+    State,
+    Stored,
+    Value,
+    Waiting,
+    because,
+    subject_of,
+    summary_of,
+)
 from ..task import Subject, Task, camera_of
 from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, ShiftHistory
 
@@ -40,7 +53,7 @@ class Pinned:
     stages: Collection[Stage]
     """Those that take part tonight."""
     states: dict[Task, State]
-    """Settled tasks: the plan's own, which it changes."""
+    """Tasks that have ended: the plan's own, which it changes."""
     reference: Reference | None = None
     past: ShiftHistory = field(default_factory=ShiftHistory)
     forced: frozenset[str] = frozenset()
@@ -169,8 +182,8 @@ class Pinned:
         frame = Task(FRAMES, (camera,))
         return because(frame, self.states[frame])
 
-    def settled(self, task: Task) -> None:
-        """A task is settled: that may have been the health of a camera."""
+    def ended(self, task: Task) -> None:
+        """A task has ended: that may have been the health of a camera."""
         if task.stage == _HEALTH:
             self._useless = None
 

@@ -1,1 +1,1 @@
-"""One night: its captures, its plan, and how it is done."""
+"""One run: its context, its plan, and how that is done."""

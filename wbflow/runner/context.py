@@ -1,91 +1,109 @@
-"""One night of a site made ready: captures found, work folder known, plan made.  What `run`, `status` and `check` start from."""
+"""What a run starts from: its options, the captures of its night, and its plan.  `run`, `status` and `check` begin here."""
 
 from __future__ import annotations
 
 import datetime
-import functools
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+import difflib
+import importlib.util
+import itertools
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..cache.digests import Digests, Seen
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
-from ..records.events import ArrivalsEvent, Watcher
-from ..records.record import Health
+from ..errors import UsageError
+from ..pipeline.stages import STAGES, stage_named
+from ..records.events import CapturesEvent, Watcher
 from ..records.reference_folder import BadReference, Reference, read_reference
+from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night
 from ..site.models import Site
-from .captures import (
-    ANSWER_SECONDS,
-    LATER_SECONDS,
-    CaptureFile,
-    answered,
-    expected,
-    find_captures,
-    find_named,
-    look_again,
-    night,
-)
+from ..site.staleness import look_at
+from ..task import camera_of, component_name
+from .executors import worker_roots
 from .planner import Plan
-from .staleness import look_at
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run is to do, besides its site."""
+
+    date: datetime.date | None = None
+    """The night; None: the newest that has captures."""
+    jobs: int = 1
+    """Workers."""
+    until: str | None = None
+    """Stop after this stage."""
+    force: tuple[str, ...] = ()
+    """Stages, or tasks such as "matches gate--roof", that are done again."""
+    wait: bool = False
+    """Wait for another run of the same work folder, instead of giving up."""
+    backend: str = "processes"
+    """Where tasks run: processes (also called loky), threading or dask."""
+    scheduler: str | None = None
+    """Address of the Dask scheduler."""
+    worker_roots: tuple[str, ...] = ()
+    """HERE=THERE: what the cluster's workers call folders of this machine."""
+    memory: int | None = None
+    """Bytes that all workers together may hold; None: four fifths of what the machine has."""
+    time_limit: float | None = None
+    """Seconds that a task may take; None: derived from what its stage took before."""
+    stop_at: datetime.datetime | None = None
+    """From then on (local time) only what is there already is put together and published."""
+
+    def check(self, site: Site) -> None:
+        """Raises UsageError for what is not possible."""
+        names = [stage.name for stage in STAGES]
+        if self.until and self.until not in names:
+            raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages(self.until, names))
+        for name in self.force:
+            if name.split(" ")[0] not in names:
+                what = f"--force {name!r}: name a stage, or a task such as 'matches gate--roof'"
+                raise UsageError(what, remedy=_stages(name, names))
+            self._check_subject(site, name)
+        if self.worker_roots and self.backend != "dask":
+            raise UsageError("--worker-root is of workers on other machines", remedy="with --backend dask")
+        worker_roots(self.worker_roots)
+        if self.backend == "dask" and not self.scheduler:
+            remedy = "for example: --scheduler tcp://host:8786, where `dask scheduler` runs"
+            raise UsageError("--backend dask needs --scheduler ADDRESS", remedy=remedy)
+        if self.backend == "dask" and importlib.util.find_spec("distributed") is None:
+            raise UsageError("--backend dask needs Dask", remedy="pip install 'wbflow[dask]'")
+
+    def _check_subject(self, site: Site, name: str) -> None:
+        """Raises UsageError for a task that is to be done again and that the site cannot have."""
+        stage, _, subject = name.partition(" ")
+        views = [name for view in site.views for name in dict.fromkeys((view.id, camera_of(view.id)))]
+        pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)} if subject else set()
+        subjects = {"camera": set(views), "pair": pairs, "site": {component_name(k) for k in range(1, len(views))}}
+        there = subjects[stage_named(stage).scope]
+        if subject and subject not in there:
+            turned = "--".join(reversed(subject.split("--")))
+            close = [turned] if turned in there else difflib.get_close_matches(subject, sorted(there)[:20_000], n=1)
+            remedy = f"did you mean '{stage} {close[0]}'?" if close else "wbflow status SITE.yaml  lists the night's tasks"
+            raise UsageError(f"--force {name!r}: the site has no such task", remedy=remedy)
+
+
+def _stages(named: str, names: list[str]) -> str:
+    close = difflib.get_close_matches(named.split(" ")[0], names, n=1)
+    return f"{f'did you mean {close[0]}? ' if close else ''}stages are {', '.join(names)}"
 
 
 @dataclass
-class Arrivals:
-    """What is there for one night, before anything is planned."""
-
-    date: datetime.date
-    """The captures' date."""
-    captures: dict[str, list[CaptureFile]]
-    """By camera."""
-    named: dict[str, CaptureFile]
-    """What the site file names: masks by camera, and files of stages."""
-    digests: Digests
-    """To be saved by a run."""
-    seen: Seen
-    """To be saved by a run that comes to its end."""
-    stale: dict[str, Health]
-    """Cameras whose captures are not of tonight."""
-    notes: dict[str, str]
-    """What is to be said of a camera's captures."""
-
-
-def arrivals(site: Site, date: datetime.date | None = None, watch: Watcher | None = None) -> Arrivals:
-    """Look at what there is for a night; nothing is written.
-
-    Parameters
-    ----------
-    site : Site
-        Whose.
-    date : date, optional
-        The newest that has captures, if not given.
-    watch : callable, optional
-        Is told how far it is.
-    """
-    work = site.work_folder
-    digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
-    look_again(site)
-    date = night(site, date)
-    all_cameras = len(site.cameras)
-    tell = (lambda cameras: watch(ArrivalsEvent(cameras, all_cameras))) if watch else None
-    delivered = look_at(site, date, find_captures(site, date, digests, tell), digests, seen)
-    return Arrivals(date, delivered.captures, find_named(site, digests), digests, seen, delivered.stale, delivered.notes)
-
-
-@dataclass
-class Night:
-    """A site on one night: its plan, and what is to be kept of the search for captures."""
+class RunContext:
+    """A site on one night: its captures, and the plan of what is made of them."""
 
     site: Site
     date: datetime.date
     """The captures' date."""
     captures: dict[str, list[CaptureFile]]
+    """By camera."""
     digests: Digests
     """To be saved by a run."""
     seen: Seen
     """To be saved by a run that comes to its end."""
     notes: dict[str, str]
-    """What is to be said of a camera's captures."""
+    """Remarks about the captures of a camera."""
     plan: Plan
     replaced: set[Path] = field(default_factory=set)
     """Files that were found changed after their digests had been taken."""
@@ -97,47 +115,28 @@ class Night:
         self.site.reader.save()
 
     def look_again(self, path: Path) -> None:
-        """A file has changed since its digest was taken: what it holds now is what the plan goes on with."""
+        """A file has changed since its digest was taken: the plan goes on with what it holds now."""
         self.replaced.add(path)
         self.digests.forget(path)
         self.plan.look_again()
         for files in self.captures.values():
-            files[:] = [_now(file, self.digests) if file.path == path else file for file in files]
+            files[:] = [as_now(file, self.digests) if file.path == path else file for file in files]
         for name, file in self.plan.named.items():
             if file.path == path:
-                self.plan.named[name] = _now(file, self.digests)
+                self.plan.named[name] = as_now(file, self.digests)
 
     def captures_in_motion(self) -> dict[str, list[str]]:
         """Captures that were replaced, or grew, since the run began: their names, by camera."""
-        found: dict[str, list[str]] = {}
-        seconds = ANSWER_SECONDS
-        for camera, files in self.captures.items():
-            try:
-                moved = answered(functools.partial(self._in_motion, files), seconds)
-            except TimeoutError:  # the mount has died since
-                seconds, moved = LATER_SECONDS, []
-            if moved:
-                found[camera] = moved
-        return found
-
-    def _in_motion(self, files: Iterable[CaptureFile]) -> list[str]:
-        return [f.name for f in files if f.digest and (f.path in self.replaced or _now(f, self.digests).digest != f.digest)]
+        return in_motion(self.captures, self.replaced, self.digests)
 
 
-def _now(file: CaptureFile, digests: Digests) -> CaptureFile:
-    try:
-        return replace(file, digest=digests.of(file.path))
-    except OSError:  # gone since
-        return replace(file, digest="")
-
-
-def open_night(
+def plan_run(
     site: Site,
     date: datetime.date | None = None,
     until: str | None = None,
     force: tuple[str, ...] = (),
-    arrived: Arrivals | None = None,
-) -> Night:
+    watch: Watcher | None = None,
+) -> RunContext:
     """Find a night's captures and plan its work; nothing is written.
 
     Parameters
@@ -150,29 +149,32 @@ def open_night(
         Stop after this stage.
     force : tuple of str
         Stages or tasks to be done again.
-    arrived : Arrivals, optional
-        What there is for that night, where somebody has looked already.
+    watch : callable, optional
+        Receives how many cameras have been looked at.
     """
-    work, there = site.work_folder, arrived or arrivals(site, date)
-    captures = there.captures
-    lost = [camera for camera in site.cameras if not captures[camera.id]]
-    missing = {camera.id: expected(site, camera, there.date).replace(f"{site.root}/", "") for camera in lost}
+    work, all_cameras = site.work_folder, len(site.cameras)
+    digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
+    look_again(site)
+    found_date = night(site, date)
+    report = (lambda cameras: watch(CapturesEvent(cameras, all_cameras))) if watch else None
+    delivered = look_at(site, found_date, find_captures(site, found_date, digests, report), digests, seen)
+    lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
     reference, misfit = _reference(site, work)
     plan = Plan(
         site,
-        captures,
-        str(there.date),
+        delivered.captures,
+        str(found_date),
         Cache(work),
-        there.named,
-        missing,
+        find_named(site, digests),
+        {camera.id: expected(site, camera, found_date).replace(f"{site.root}/", "") for camera in lost},
         until,
         frozenset(force),
         reference=reference,
         misfit=misfit,
-        stale=there.stale,
+        stale=delivered.stale,
         night_given=date is not None,
     )
-    return Night(site, there.date, captures, there.digests, there.seen, there.notes, plan)
+    return RunContext(site, found_date, delivered.captures, digests, seen, delivered.notes, plan)
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

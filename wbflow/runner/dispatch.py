@@ -4,29 +4,67 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import re
 import shutil
+import sqlite3
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
+from ..cache.layout import WorkFolder
+from ..cache.room import free_bytes, in_words
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
-from ..records.costs import read_costs
+from ..records.costs import TaskCosts, read_costs
+from ..records.ledger import Ledger
 from ..task import Task
-from . import limits
-from .executors import Cluster, OtherCode, Processes, WorkerLost, worker_roots
+from .context import Options
+from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory, worker_roots
 from .journal import Journal
-from .limits import Limits
-from .options import Options
-from .spec import TaskSpec
-from .state import Cause
+from .spec import Cause, State, TaskSpec
 from .worker import Done, run_chain
 
-LOOK_SECONDS = 0.25
-"""How often the progress of workers is read."""
+LOOK_SECONDS = 0.5
+"""How often it is read which tasks are at work."""
+SHORTEST, LONGEST, TIMES = 600.0, 6 * 3600.0, 20.0
+"""Seconds that a task may take: so many times the median of its stage, within limits; LONGEST where that is not known."""
+FLOOR, MARGIN = 16_000_000, 1.2
+"""Bytes on disk that tasks leave free, since the run has to be published; how much more they may need than before."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the tasks of a run may take, of time and memory, by what such tasks took before."""
+
+    memory: int = 0
+    """Bytes that all workers together may hold; 0: no limit."""
+    seconds: float | None = None
+    """For every task; None: by what its stage took before."""
+    past: TaskCosts = field(default_factory=TaskCosts)
+    measured_mb: dict[str, float] = field(default_factory=dict)
+    """MB that tasks of a stage held at most in this run."""
+
+    def seconds_for(self, stage: str) -> float:
+        """Return after how long a task of a stage is ended."""
+        if self.seconds is not None:
+            return self.seconds
+        before = self.past.stages.get(stage)
+        return LONGEST if before is None else min(max(SHORTEST, TIMES * before), LONGEST)
+
+    def learn(self, stage: str, mb: float) -> None:
+        """Note what a task of this run held."""
+        self.measured_mb[stage] = max(mb, self.measured_mb.get(stage, 0.0))
+
+    def fits(self, begun: Iterable[Iterable[Task]], chain: Iterable[Task]) -> bool:
+        """Return whether a chain may begin beside others; an unknown one may: if need be it runs again, alone."""
+        return not self.memory or sum(map(self._most_mb, [*begun, chain])) * 2**20 <= self.memory
+
+    def _most_mb(self, chain: Iterable[Task]) -> float:
+        return max((self.past.held(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain), default=0.0)
 
 
 @dataclass
@@ -36,22 +74,31 @@ class _Chain:
     specs: list[TaskSpec]
     progress: Path
     """See `worker.Progress`."""
-    read: int = 0
-    """So many lines of it have been read."""
-    at_work: int = 0
-    """The number of the task that began last."""
-    reported: set[int] = field(default_factory=set)
+    at_work: int = -1
+    """Number of the task that began last."""
 
     @property
-    def task(self) -> Task:
-        return self.specs[self.at_work].task
+    def tasks(self) -> list[Task]:
+        return [spec.task for spec in self.specs]
+
+    def look(self) -> tuple[bool, str]:
+        """Read the progress file: has another task begun, and what has `faulthandler` written of it?"""
+        try:
+            text = self.progress.read_text(errors="replace")
+        except OSError:
+            return False, ""
+        *_, last = [None, *re.finditer(r"^begun (\d+)\n", text, re.MULTILINE)]
+        if last is None:
+            return False, printable(text)
+        before, self.at_work = self.at_work, int(last[1])
+        return self.at_work != before, printable(text[last.end() :])
 
 
 class Dispatcher:
-    """Hands chains to an executor, longest expected first, no more at once than there are workers and memory for.
+    """Submits chains to an executor, longest expected first, no more at once than there are workers and memory for.
 
     A task whose worker was lost is tried once more, when nothing else is at work; the second loss is its failure.  One that took
-    too long is not: it has had its time.
+    too long is not tried again.
     """
 
     def __init__(self, options: Options, cache: Cache, journal: Journal) -> None:
@@ -67,9 +114,10 @@ class Dispatcher:
 
     def submit(self, chains: list[list[TaskSpec]]) -> None:
         """Queue chains."""
-        if self._executor is None:  # here: a night with nothing to do has no use for one
-            self._limits = Limits(self._options.memory or limits.memory(), self._options.time_limit, read_costs(self._cache.work))
-            self._executor = _executor(self._options, self._limits)
+        if self._executor is None:  # not before: a run with nothing to do starts no worker
+            memory = self._options.memory or machine_memory()
+            self._limits = Limits(memory, self._options.time_limit, read_costs(self._cache.work))
+            self._executor = _executor(self._options, memory)
             self._cache.work.progress.mkdir(parents=True, exist_ok=True)
         for chain in chains:
             expected = sum(self._limits.past.expected(spec.task.stage, str(spec.task)) for spec in chain)
@@ -77,128 +125,124 @@ class Dispatcher:
             heapq.heappush(self._queue, (suspect, -expected, next(self._numbers), chain))
 
     def wait(self) -> tuple[list[Done], list[list[TaskSpec]]]:
-        """Wait a moment, or until something happens; return the tasks that have ended, and the chains that have."""
+        """Wait until a chain ends, or a moment; return the tasks that have ended, and the chains that have."""
         self._begin()
         over, _ = wait(self._at_work, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
-        done = [each for chain in self._at_work.values() for each in self._progress(chain)]
-        chains = []
-        for future in over:
-            chain = self._at_work.pop(future)
-            done += self._ended(chain, future)
-            chains.append(chain.specs)
-            chain.progress.unlink(missing_ok=True)
-        return done, chains
+        for chain in self._at_work.values():
+            if chain.look()[0]:
+                self._journal.begun(chain.tasks[chain.at_work])
+        ended = [(self._at_work.pop(future), future) for future in over]
+        return [done for chain, future in ended for done in self._ended(chain, future)], [chain.specs for chain, _ in ended]
 
-    def stop(self) -> list[Done]:
-        """End whatever is at work; return the tasks that had ended."""
+    def stop(self) -> None:
+        """End whatever is at work, and clear away what it has left half-written."""
         if self._executor:
             self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
-        done = [each for chain in self._at_work.values() for each in self._progress(chain)]
         for chain in self._at_work.values():
             self._tidy(chain)
         self._at_work, self._queue = {}, []
         with suppress(OSError):
             shutil.rmtree(self._cache.work.progress)
-        return done
 
     def _begin(self) -> None:
+        """Start queued chains while there is room."""
         while self._queue and self._executor:
             suspect, *_, specs = self._queue[0]
-            alone = suspect or any(self._losses[chain.task] for chain in self._at_work.values())
-            begun = [[spec.task for spec in chain.specs] for chain in self._at_work.values()]
+            begun = [chain.tasks for chain in self._at_work.values()]
+            alone = suspect or any(self._losses[task] for tasks in begun for task in tasks)
             room = self._executor.room if isinstance(self._executor, Cluster) else self._options.jobs
             fits = len(begun) < room and self._limits.fits(begun, [spec.task for spec in specs])
-            if self._at_work and (alone or not fits):
+            if begun and (alone or not fits):
                 return
             heapq.heappop(self._queue)
             chain = _Chain(specs, self._cache.work.progress / str(next(self._numbers)))
             seconds = {spec.task.stage: self._limits.seconds_for(spec.task.stage) for spec in specs}
-            mine = isinstance(self._executor, Processes)
-            future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds if mine else None)
+            own_process = isinstance(self._executor, Processes)
+            future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds if own_process else None)
             self._at_work[future] = chain
 
-    def _progress(self, chain: _Chain) -> Iterator[Done]:
-        """What a worker has noted since the last time."""
-        lines = _text(chain.progress).split("\n")[:-1]
-        for line in lines[chain.read :]:
-            event, number, key = (line + "  ").split(" ")[:3]
-            if event == "begun":
-                chain.at_work = int(number)
-                self._journal.begun(chain.task)
-            elif event == "done":
-                task = chain.specs[int(number)].task
-                if receipt := self._cache.by_key(task, key):
-                    chain.reported.add(int(number))
-                    self._limits.learn(task.stage, receipt.peak_rss_mb)
-                    yield Done(task, receipt.outcome, receipt, receipt.reason, receipt.code)
-            else:  # what faulthandler says
-                break
-            chain.read += 1
-
     def _ended(self, chain: _Chain, future: Future[list[Done]]) -> Iterator[Done]:
-        yield from self._progress(chain)
+        """How the tasks of a chain have ended; of a lost worker the one at work: the plan finds the others in the cache."""
         error = future.exception()
         if error is None:
-            for number, done in enumerate(future.result()):
+            for done in future.result():
                 for what in done.warnings:
                     self._journal.warn(what, task=done.task)
-                self._journal.damaged(done.damages)
-                if number not in chain.reported:
-                    yield done
+                for damage in done.damages:
+                    self._journal.repaired(f"{damage.what}: made again", task=damage.task)
+                if done.state.receipt:
+                    self._limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
+                yield done
         elif isinstance(error, WorkerLost):
             yield from self._lost(chain, error)
         elif isinstance(error, OtherCode) and isinstance(self._executor, Cluster):
             self._executor.refuse(error)  # the plan hands it out again
         elif isinstance(error, WbflowError):
             raise error
-        else:  # Dask has lost its workers, again and again; which of its tasks did that is not known
-            names = ", ".join(str(spec.task) for spec in chain.specs)
+        else:  # Dask has lost its workers, again and again; at which of the tasks is not known
+            names = ", ".join(map(str, chain.tasks))
             why = printable(f"{names}: {type(error).__name__}: {error}")
-            yield Done(chain.task, "failed", reason=why, code=Cause.WORKER_LOST)
+            yield Done(chain.tasks[0], State("failed", why, Cause.WORKER_LOST, fresh=True))
+        chain.progress.unlink(missing_ok=True)
 
     def _lost(self, chain: _Chain, error: WorkerLost) -> Iterator[Done]:
-        """A worker is gone.  What its chain had finished is in the cache; the task at work is tried again, or has failed."""
+        """A worker is gone: the task at work is tried again, or has failed."""
         self._tidy(chain)
-        if chain.at_work in chain.reported:  # it is nobody's fault
-            return
-        task, words = chain.task, "\n".join(_text(chain.progress).split("\n")[chain.read :])
+        _, words = chain.look()
+        task = chain.tasks[max(0, chain.at_work)]
         if "Timeout (" in words:
             before = self._limits.past.stages.get(task.stage)
             usual = f" ({task.stage} takes {_time(before)} as a rule)" if before is not None else ""
             why = f"took longer than {_time(self._limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
-            yield Done(task, "failed", reason=why, code=Cause.TOO_SLOW, trace=printable(words))
+            yield Done(task, State("failed", why, Cause.TOO_SLOW, trace=words, fresh=True))
             return
         self._losses[task] += 1
         if self._losses[task] == 1:
-            self._journal.warn(f"it {error}: it is tried again, alone", task=task, trace=printable(words) or None)
+            self._journal.warn(f"it {error}: it is tried again, alone", task=task, trace=words or None)
             return
         memory = error.cause is Cause.OUT_OF_MEMORY
         remedy = "lower `resolution`, or give it more with --memory" if memory else "look at its function"
-        yield Done(task, "failed", reason=f"{error}, twice; {remedy}", code=error.cause, trace=printable(words) or None)
+        yield Done(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=words or None, fresh=True))
 
     def _tidy(self, chain: _Chain) -> None:
-        """Clear away what a worker that is gone has left half-written."""
-        for spec in chain.specs:
-            self._cache.tidy(spec.task)
+        for task in chain.tasks:
+            self._cache.tidy(task)
 
 
-def _executor(options: Options, limit: Limits) -> Executor:
+def _executor(options: Options, memory: int) -> Executor:
     if options.backend == "threading":  # they start at once, and nothing protects the run from what a stage does
         return ThreadPoolExecutor(options.jobs)
     if options.backend == "dask":
         return Cluster(options.scheduler or "", worker_roots(options.worker_roots))
-    return Processes(options.jobs, limit.memory)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(errors="replace")
-    except OSError:
-        return ""
+    return Processes(options.jobs, memory)
 
 
 def _time(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.3g} hours"
+
+
+@dataclass
+class DiskFloor:
+    """Is there room on disk for what comes next?"""
+
+    work: WorkFolder
+
+    @cached_property
+    def _usual(self) -> dict[str, float]:
+        """Bytes that tasks have left before, by stage."""
+        try:
+            with Ledger(self.work) as ledger:
+                return ledger.usual_bytes()
+        except (sqlite3.Error, OSError):  # then only the floor is kept
+            return {}
+
+    def lacks(self, tasks: Iterable[Task]) -> str:
+        """What is missing for some tasks, in words; "" where there is room."""
+        need = round(MARGIN * sum(self._usual.get(task.stage, 0.0) for task in tasks)) + FLOOR
+        free = free_bytes(self.work.root)
+        if free >= need:
+            return ""
+        return f"the disk is nearly full: about {in_words(need)} needed to go on, {in_words(free)} free in {self.work.root}"

@@ -9,9 +9,9 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,7 @@ from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
 from . import worker
-from .spec import TaskSpec
-from .state import Cause
+from .spec import Cause, TaskSpec
 
 THREADS = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """One thread for each worker: OpenCV and the numeric libraries read these when they are first imported."""
@@ -35,6 +34,8 @@ PIXELS = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Of an image whose header nobody has read before OpenCV does."""
 LOOK_SECONDS = 0.25
 """How often the memory of workers is measured."""
+SHARE = 0.8
+"""Of the memory of this machine, or of the control group that the run is in, that its workers may hold together."""
 PATIENCE_SECONDS = 4
 """How long to wait for a Dask scheduler, and as long again for its first worker."""
 
@@ -87,14 +88,17 @@ class Processes(Executor):
 
         preset = {name: value for name, value in PIXELS.items() if name not in os.environ}
         environment = preset | dict.fromkeys(THREADS, "1") | {ALL_CORES: str(self._jobs)}
+        # Ctrl-C, which the terminal sends to all, reaches no process that starts while it is blocked: the run ends them itself
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             pool = ProcessPoolExecutor(
                 1, context=get_context("loky"), initializer=worker.start, initargs=(os.getpid(),), env=environment
             )
-            with _interrupts_blocked():
-                started = pool.submit(os.getpid)
+            started = pool.submit(os.getpid)
         except (OSError, ImportError, NotImplementedError) as error:
             raise WbflowError(f"no worker process can be started: {error}", remedy="try --backend threading") from None
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         self._workers.append(_Worker(pool, started))
         return self._workers[-1]
 
@@ -191,14 +195,20 @@ class _Worker:
                 os.killpg(self.started.result(), signal.SIGKILL)
 
 
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Processes that start in this block never receive Ctrl-C, which the terminal sends to all: the run ends them itself."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def machine_memory() -> int:
+    """Return how many bytes workers may hold together, unless the user gives a limit; 0 where it is not known."""
+    groups, known = Path("/sys/fs/cgroup"), []
+    files = [groups / "memory" / "memory.limit_in_bytes"]
+    with suppress(OSError, StopIteration):
+        own = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
+        group = groups / own.removeprefix("0::").lstrip("/")
+        files += [folder / "memory.max" for folder in (group, *group.parents) if folder.is_relative_to(groups)]
+    for file in files:
+        with suppress(OSError, ValueError):  # "max": there is no limit
+            known.append(int(file.read_text()))
+    with suppress(ValueError, OSError):
+        known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    return int(SHARE * min(known, default=0))
 
 
 def _ending(error: BaseException) -> str:

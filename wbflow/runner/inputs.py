@@ -1,20 +1,140 @@
-"""Where the inputs of a task come from: from tasks that are settled, from the site file and the captures, from the reference."""
+"""Which tasks a site has, and where their inputs come from: earlier tasks, the site file, the captures, the reference."""
 
 from __future__ import annotations
 
-import dataclasses
+from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
-from ..cache.store import Receipt
-from ..pipeline.stages import FRAMES, HEALTH, PAIRS, SITE_TYPES, Source, Stage, stage_named
+from ..pipeline.stages import DENSE_PAIRS, FRAMES, FUSE, HEALTH, PAIRS, POSES, SITE_TYPES, Source, Stage, stage_named
+from ..pipeline.summaries import PairsSummary, PosesSummary
 from ..reference.resolve import Pinned
+from ..site.captures import CaptureFile, file_of_stage
 from ..site.models import Camera, Site
-from ..task import Subject, Task
-from .captures import CaptureFile, file_of_stage
-from .spec import Absent, Files, Input, Joined, Part, Stored, Value, side, stated, stated_of_site, subject_of
-from .state import Cause, Impossible, State, Waiting, because
-from .subjects import Subjects
+from ..task import Subject, Task, component_name
+from .spec import (
+    Absent,
+    Cause,
+    Files,
+    Impossible,
+    Input,
+    Joined,
+    Part,
+    State,
+    Stored,
+    Value,
+    Waiting,
+    because,
+    own_subject,
+    stated,
+    stated_of_site,
+    subject_of,
+    summary_of,
+)
+
+_NEAR = 8
+"""Cameras that show more of what one sees than its partners alone; each is one more picture that a task reads."""
+
+
+@dataclass
+class Subjects:
+    """The cameras of a site, its pairs as far as the pair graph is known, and its components as far as poses are.
+
+    Where dense pairs are chosen once the cameras are placed, the stages that make pairs dense work on these; where nothing came
+    of that choice, on those that were matched.
+    """
+
+    site: Site
+    states: dict[Task, State]
+    """Tasks that have ended: the plan's own, which it changes."""
+    dense_chosen: bool = False
+    """Does the stage that chooses the dense pairs take part?"""
+    _graphs: dict[Task, _PairGraph] = field(default_factory=dict, repr=False)
+
+    def tasks(self, stage: Stage) -> list[Task]:
+        """The tasks of a stage."""
+        if stage.scope == "camera":
+            return [Task(stage.name, (view.id,)) for view in self.site.views]
+        if stage.scope == "pair":
+            return [Task(stage.name, pair) for pair in self.pairs(stage.dense) or ()]
+        components = range(1, self.components()) if stage.name == FUSE else ()
+        return [Task(stage.name), *(Task(stage.name, (component_name(k),)) for k in components)]
+
+    def pairs(self, dense: bool = False) -> list[tuple[str, str]] | None:
+        """The pairs that are matched, or made dense; None while they are not known."""
+        graph = self._graph(dense)
+        return None if graph is None else graph.pairs
+
+    def is_unmatched(self, task: Task) -> bool:
+        """Is this of a pair that the stage does not work on, since it is made dense without having been matched?"""
+        graph = self._graph(dense=False) if self.dense_chosen and len(task.subject) == 2 else None
+        return graph is not None and not stage_named(task.stage).dense and task.subject not in graph.of.get(task.subject[0], ())
+
+    def components(self) -> int:
+        """How many groups of at least two cameras are placed with each other, as far as is known."""
+        state = self.states.get(Task(POSES))
+        return sum(len(group) > 1 for group in summary_of(state, PosesSummary).components) if state and state.usable else 0
+
+    def around(self, camera: str) -> list[str]:
+        """The cameras that one makes dense pairs with, in the order of the site file."""
+        graph = self._graph(dense=True)
+        around = {c for pair in graph.of.get(camera, ()) for c in pair} - {camera} if graph else set()
+        return sorted(around, key=self._position.__getitem__)
+
+    def near(self, camera: str) -> list[str]:
+        """Those around a camera, and where they are fewer than eight, the cameras that make dense pairs with the most of them;
+        in the order of the site file."""
+        partners = self.around(camera)
+        shared = Counter(other for partner in partners for other in self.around(partner))
+        more = sorted(shared.keys() - {camera, *partners}, key=lambda other: (-shared[other], self._position[other]))
+        return sorted([*partners, *more[: max(0, _NEAR - len(partners))]], key=self._position.__getitem__)
+
+    def joined(self, origin: Stage, need: Source, task: Task) -> list[Task]:
+        """The tasks whose artifacts, or entries of artifacts, an input joins."""
+        if need.of == "every":
+            return self.tasks(origin)
+        camera = task.subject[0]
+        if origin.scope == "pair":
+            graph = self._graph(origin.dense)
+            return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
+        return [Task(origin.name, (c,)) for c in (self.near(camera) if need.of == "near" else self.around(camera))]
+
+    def camera(self, camera: str) -> Camera:
+        """What the site file says of a camera, or of one of its views."""
+        return self.site.views[self._position[camera]]
+
+    @cached_property
+    def _position(self) -> dict[str, int]:
+        """Of each camera in the site file."""
+        return {view.id: k for k, view in enumerate(self.site.views)}
+
+    def _graph(self, dense: bool) -> _PairGraph | None:
+        """The pair graph, indexed once for each result of its task; None while that has not ended."""
+        task = Task(DENSE_PAIRS if dense and self.dense_chosen else PAIRS)
+        state = self.states.get(task)
+        if state is None:
+            return None
+        if task.stage == DENSE_PAIRS and not state.usable:
+            return self._graph(dense=False)
+        if task not in self._graphs or self._graphs[task].state is not state:
+            pairs = list(summary_of(state, PairsSummary).pairs) if state.usable else []
+            self._graphs[task] = graph = _PairGraph(state, pairs)
+            for pair in pairs:
+                for camera in pair:
+                    graph.of.setdefault(camera, []).append(pair)
+        return self._graphs[task]
+
+
+@dataclass
+class _PairGraph:
+    """The pairs of a night, those that are matched or those that are made dense."""
+
+    state: State
+    """Of its task."""
+    pairs: list[tuple[str, str]]
+    of: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    """The pairs of each camera."""
 
 
 @dataclass
@@ -29,59 +149,47 @@ class Inputs:
     stages: Collection[str]
     """Names of those that take part tonight."""
     states: dict[Task, State]
-    """Settled tasks: the plan's own, which it changes."""
+    """Tasks that have ended: the plan's own, which it changes."""
     pinned: Pinned
-    _resolved: dict[tuple[Task, Part | None], tuple[Receipt, Stored]] = field(default_factory=dict, repr=False)
-    """Inputs that were found before, and the receipts that they are of: a frame is an input of many tasks."""
 
-    def of(self, stage: Stage, task: Task, needs: Mapping[str, Source], among: set[Task]) -> dict[str, Input]:
+    def of(self, stage: Stage, task: Task, needs: Mapping[str, Source], made: set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.
 
         Parameters
         ----------
         stage, task : Stage, Task
-            Whose.
+            Which.
         needs : mapping
             What it needs, by argument name.
-        among : set of Task
-            Inputs made by these may still be unresolved.
+        made : set of Task
+            Made earlier in the same chain: inputs from these are not resolved yet.
 
         Raises
         ------
         Waiting, Impossible
-            One depends on what is not settled yet, or will not come.
+            One depends on a task that has not ended, or will not come.
         """
         found: dict[str, Input] = {}
         impossible: dict[str, Impossible] = {}
         for name, need in needs.items():
             try:
-                found[name] = self.one(stage, task, need, among)
+                found[name] = self.one(stage, task, need, made)
             except Impossible as error:
                 if not need.unless:
                     raise
                 found[name], impossible[name] = Absent(), error
         for name, why in impossible.items():
-            need = needs[name]
-            if any(isinstance(found.get(other, Absent()), Absent) for other in need.unless):
+            if any(isinstance(found.get(other, Absent()), Absent) for other in needs[name].unless):
                 raise why
         return found
 
-    def one(self, stage: Stage, task: Task, need: Source, among: set[Task]) -> Input:
-        """An input of a task.
+    def one(self, stage: Stage, task: Task, need: Source, made: set[Task]) -> Input:
+        """An input of a task; parameters and exceptions are those of `of`.
 
         Parameters
         ----------
-        stage, task : Stage, Task
-            Whose.
-        need : Source
-            What it needs.
-        among : set of Task
-            An input made by one of these may still be unresolved.
-
-        Raises
-        ------
-        Waiting, Impossible
-            It depends on what is not settled yet, or will not come.
+        stage, task, need, made
+            As for `of`.
         """
         if need.kind == "site":
             return self._from_site(need, task)
@@ -91,109 +199,90 @@ class Inputs:
             return self.pinned.input(need, stage, task)
         if need.kind == "history":
             return self.pinned.observed(need, task)
-        if self._needless(need):
+        if need.needed_if and not need.needed_if(self.site):
             return Joined({})
         origin = stage_named(need.name)
         if need.joins:
             return self._join(origin, need, task)
-        entry = "--".join(side(need, task) or task.subject) if origin.scope == "site" and stage.scope != "site" else None
+        entry = "--".join(own_subject(need, task)) if origin.scope == "site" and stage.scope != "site" else None
         part = Part(need.part, entry) if need.part else None
-        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, among)
+        return self._stored(Task(origin.name, subject_of(origin, need, task)), need, part, made)
 
     def upstreams(self, task: Task, needs: Mapping[str, Source]) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
         found: list[Task] = []
         for need in needs.values():
-            if need.kind != "stage" or self._needless(need):
+            needless = need.kind != "stage" or (need.needed_if and not need.needed_if(self.site))
+            if needless or (need.may_lack(self.site) and need.name not in self.stages):
                 continue
             origin = stage_named(need.name)
-            if need.may_lack(self.site) and need.name not in self.stages:
-                continue
             if need.joins and origin.scope != "site":
                 found += self.subjects.joined(origin, need, task)
             else:
                 found.append(Task(origin.name, subject_of(origin, need, task)))
         return list(dict.fromkeys(found))
 
-    def _needless(self, need: Source) -> bool:
-        """Does what the site file says make it an empty mapping?"""
-        return need.needed_if is not None and not need.needed_if(self.site)
-
-    def _stored(self, upstream: Task, need: Source, part: Part | None, among: set[Task]) -> Input:
-        if upstream in among:
+    def _stored(self, upstream: Task, need: Source, part: Part | None, made: set[Task] | None = None) -> Input:
+        if made and upstream in made:
             return Stored(upstream, part)
         if need.optional and upstream.stage not in self.stages:
             return Absent()
         state = self.states.get(upstream)
+        if state is None and not self.subjects.is_unmatched(upstream):
+            raise Waiting(upstream)
+        if state and state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
+            return Stored(upstream, part).resolved(state.receipt)
+        if need.may_lack(self.site):
+            return Absent()
         if state is None:
-            if not self.subjects.unmatched(upstream):
-                raise Waiting(upstream)
-            if need.may_lack(self.site):
-                return Absent()
             raise Impossible(f"{'--'.join(upstream.subject)} was not matched", Cause.NO_PAIRS)
-        if not state.usable or state.receipt is None:
-            if need.may_lack(self.site):
-                return Absent()
-            raise because(upstream, state)
-        if part and str(part) not in state.receipt.parts:
-            if need.may_lack(self.site):
-                return Absent()
+        if state.usable and part:
             raise Impossible(f"{upstream} has nothing for {part.entry or part.field}", Cause.UNSOLVED)
-        return self._found(upstream, part, state.receipt)
-
-    def _found(self, upstream: Task, part: Part | None, receipt: Receipt) -> Stored:
-        known = self._resolved.get((upstream, part))
-        if known is None or known[0] is not receipt:
-            known = receipt, Stored(upstream, part).resolved(receipt)
-            self._resolved[upstream, part] = known
-        return known[1]
+        raise because(upstream, state)
 
     def _join(self, origin: Stage, need: Source, task: Task) -> Input:
+        """The results of many tasks, or many entries of a site-wide result, by subject."""
         if need.may_lack(self.site) and need.name not in self.stages:
             return Joined({})
         of_pairs = origin.scope == "pair" or need.of in {"around", "near"}
         if of_pairs and self.subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
+        joined = self.subjects.joined(origin, need, task)
         if origin.scope == "site":
-            return self._entries(origin, need, task)
-        items: dict[Subject, Value | Stored] = {}
-        faults: list[Impossible] = []
-        joined, part = self.subjects.joined(origin, need, task), Part(need.part) if need.part else None
-        for upstream in reversed(joined):  # most are settled in order: who waits for the last one is not asked for each
+            return self._entries(origin, need, joined)
+        for upstream in reversed(joined):  # the last to be listed is mostly the last to end
             if upstream not in self.states:
                 raise Waiting(upstream)
+        items: dict[Subject, Value | Stored] = {}
+        faults: list[Impossible] = []
+        part = Part(need.part) if need.part else None
         useless = self.pinned.useless() if task.stage != HEALTH else frozenset()
         for upstream in joined:
             state = self.states[upstream]
             if useless & set(upstream.subject):
                 faults.append(self.pinned.unfit(upstream.subject))
             elif state.usable and state.receipt and (part is None or str(part) in state.receipt.parts):
-                items[upstream.subject] = self._found(upstream, part, state.receipt)
+                items[upstream.subject] = Stored(upstream, part).resolved(state.receipt)
             else:
                 faults.append(because(upstream, state))
         if not items and not need.may_lack(self.site):
             raise self._nothing(origin, faults)
         return Joined(items)
 
-    def _entries(self, origin: Stage, need: Source, task: Task) -> Input:
-        """The entries of a mapping, made by a site-wide stage, of the cameras around the one in question, or near it."""
-        items: dict[Subject, Value | Stored] = {}
-        optional = dataclasses.replace(need, optional=True)
-        for camera in self.subjects.among(need.of, task.subject[0]):
-            stored = self._stored(Task(origin.name), optional, Part(need.part, camera), set())
-            if isinstance(stored, Stored):
-                items[camera,] = stored
+    def _entries(self, origin: Stage, need: Source, joined: list[Task]) -> Input:
+        """The entries of a mapping, made by a site-wide stage, of some cameras."""
+        optional, whole = replace(need, optional=True), Task(origin.name)
+        found = {task.subject: self._stored(whole, optional, Part(need.part, task.subject[0])) for task in joined}
+        items: dict[Subject, Value | Stored] = {subject: item for subject, item in found.items() if isinstance(item, Stored)}
         if not items:
-            raise because(Task(origin.name), self.states[Task(origin.name)])
+            raise because(whole, self.states[whole])
         return Joined(items)
 
     def _nothing(self, origin: Stage, faults: list[Impossible]) -> Impossible:
         """Why a stage that joins many has none to join."""
-        frame, graph = FRAMES, Task(PAIRS)
         first = f": {faults[0]}" if faults else ""
-        frames = {view.id: self.states.get(Task(frame, (view.id,))) for view in self.site.views}
-        views = [view for view in self.site.views if (state := frames[view.id]) and state.usable]
-        usable = list(dict.fromkeys(view.camera for view in views))
+        frames = {view.id: self.states.get(Task(FRAMES, (view.id,))) for view in self.site.views}
+        usable = list(dict.fromkeys(view.camera for view in self.site.views if (state := frames[view.id]) and state.usable))
         if len(usable) < 2:
             why = f"no camera has a usable capture{first}"
             if usable:
@@ -201,10 +290,10 @@ class Inputs:
             elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
                 why = f"no camera has a usable capture: there is none of this night in {self.site.root}"
             return Impossible(why, Cause.TOO_FEW_CAMERAS)
-        pairs = self.states.get(graph)
+        pairs = self.states.get(Task(PAIRS))
         if origin.scope == "pair" and not faults:
             if pairs and not pairs.usable:
-                return because(graph, pairs)
+                return because(Task(PAIRS), pairs)
             return Impossible("no two cameras share enough to be matched", Cause.NO_PAIRS)
         return Impossible(f"no {origin.name} to work on{first}", faults[0].code if faults else Cause.UPSTREAM)
 

@@ -1,84 +1,74 @@
-"""What a run tells while it works, and what it costs."""
+"""What happens in a run, and what it costs."""
 
 from __future__ import annotations
 
 import datetime
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..cache.store import Damage
+from ..pipeline.stages import ANY_SECONDS, ROUGH_SECONDS, Stage
 from ..records.costs import TaskCosts, read_costs
-from ..records.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
+from ..records.events import Event, Listener, PlannedEvent, StageOutlook, StartedEvent, TaskEvent, WarningEvent, Watcher, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
-from .state import State
+from .spec import State
 
 if TYPE_CHECKING:
     from .planner import Plan
-    from .worker import Done
+
+_ACROSS, _ASPECT = 1600, 0.6
+"""Pixels along a picture's longer side where nothing is stated, and the shorter side's share of it."""
 
 
 @dataclass
 class Journal:
-    """Everything that happened in a run so far: each event is kept for the log, and the listener is told of it."""
+    """Everything that has happened in a run, and what it has cost: each event is kept for the log, and given to the listener."""
 
     listen: Listener
     watch: Watcher | None = None
-    """Is told of what is planned and begun."""
+    """Receives also what is planned and begun."""
     workers: int = 1
+    started: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
     """Damage on disk that was found and put right, in words."""
     behind: Callable[[], Finding | None] = lambda: None
-    """Sees to it that what was done is where it is to go besides; what a person has to know of that."""
-    _told: set[Task] = field(default_factory=set)
+    """Stores what was done in an object store, too; what a person has to know of that."""
+    peak_rss_mb: float = 0.0
+    """Of the largest worker."""
+    _stages: dict[str, StageSeconds] = field(default_factory=dict)
+    _wall: float = field(default_factory=time.perf_counter)
+    _cpu: float = field(default_factory=time.process_time)
     _past: TaskCosts | None = None
-    """Read when there is something to do."""
 
-    def tell(self, plan: Plan) -> None:
-        """Tell of every task that has been settled since the last time, once, and of damage that was found in the cache."""
-        self.damaged(plan.cache.damages())
+    def report(self, plan: Plan) -> None:
+        """Add an event for each task that has ended since the last time, and for damage that was found in the cache."""
+        for damage in plan.cache.damages():
+            self.repaired(f"{damage.what}: made again", task=damage.task)
         for task, state in plan.news():
-            self.finished(task, state)
+            self._add(_event(task, state))
+            if state.fresh and state.receipt:
+                before, receipt = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0)), state.receipt
+                wall, cpu = before.wall + receipt.wall, before.cpu + receipt.cpu
+                self._stages[task.stage] = StageSeconds(wall, cpu, before.tasks + 1)
+                self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
     def planned(self, plan: Plan) -> None:
-        """Tell who watches what there is to do; a night that finds everything in the cache has nothing to tell."""
-        if self.watch is None:
-            return
-        from .planner import anything_left, outlook  # here: it knows plans, and there are nights without one
-
-        first = not plan.cache.work.functions_memo.is_file()  # then a plan takes a while, and all there is has to be done
-        if self._past is None and not (first or anything_left(plan)):
-            return
-        if self._past is None:
-            self._past = read_costs(plan.cache.work)
-        self.watch(PlannedEvent(outlook(plan, self._past), self.workers, now()))
+        """Tell the watcher how much there is to do."""
+        if self.watch:
+            self._past = self._past or read_costs(plan.cache.work)
+            self.watch(PlannedEvent(tuple(_outlook(plan, stage, self._past) for stage in plan.stages()), self.workers, now()))
 
     def begun(self, task: Task) -> None:
-        """Tell who watches that a worker has a task in hand."""
+        """Tell the watcher that a worker has begun a task."""
         if self.watch:
             self.watch(StartedEvent(task, now()))
 
-    def finished(self, task: Task, state: State, done: Done | None = None) -> None:
-        """Tell of a task, unless it has been told of.  done: what the worker said that has just finished it."""
-        if task not in self._told:
-            self._told.add(task)
-            self._add(_event(task, state, done))
-
-    def damaged(self, damages: Iterable[Damage]) -> None:
-        """Note damage that was found on disk, and is put right."""
-        for damage in damages:
-            self.repaired(f"{damage.what}: made again", task=damage.task)
-
-    def retract(self, task: Task) -> None:
-        """A task has to be done again, and will be told of again."""
-        self._told.discard(task)
-
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
-        """Tell of something that went wrong and was survived.
+        """Add a warning of something that went wrong and that the run has survived.
 
         Parameters
         ----------
@@ -89,59 +79,51 @@ class Journal:
         remedy : str
             What to do about it, where something can be done.
         trace : str, optional
-            Traceback of a fault that nobody foresaw.
+            Traceback of an unforeseen fault.
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 
     def repaired(self, what: str, *, task: Task | None = None) -> None:
-        """Tell, once, of damage on disk that is put right.  task: whose file it was."""
+        """Add, once, a warning of damage on disk that is put right.  task: whose file it was."""
         if what not in self.repairs:
             self.repairs[what] = None
             self._add(WarningEvent(what, now(), task, repaired=True))
+
+    def seconds(self, own_process: bool) -> Seconds:
+        """Return what the run has cost until now.  own_process: its tasks ran in this process, whose CPU time includes theirs."""
+        wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
+        if not own_process:
+            cpu += sum(stage.cpu for stage in self._stages.values())
+        return Seconds(wall, cpu, self._stages)
 
     def _add(self, event: Event) -> None:
         self.events.append(event)
         self.listen(event)
 
 
-def _event(task: Task, state: State, done: Done | None) -> TaskEvent:
+def _event(task: Task, state: State) -> TaskEvent:
     receipt = state.receipt
     return TaskEvent(
         task,
         state.outcome,
         now(),
-        fresh=done is not None and done.outcome != "cached",
+        fresh=state.fresh,
         reason=state.reason,
         code=state.code,
         key=receipt.key if receipt else None,
         cpu=round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
-        trace=done.trace if done else None,
+        trace=state.trace,
     )
 
 
-class Costs:
-    """The costs of a run, summed as tasks finish."""
-
-    def __init__(self, started: datetime.datetime) -> None:
-        self.started = started
-        self.peak_rss_mb = 0.0
-        """Of the largest worker."""
-        self._stages: dict[str, StageSeconds] = {}
-        self._wall, self._cpu = time.perf_counter(), time.process_time()
-
-    def add(self, done: Done) -> None:
-        """Count a task that a worker has finished, if it ran."""
-        receipt = done.receipt
-        if receipt is None or done.outcome not in {"ran", "rejected"}:
-            return
-        so_far = self._stages.get(done.task.stage, StageSeconds(0.0, 0.0, 0))
-        wall, cpu = so_far.wall + receipt.wall, so_far.cpu + receipt.cpu
-        self._stages[done.task.stage] = StageSeconds(wall, cpu, so_far.tasks + 1)
-        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
-
-    def seconds(self, own_process: bool) -> Seconds:
-        """The sum, until now.  own_process: the tasks ran in this process, whose CPU time holds theirs already."""
-        wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
-        if not own_process:
-            cpu += sum(stage.cpu for stage in self._stages.values())
-        return Seconds(wall, cpu, self._stages)
+def _outlook(plan: Plan, stage: Stage, past: TaskCosts) -> StageOutlook:
+    """How much there is of a stage, how much of it has ended, and what a task of it takes by the last runs, else roughly."""
+    tasks, ended = plan.counts(stage)
+    tasks = (plan.likely_pairs(stage.dense) if stage.scope == "pair" else None) or tasks
+    if stage.name in past.stages:
+        return StageOutlook(stage.name, tasks, ended, past.stages[stage.name], known=True)
+    fixed, each, *compiling = ROUGH_SECONDS.get(stage.name, ANY_SECONDS)
+    stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
+    across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
+    seconds = fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)
+    return StageOutlook(stage.name, tasks, ended, seconds, known=False, compiles=sum(compiling))

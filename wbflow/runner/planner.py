@@ -1,105 +1,34 @@
 """The plan: every task of a site with its state, derived again and again from the table of stages, the captures and the cache.
 
-A task is settled (cached, ran, rejected, failed, skipped), ready, or waiting for others.  Nothing is stored: a plan made after
-a crash finds in the cache exactly what was finished.
+A task has ended (cached, ran, rejected, failed, skipped), is running, is ready, or waits for another.  Nothing is stored: a plan
+made after a crash finds in the cache exactly what was finished.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
-import heapq
-from collections.abc import Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, bind
-from ..pipeline.stages import (
-    ANY_SECONDS,
-    COMPONENT,
-    DENSE_PAIRS,
-    FRAMES,
-    FUSE,
-    PAIRS,
-    POSES,
-    ROUGH_SECONDS,
-    STAGES,
-    Adapt,
-    Stage,
-    ancestors,
-    stage_named,
-)
-from ..records.costs import TaskCosts
-from ..records.events import StageOutlook
+from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
 from ..records.record import Health
 from ..records.reference_folder import Reference
 from ..reference.compatibility import misfit
 from ..reference.health_history import ShiftHistory
 from ..reference.resolve import Pinned
+from ..site.captures import CaptureFile
 from ..site.models import Site
 from ..task import Task, component_name, names_of
-from .captures import CaptureFile
-from .inputs import Inputs
-from .spec import Absent, Drawing, Input, TaskSpec
-from .state import Impossible, State, Waiting, cached_state
-from .subjects import Subjects
+from .inputs import Inputs, Subjects
+from .spec import Absent, Drawing, Impossible, Input, State, TaskSpec, Waiting, cached_state
 
 _DECIDE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
-"""What these come to decides which tasks there are."""
-
-
-@dataclass
-class Agenda:
-    """The tasks that are to be looked at, in the order of the table of stages."""
-
-    all_anew: bool = True
-    """Every task is to be listed again."""
-    _places: dict[Task, int] = field(default_factory=dict)
-    _due: list[tuple[int, Task]] = field(default_factory=list)
-    _queued: set[Task] = field(default_factory=set)
-    _waiting: dict[Task | None, list[Task]] = field(default_factory=dict)
-    """Who waits, by what for."""
-    _news: list[Task] = field(default_factory=list)
-
-    def begin(self, tasks: Iterable[Task]) -> None:
-        """Look at all of these, and at nothing else."""
-        self.all_anew = False
-        self._places = {task: place for place, task in enumerate(tasks)}
-        self._due = [(place, task) for task, place in self._places.items()]  # in order, so it is a heap
-        self._queued = set(self._places)
-        self._waiting = {}
-
-    def next(self) -> Task | None:
-        """The next task that is to be looked at; None where there is none."""
-        if not self._due:
-            return None
-        task = heapq.heappop(self._due)[1]
-        self._queued.discard(task)
-        return task
-
-    def add(self, task: Task) -> None:
-        """A task is to be looked at again."""
-        if task in self._places and task not in self._queued:
-            self._queued.add(task)
-            heapq.heappush(self._due, (self._places[task], task))
-
-    def wait(self, task: Task, other: Task | None) -> None:
-        """A task is to be looked at when another is settled."""
-        self._waiting.setdefault(other, []).append(task)
-
-    def settled(self, task: Task) -> None:
-        """A task is settled: who waited for it is looked at."""
-        self._news.append(task)
-        for other in self._waiting.pop(task, ()):
-            self.add(other)
-        self.all_anew = self.all_anew or task in _DECIDE
-
-    def news(self) -> list[Task]:
-        """The tasks that were settled since somebody asked last."""
-        found, self._news = self._news, []
-        return found
+"""Their results decide which tasks there are."""
 
 
 @dataclass
@@ -115,13 +44,13 @@ class Plan:
     until: str | None = None
     force: frozenset[str] = frozenset()
     states: dict[Task, State] = field(default_factory=dict)
-    """Settled tasks."""
+    """Tasks that have ended."""
+    running: set[Task] = field(default_factory=set)
+    """Tasks that have been given to workers."""
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
     """Tasks whose inputs are all there."""
     waiting: dict[Task, Task | None] = field(default_factory=dict)
-    """The rest, with what they wait for (None: for the pair graph)."""
-    busy: set[Task] = field(default_factory=set)
-    """Tasks that workers have in hand: neither looked up nor handed out again."""
+    """The rest, with the first task found that each waits for (None: for the pair graph)."""
     reference: Reference | None = None
     """What tonight is compared with."""
     misfit: str = ""
@@ -130,109 +59,102 @@ class Plan:
     """Cameras whose captures are not of tonight."""
     night_given: bool = False
     """Has somebody named the night?  Otherwise pictures may say it, where names don't."""
-    _agenda: Agenda = field(default_factory=Agenda)
+    _anew: bool = True
+    """Are the tasks to be listed again?"""
+    _due: deque[Task] = field(default_factory=deque)
+    """Tasks that are to be looked at."""
+    _dependents: dict[Task | None, list[Task]] = field(default_factory=dict)
+    """Waiting tasks, by what they wait for."""
+    _news: dict[Task, None] = field(default_factory=dict)
+    """Tasks that have ended since `news` was called."""
+    _listed: Counter[str] = field(default_factory=Counter)
+    _ended: Counter[str] = field(default_factory=Counter)
+    """Tasks by stage: all, and those that have ended."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
-    _known_parameters: dict[str, tuple[dict[str, Any], dict[str, str]]] = field(default_factory=dict)
     """By stage, or by the function in its place."""
-    _stages: list[Stage] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         wanted = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
-        settings = self.site.stages
-        self._read = functools.cache(self.site.reader.read)  # of this plan only: code may change before the next
-        self._folder = self.site.file.resolve().parent
-        off = {name for name, stage in settings.items() if not stage.enabled}
+        off = {name for name, stage in self.site.stages.items() if not stage.enabled}
         off |= {stage.name for stage in STAGES if not stage.worth_doing(self.site)}
         for stage in STAGES:  # in their order: what needs one that is off is off, and so is what needs that
             off |= {stage.name} if stage.optional and off & stage.needed() else set()
+        self._folder = self.site.folder
         self._stages = [stage for stage in STAGES if stage.name in wanted - off]
-        self._subjects = Subjects(self.site, self.states, any(stage.name == DENSE_PAIRS for stage in self._stages))
+        names = frozenset(stage.name for stage in self._stages)
+        self._subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
-            self.misfit = misfit(
-                self.reference, self.site, self._stages, self._bound, self._stated_parameters, self.cache, self.named
-            )
+            self.misfit = misfit(self.reference, self.site, self._stages, self._bound, self._settings, self.cache, self.named)
         self.reference = None if self.misfit else self.reference
         past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
         cameras = [view.id for view in self.site.views]
         forced = frozenset(name.split(" ")[0] for name in self.force)
         self._pinned = Pinned(self.cache, cameras, self._stages, self.states, self.reference, past, forced, self.stale)
         known = self.site, self.captures, self.named, self.expectations
-        taking_part = frozenset(stage.name for stage in self._stages)
-        self._from = Inputs(*known, self._subjects, taking_part, self.states, self._pinned)
+        self._inputs = Inputs(*known, self._subjects, names, self.states, self._pinned)
 
     def refresh(self) -> None:
-        """Settle what the cache has, and find what is ready.  Only what may have changed since the last time is looked at."""
-        named = {stage.name: stage for stage in self._stages}
-        while True:
-            if self._agenda.all_anew:
+        """Find what the cache has, what is ready, and what waits; only what may have changed is looked at."""
+        while self._anew or self._due:
+            if self._anew:
                 self._list()
-            task = self._agenda.next()
-            if task is None:
-                return
-            if not (task in self.states or task in self.busy or task in self.ready):
-                self._settle(named[task.stage], task)
+            elif (task := self._due.popleft()) not in self.states and task not in self.running and task not in self.ready:
+                self._look_at(stage_named(task.stage), task)
 
-    def settle(self, task: Task, state: State) -> None:
-        """Record how a task of this run ended."""
+    def commit(self, task: Task, state: State) -> None:
+        """Record how a task has ended; those that wait for it are looked at again."""
+        self._ended[task.stage] += task not in self.states
         self.states[task] = state
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
-        self._pinned.settled(task)
-        self._agenda.settled(task)
+        self.force -= {str(task)}
+        self._pinned.ended(task)
+        self._news[task] = None
+        self._due.extend(self._dependents.pop(task, ()))
+        self._anew = self._anew or task in _DECIDE
 
     def forget(self, task: Task) -> None:
-        """Take a settled task back (its artifact turned out damaged)."""
+        """Take back that a task has ended (its artifact turned out damaged)."""
+        self._ended[task.stage] -= task in self.states
         self.states.pop(task, None)
         self._pinned.lose(task)
-        self._agenda.all_anew = True
+        self._anew = True
 
     def look_again(self) -> None:
-        """What the plan rests on has changed: whatever is not settled is derived anew."""
-        self._agenda.all_anew = True
+        """A capture has changed: derive anew whatever has not ended."""
+        self._anew = True
 
-    def hand_out(self, lanes: list[list[TaskSpec]]) -> None:
-        """Workers have these in hand."""
-        for spec in (spec for lane in lanes for spec in lane):
-            self.busy.add(spec.task)
-            self.ready.pop(spec.task, None)
-            self.waiting.pop(spec.task, None)
+    def begin(self, chains: Iterable[list[TaskSpec]]) -> None:
+        """Workers have been given these."""
+        for task in (spec.task for chain in chains for spec in chain):
+            self.running.add(task)
+            self.ready.pop(task, None)
+            self.waiting.pop(task, None)
 
-    def take_back(self, lane: list[TaskSpec] | None = None) -> None:
-        """A lane has come to an end: what it has not settled is to be looked at again.  None: whatever workers have in hand."""
-        for task in [spec.task for spec in lane] if lane is not None else list(self.busy):
-            self.busy.discard(task)
-            self._agenda.add(task)
-            if (state := self.states.get(task)) and state.receipt and state.outcome != "cached":
-                self.cache.learn(state.receipt)
+    def release(self, tasks: Iterable[Task]) -> None:
+        """Workers are through with these: those that have not ended are looked at again."""
+        for task in tasks:
+            self.running.discard(task)
+            self._due.append(task)
 
     def news(self) -> list[tuple[Task, State]]:
-        """The tasks that have been settled since somebody asked last."""
-        return [(task, state) for task in self._agenda.news() if (state := self.states.get(task))]
+        """The tasks that have ended since the last call."""
+        found, self._news = self._news, {}
+        return [(task, state) for task in found if (state := self.states.get(task))]
 
-    def lanes(self) -> Iterator[list[TaskSpec]]:
+    def chains(self) -> list[list[TaskSpec]]:
         """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
-        for task, spec in self.ready.items():
-            lane = [spec]
-            if task.subject:
-                for stage in self._stages:
-                    follower = Task(stage.name, task.subject)
-                    if follower in self.waiting:
-                        try:
-                            instead = self._pinned.instead(stage, follower)
-                            if not isinstance(instead, Receipt):
-                                lane.append(self._spec(stage, follower, {s.task for s in lane}, instead))
-                        except (Waiting, Impossible):
-                            continue
-            among = {spec.task for spec in lane}
-            yield [self._with_drawings(spec, among) for spec in lane]
+        return [self._chain(spec) for spec in self.ready.values()]
+
+    def counts(self, stage: Stage) -> tuple[int, int]:
+        """How many tasks of a stage are listed so far, and how many of them have ended."""
+        if self._anew:
+            self._list()
+        return self._listed[stage.name], self._ended[stage.name]
 
     def pairs_known(self, stage: Stage | None = None) -> bool:
         """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
         return all(self._subjects.pairs(dense) is not None for dense in ([stage.dense] if stage else (False, True)))
-
-    def tasks(self, stage: Stage) -> list[Task]:
-        """The tasks of a stage, as far as they are listed yet."""
-        return self._subjects.tasks(stage)
 
     def spec_of(self, task: Task) -> TaskSpec:
         """How a task would be done, whether it has been or not.
@@ -252,18 +174,17 @@ class Plan:
             return None
         if (matched := self._subjects.pairs()) is not None:
             return len(matched)
-        stage = stage_named(PAIRS)
-        count = len(self.site.views)
-        wanted = (self._bound(stage).defaults() | self._stated_parameters(stage, Task(stage.name))).get("degree")
+        stage, count = stage_named(PAIRS), len(self.site.views)
+        wanted = self._parameters(stage, Task(PAIRS), None).get("degree")
         most = count * (count - 1) // 2
         return min(most, count * wanted // 2) if isinstance(wanted, int) else most
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
-        return self._from.upstreams(task, self._bound(stage_named(task.stage)).inputs)
+        return self._inputs.upstreams(task, self._bound(stage_named(task.stage)).inputs)
 
     def health(self, camera: str) -> Health | None:
-        """What became of a camera; None where nobody knows."""
+        """The health of a camera; None where it is not known."""
         return self._pinned.health(camera)
 
     def stages(self) -> list[Stage]:
@@ -271,45 +192,60 @@ class Plan:
         return list(self._stages)
 
     def _list(self) -> None:
-        """List every task that is known of, to be looked at in the order of the table."""
-        self.ready, self.waiting = {}, {}
-        self._agenda.begin(task for stage in self._stages for task in self._subjects.tasks(stage))
+        """List every task that is known of, to be looked at in the order of the pipeline."""
+        self._anew = False
+        self.ready, self.waiting, self._dependents = {}, {}, {}
+        self._due = deque(task for stage in self._stages for task in self._subjects.tasks(stage))
+        self._listed = Counter(task.stage for task in self._due)
 
-    def _settle(self, stage: Stage, task: Task) -> None:
-        self.waiting.pop(task, None)
+    def _look_at(self, stage: Stage, task: Task) -> None:
+        """Find the state of a task that has not ended."""
         try:
             instead = self._pinned.instead(stage, task)
             if isinstance(instead, Receipt):
-                self._found(task, cached_state(instead))
+                self.commit(task, cached_state(instead))
                 return
             spec = self._spec(stage, task, adapt=instead)
         except Waiting as waiting:
             self.waiting[task] = waiting.task
-            self._agenda.wait(task, waiting.task)
+            self._dependents.setdefault(waiting.task, []).append(task)
             return
         except Impossible as impossible:
-            self._found(task, State("failed" if stage.name == FRAMES else "skipped", str(impossible), impossible.code))
+            self.commit(task, State("failed" if stage.name == FRAMES else "skipped", str(impossible), impossible.code))
             return
+        self.waiting.pop(task, None)
         preimage = spec.preimage()
         key = preimage.key()
         if stage.name == FRAMES:
             self._pinned.note_frame(task.subject, key)
-        receipt = None if spec.force else self.cache.find(preimage, key)
-        if receipt is None:
-            self.ready[task] = spec
+        if not spec.force and (receipt := self.cache.find(preimage, key)):
+            self.commit(task, cached_state(receipt))
         else:
-            self._found(task, cached_state(receipt))
+            self.ready[task] = spec
 
-    def _found(self, task: Task, state: State) -> None:
-        self.states[task] = state
-        self._pinned.settled(task)
-        self._agenda.settled(task)
+    def _chain(self, first: TaskSpec) -> list[TaskSpec]:
+        """A ready task and those that can follow it."""
+        chain, made = [first], {first.task}
+        for stage in self._stages if first.task.subject else ():
+            follower = Task(stage.name, first.task.subject)
+            if follower in self.waiting:
+                try:
+                    instead = self._pinned.instead(stage, follower)
+                    if not isinstance(instead, Receipt):
+                        chain.append(self._spec(stage, follower, made, instead))
+                        made.add(follower)
+                except (Waiting, Impossible):
+                    continue
+        return [self._with_drawings(spec, made) for spec in chain]
 
-    def _spec(self, stage: Stage, task: Task, among: set[Task] | None = None, adapt: Adapt | None = None) -> TaskSpec:
-        """The spec of a task; inputs made by tasks `among` may still be unresolved.  adapt: what takes the function's place."""
+    def _spec(self, stage: Stage, task: Task, made: Iterable[Task] = (), adapt: Adapt | None = None) -> TaskSpec:
+        """The spec of a task, done by the stage's function or what takes its place; raises Waiting, Impossible.
+
+        made: made earlier in the same chain; inputs from these are not resolved yet.
+        """
         bound = self._bound(stage, adapt)
-        inputs = self._from.of(stage, task, bound.inputs, among or set())
-        parameters, left_to_function = self._parameters(stage, task, adapt)
+        inputs = self._inputs.of(stage, task, bound.inputs, set(made))
+        parameters = self._parameters(stage, task, adapt)
         return TaskSpec(
             task,
             bound.function.dotted,
@@ -317,20 +253,20 @@ class Plan:
             parameters,
             inputs,
             stage.table,
-            force=bool(self.force & names_of(task)) if self.force else False,
-            left_to_function=left_to_function,
+            force=bool(self.force & names_of(task)),
+            left_to_function={name: text for name, text in bound.left_to_function().items() if name not in parameters},
             folder=self._folder,
         )
 
-    def _with_drawings(self, spec: TaskSpec, among: set[Task]) -> TaskSpec:
-        """A task with what is drawn of its result; inputs made by tasks `among` may still be unresolved."""
+    def _with_drawings(self, spec: TaskSpec, made: set[Task]) -> TaskSpec:
+        """A task with what is drawn of its result.  made: as for `_spec`."""
         stage = stage_named(spec.task.stage)
         drawings = []
         for name, function in stage.products.drawings.items():
             inputs: dict[str, Input] = {}
             for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
                 try:
-                    inputs[argument] = self._from.one(stage, spec.task, need, among)
+                    inputs[argument] = self._inputs.one(stage, spec.task, need, made)
                 except (Waiting, Impossible):
                     inputs[argument] = Absent()
             drawings.append(Drawing(name, function, inputs))
@@ -347,64 +283,18 @@ class Plan:
             self._bindings[name] = bind(stage, use, values, self.site.reader)
         return self._bindings[name]
 
-    def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> tuple[dict[str, Any], dict[str, str]]:
-        """Parameters of a task, and the text of those that its function works out: the same for all subjects of a stage."""
-        name = adapt.function if adapt else stage.name
-        known = self._known_parameters.get(name)
-        if known is None or stage.name == FUSE:
-            bound = self._bound(stage, adapt)
-            stated = self._stated_parameters(stage, task)
-            stated = stated if adapt is None else {name: v for name, v in stated.items() if name in bound.parameters}
-            left = {name: text for name, text in bound.left_to_function().items() if name not in stated}
-            known = self._known_parameters[name] = bound.defaults() | stated, left
-        return known
+    def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> dict[str, Any]:
+        """Parameters of a task, without those that its function works out."""
+        bound, settings = self._bound(stage, adapt), self._settings(stage, task)
+        if adapt:
+            settings = {name: value for name, value in settings.items() if name in bound.parameters}
+        return bound.defaults() | settings
 
-    def _stated_parameters(self, stage: Stage, task: Task) -> dict[str, Any]:
+    def _settings(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
         values: dict[str, Any] = {name: attrgetter(key)(self.site) for name, key in stage.set_by_site().items()}
         if stage.name == FUSE:
             numbers = range(1, self._subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
-        known = self._bound(stage).parameters
-        settings = self.site.stages.get(stage.name)
+        known, settings = self._bound(stage).parameters, self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})
-
-
-_ACROSS, _ASPECT = 1600, 0.6
-"""Pixels along a picture's longer side where nothing is stated, and the shorter side's share of it."""
-
-
-def outlook(plan: Plan, past: TaskCosts) -> tuple[StageOutlook, ...]:
-    """How much there is of each stage, how much of it is settled, and what a task of it takes.
-
-    Parameters
-    ----------
-    plan : Plan
-        As it stands.
-    past : TaskCosts
-        What tasks took before.
-    """
-    found = []
-    for stage in plan.stages():
-        tasks = plan.tasks(stage)
-        settled = sum(task in plan.states for task in tasks)
-        known = stage.name in past.stages
-        walls = [past.expected(stage.name, str(task)) for task in tasks if task not in plan.states] if known else []
-        seconds = sum(walls) / len(walls) if walls else past.stages.get(stage.name, _rough(plan, stage))
-        count = (plan.likely_pairs(stage.dense) if stage.scope == "pair" else None) or len(tasks)
-        compiles = 0.0 if known else sum(ROUGH_SECONDS.get(stage.name, ANY_SECONDS)[2:])
-        found.append(StageOutlook(stage.name, count, settled, seconds, known, compiles))
-    return tuple(found)
-
-
-def _rough(plan: Plan, stage: Stage) -> float:
-    """What a task of a stage takes that nobody has timed yet."""
-    fixed, each, *_ = ROUGH_SECONDS.get(stage.name, ANY_SECONDS)
-    stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
-    across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
-    return fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)
-
-
-def anything_left(plan: Plan) -> bool:
-    """Is there a task that is not settled, or may there come one?"""
-    return bool(plan.ready or plan.waiting or plan.busy)

@@ -8,11 +8,13 @@ import datetime
 import faulthandler
 import functools
 import os
+import resource
 import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections import UserDict
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,28 +30,19 @@ from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable
 from ..pipeline.stages import REJECTED, stage_named
 from ..task import Task
-from . import limits
-from .spec import Absent, Files, Input, Joined, Stored, TaskSpec, Value
-from .state import Cause
+from .spec import Absent, Cause, Files, Input, Joined, State, Stored, TaskSpec, Value, cached_state
 
 
 @dataclass(frozen=True)
 class Done:
-    """How a task ended in a worker."""
+    """How a task ended in a worker.  It is tried again where an input was damaged, or has changed."""
 
     task: Task
-    outcome: str
-    """ran, cached (someone had done it), rejected, failed, damaged: an input's bytes were wrong, or changed: a file from outside
-    is another one than when the task was planned."""
-    receipt: Receipt | None = None
-    reason: str | None = None
-    code: str | None = None
-    """The reason as one word."""
-    trace: str | None = None
+    state: State
     damaged: Task | None = None
     """What has to be made again before this."""
     changed: Path | None = None
-    """The file that has changed."""
+    """A file from outside that is not what it was when the task was planned."""
     warnings: tuple[str, ...] = ()
     """What went wrong without costing the result, in words."""
     damages: tuple[Damage, ...] = ()
@@ -57,10 +50,9 @@ class Done:
 
 
 class Progress:
-    """A small file in which a worker notes what it is at, so that the run knows whatever becomes of the worker.
+    """A small file in which a worker writes `begun NUMBER` of each task, so that the run knows it whatever becomes of the worker.
 
-    One line for each event, `begun NUMBER` or `done NUMBER KEY` (numbers count the tasks of the chain); then whatever
-    `faulthandler` writes there when the process crashes, or takes longer than it may.
+    `faulthandler` writes there, too, when the process crashes or a task takes longer than it may: then it ends the process.
     """
 
     def __init__(self, path: Path | None, time_limits: Mapping[str, float] | None) -> None:
@@ -69,7 +61,7 @@ class Progress:
         self._file: TextIO
         try:
             self._file = (path or nowhere).open("w")
-        except OSError:  # a full disk; the tasks say so themselves
+        except OSError:  # a full disk; the tasks report it themselves
             self._file = nowhere.open("w")
         self._limits = time_limits
 
@@ -80,27 +72,18 @@ class Progress:
 
     def __exit__(self, *error: object) -> None:
         if self._limits is not None:
+            faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
         with suppress(OSError):
             self._file.close()
 
     def begun(self, number: int, stage: str) -> None:
-        """Note that a task has begun.  It has so much time from now on: then the process is ended, even where Python hangs."""
-        self._note(f"begun {number}")
+        """Note that a task has begun, and start its time: it is ended even where Python hangs."""
+        with suppress(OSError):
+            self._file.write(f"begun {number}\n")
+            self._file.flush()
         if self._limits is not None:
             faulthandler.dump_traceback_later(self._limits[stage], exit=True, file=self._file)
-
-    def done(self, number: int, key: str) -> None:
-        """Note that a task has ended, and under which key its receipt is."""
-        if self._limits is not None:
-            faulthandler.cancel_dump_traceback_later()
-        if key:
-            self._note(f"done {number} {key}")
-
-    def _note(self, line: str) -> None:
-        with suppress(OSError):
-            self._file.write(line + "\n")
-            self._file.flush()
 
 
 @dataclass
@@ -157,11 +140,10 @@ def run_chain(
         for number, spec in enumerate(specs):
             notes.begun(number, spec.task.stage)
             done = _attempt(spec, chain)
-            notes.done(number, done.receipt.key if done.receipt and done.outcome != "cached" else "")
             ended.append(dataclasses.replace(done, damages=tuple(cache.damages())))
-            if done.receipt is None or done.outcome == "rejected":
+            if not done.state.usable or done.state.receipt is None:
                 break
-            chain.receipts[spec.task] = done.receipt
+            chain.receipts[spec.task] = done.state.receipt
     return ended
 
 
@@ -179,18 +161,17 @@ def _attempt(spec: TaskSpec, chain: _Chain) -> Done:
         preimage = resolved.preimage()
         key = preimage.key()
         if not spec.force and (receipt := chain.cache.find(preimage, key)):
-            outcome = "rejected" if receipt.outcome == "rejected" else "cached"
-            return Done(spec.task, outcome, receipt, receipt.reason, receipt.code)
+            return Done(spec.task, cached_state(receipt))
         return _do(resolved, preimage, key, chain)
     except DamagedArtifact as damage:
-        return Done(spec.task, "damaged", reason=damage.what, damaged=damage.task)
+        return Done(spec.task, State("failed", damage.what), damaged=damage.task)
     except ChangedFile as change:
-        return Done(spec.task, "changed", reason=change.what, changed=change.path)
+        return Done(spec.task, State("failed", change.what), changed=change.path)
     except BaseException as error:  # KeyboardInterrupt, too: signals go to the run, so a stage has raised it
-        return _failure(spec, error)
+        return Done(spec.task, _failure(spec, error))
 
 
-def _failure(spec: TaskSpec, error: BaseException) -> Done:
+def _failure(spec: TaskSpec, error: BaseException) -> State:
     """What a task raised, in words: it may be anything, and is not sent to the run itself.
 
     The input is at fault only where the task reads files from outside and raises what reading raises; else the stage is.
@@ -199,60 +180,53 @@ def _failure(spec: TaskSpec, error: BaseException) -> Done:
     trace = printable("".join(traceback.format_exception(error)), LONGEST_TRACE)
     if isinstance(error, MemoryError):
         why = "ran out of memory: lower `resolution`, or run with fewer --jobs"
-        return Done(spec.task, "failed", reason=why, code=Cause.OUT_OF_MEMORY)
+        return State("failed", why, Cause.OUT_OF_MEMORY, fresh=True)
     if isinstance(error, OSError) and error.errno in FULL:
-        return Done(spec.task, "failed", reason=f"{error.strerror}; {REMEDY}", code=Cause.DISK_FULL)
+        return State("failed", f"{error.strerror}; {REMEDY}", Cause.DISK_FULL, fresh=True)
     reads = any(isinstance(value, Files) for value in spec.inputs.values())
     if isinstance(error, OSError) or (reads and isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"):
         why = words.partition(": ")[2] or words
-        return Done(spec.task, "failed", reason=why, code=Cause.BAD_INPUT, trace=trace)
+        return State("failed", why, Cause.BAD_INPUT, trace=trace, fresh=True)
     if isinstance(error, SystemExit):
         words = printable(f"it ended the program (sys.exit({error.code!r}))")
     why = f"the function of {spec.task.stage} failed: {words}; to run it alone: wbflow debug SITE.yaml '{spec.task}' --out DIR"
-    return Done(spec.task, "failed", reason=why, code=Cause.FAULT, trace=trace)
+    return State("failed", why, Cause.FAULT, trace=trace, fresh=True)
 
 
 def _do(spec: TaskSpec, preimage: Preimage, key: str, chain: _Chain) -> Done:
-    limits.reset_peak()
+    """Load the inputs, call the function, write the artifact, then the receipt."""
+    reset_peak()
     wall, cpu = time.perf_counter(), chain.clock()
     arguments = {name: _load(value, chain) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
     nothing: Any = load(REJECTED)
-    rejected = isinstance(result, nothing)
-    data = None if rejected else result_bytes(result, spec.table)
-    drawings, warnings = ({}, ()) if rejected else _draw(spec, result, chain)
+    if rejected := isinstance(result, nothing):
+        code = getattr(result, "code", None)
+        data, drawings, warnings = None, dict[str, bytes](), tuple[str, ...]()
+        known: dict[str, Any] = {"reason": printable(result.reason), "code": None if code is None else str(code)}
+        known["figures"] = dict(result.figures)
+    else:
+        data = result_bytes(result, spec.table)
+        drawings, warnings = _draw(spec, result, chain)
+        figures = artifact.figures(result) | (load(spec.table.figures)(result) if spec.table else {})
+        known = {"digest": artifact.digest(data), "parts": artifact.parts(result), "file": f"{key}{spec.suffix}"}
+        known |= {"bytes": len(data), "figures": figures}
     receipt = Receipt(
-        task=str(spec.task),
-        key=key,
-        outcome="rejected" if rejected else "ran",
-        preimage=preimage,
-        digest="" if data is None else artifact.digest(data),
-        parts={} if data is None else artifact.parts(result),
-        file=None if data is None else f"{key}{spec.suffix}",
-        bytes=len(data or b""),
-        reason=printable(result.reason) if rejected else None,
-        code=_code(result) if rejected else None,
-        figures=dict(result.figures) if rejected else _figures(spec, result),
+        str(spec.task),
+        key,
+        "rejected" if rejected else "ran",
+        preimage,
+        **{"digest": "", **known},
         wall=time.perf_counter() - wall,
         cpu=chain.clock() - cpu,
-        peak_rss_mb=limits.peak() / 2**20,
+        peak_rss_mb=peak() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
         drawings={name: artifact.digest(drawing) for name, drawing in drawings.items()},
     )
     chain.cache.write(receipt, data, drawings)
     chain.results[receipt.digest] = result
-    return Done(spec.task, receipt.outcome, receipt, receipt.reason, receipt.code, warnings=warnings)
-
-
-def _code(rejection: Any) -> str | None:
-    """The reason as one word, where a function gives one."""
-    code = getattr(rejection, "code", None)
-    return None if code is None else str(code)
-
-
-def _figures(spec: TaskSpec, result: Any) -> dict[str, Any]:
-    found = artifact.figures(result)
-    return found | load(spec.table.figures)(result) if spec.table else found
+    state = State("rejected" if rejected else "ran", receipt.reason, receipt.code, receipt, fresh=True)
+    return Done(spec.task, state, warnings=warnings)
 
 
 def _draw(spec: TaskSpec, result: Any, chain: _Chain) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -279,24 +253,15 @@ def _resolve(value: Input, chain: _Chain) -> Input:
     return value
 
 
-class _OnDemand(Mapping[Any, Any]):
+class _OnDemand(UserDict[Any, Any]):
     """A mapping whose values are read when they are asked for, so that a night is never in memory at once."""
 
     def __init__(self, items: dict[Any, Any], load: Callable[[Any], Any]) -> None:
-        self._items = items
+        super().__init__(items)
         self._load = load
 
     def __getitem__(self, key: Any) -> Any:
-        return self._load(self._items[key])
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._items  # without reading it
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self._items)
-
-    def __len__(self) -> int:
-        return len(self._items)
+        return self._load(self.data[key])
 
 
 def _load(value: Input, chain: _Chain, keep: bool = True) -> Any:
@@ -345,3 +310,19 @@ def _capture(kind: str, file: Any) -> Any:
     if artifact.digest(data) != file.digest:  # else what is made of it would be kept as made of something else
         raise ChangedFile(file.path)
     return load(kind)(name=file.name, data=np.frombuffer(data, dtype=np.uint8))
+
+
+def reset_peak() -> None:
+    """Forget what this process held at most so far."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak() -> int:
+    """Return the bytes that this process held for itself at most since `reset_peak`; where /proc lacks it, since its start, with
+    what it shares."""
+    with suppress(OSError, ValueError, KeyError):
+        lines = (line.split() for line in Path("/proc/self/status").read_text().splitlines())
+        kb = {words[0]: int(words[1]) for words in lines if words[0] in {"VmHWM:", "RssFile:", "RssShmem:"}}
+        return (kb["VmHWM:"] - kb["RssFile:"] - kb["RssShmem:"]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -14,7 +14,7 @@ import pytest
 import wbflow
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.display import LogLines, Progress, StageProgress, visible_stages
-from wbflow.records.events import ArrivalsEvent, PlannedEvent, StageOutlook, StartedEvent, now
+from wbflow.records.events import CapturesEvent, PlannedEvent, StageOutlook, StartedEvent, now
 from wbflow.runner.planner import Plan
 from wbflow.task import Task
 
@@ -63,7 +63,7 @@ def test_a_terminal_shows_stages_totals_and_the_time_left_before_the_first_task_
 def test_the_summary_says_how_many_captures_have_been_read(monkeypatch: pytest.MonkeyPatch) -> None:
     progress = Progress()
     monkeypatch.setattr("time.monotonic", lambda: progress.begun + 3)
-    progress.add(ArrivalsEvent(3, 12))
+    progress.add(CapturesEvent(3, 12))
     assert progress.summary() == "captures of 3/12 cameras read; the plan in about 9 s"
 
 
@@ -78,7 +78,7 @@ def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToyS
     monkeypatch.setattr(Plan, "refresh", looking)
     monkeypatch.setenv("TOY_FAULTS", str(toy.folder / "faults"))
     wbflow.run(toy.file, backend="threading", jobs=1, until="frames", watch=heard.append)
-    assert heard[3] == ArrivalsEvent(4, 4)
+    assert heard[3] == CapturesEvent(4, 4)
     assert isinstance(heard[4], PlannedEvent)
     assert [(row.stage, row.tasks, row.settled) for row in heard[4].stages] == [("frames", 4, 0)]
     assert heard[5] == "looked at"

@@ -18,7 +18,7 @@ from tests.helpers.synthetic_site import small_yard
 from wbflow.cache.digests import Digests
 from wbflow.cache.ply import read_ply
 from wbflow.outcome.demo import NotADemo, write_demo
-from wbflow.runner.captures import find_captures, night
+from wbflow.site.captures import find_captures, night
 from wbflow.site.load import load_site
 from wbflow_demo.photograph import DemoSite, Shots
 

@@ -25,7 +25,7 @@ from wbflow.records.record import (
     TaskCounts,
     Verdict,
 )
-from wbflow.runner.state import Cause, State
+from wbflow.runner.spec import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task
 

@@ -18,7 +18,7 @@ import pytest
 from tests.helpers import made_up_run
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.record import Finding, RunRecord, Verdict
-from wbflow.runner.state import Cause
+from wbflow.runner.spec import Cause
 
 webdriver = pytest.importorskip("selenium.webdriver")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

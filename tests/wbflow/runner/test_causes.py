@@ -12,8 +12,8 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cache.digests import Digests
-from wbflow.runner import captures
-from wbflow.runner.state import Cause
+from wbflow.runner.spec import Cause
+from wbflow.site import captures
 
 
 def told(toy: ToySite) -> list[dict[str, Any]]:

@@ -18,10 +18,9 @@ from click.testing import CliRunner
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.main import main
 from wbflow.records.costs import TaskCosts
-from wbflow.runner import limits
-from wbflow.runner.dispatch import Dispatcher
+from wbflow.runner import dispatch
+from wbflow.runner.dispatch import Dispatcher, Limits
 from wbflow.runner.executors import Processes
-from wbflow.runner.limits import Limits
 from wbflow.task import Task
 
 WICKED = '''
@@ -94,7 +93,7 @@ def test_a_task_at_fault_costs_itself_and_the_reason_is_said(
     assert said in reason_of(wicked.run(*options, code=3))
 
 
-def test_of_quick_lanes_handed_out_together_one_loses_its_worker_and_the_others_are_done_once(tmp_path: Path) -> None:
+def test_of_quick_chains_handed_out_together_one_loses_its_worker_and_the_others_are_done_once(tmp_path: Path) -> None:
     site = ToySite(tmp_path / "toy", [f"c{k:02d}" for k in range(11)] + ["roof"])
     (site.folder / "wicked_stage.py").write_text(WICKED)
     described = json.loads(site.file.read_text())
@@ -118,7 +117,7 @@ def test_five_megabytes_of_escape_codes_are_a_short_reason(wicked: ToySite) -> N
     assert all(len(file.read_bytes()) < 500_000 for file in newest.iterdir())
 
 
-def test_what_a_lane_had_finished_before_its_worker_was_lost_is_kept(toy: ToySite) -> None:
+def test_what_a_chain_had_finished_before_its_worker_was_lost_is_kept(toy: ToySite) -> None:
     toy.fault("once", "geometry")
     result = toy.wbflow("run", "--jobs", "1")
     assert result.returncode == 0, result.stderr
@@ -182,9 +181,9 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
 def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
     known = Limits(past=past)
-    assert known.seconds_for("quick") == limits.SHORTEST
-    assert known.seconds_for("slow") == limits.TIMES * 300
-    assert known.seconds_for("endless") == known.seconds_for("new") == limits.LONGEST
+    assert known.seconds_for("quick") == dispatch.SHORTEST
+    assert known.seconds_for("slow") == dispatch.TIMES * 300
+    assert known.seconds_for("endless") == known.seconds_for("new") == dispatch.LONGEST
     assert Limits(seconds=5.0, past=past).seconds_for("slow") == 5
 
 

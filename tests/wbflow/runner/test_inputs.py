@@ -6,8 +6,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from wbflow.pipeline.stages import PAIRS, stage_named
-from wbflow.runner.state import State
-from wbflow.runner.subjects import Subjects
+from wbflow.runner.inputs import Subjects
+from wbflow.runner.spec import State
 from wbflow.task import Task
 
 

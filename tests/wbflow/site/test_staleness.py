@@ -10,9 +10,9 @@ import pytest
 from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.digests import Digests, Seen
 from wbflow.pipeline.summaries import FrameSummary
-from wbflow.runner.captures import find_captures
-from wbflow.runner.staleness import Delivered, by_picture, look_at, night_by_pictures
+from wbflow.site.captures import find_captures
 from wbflow.site.load import Site, load_site
+from wbflow.site.staleness import Delivered, by_picture, look_at, night_by_pictures
 
 NIGHT = datetime.date(2026, 11, 19)
 DAY = datetime.timedelta(days=1)

@@ -5,19 +5,18 @@ from __future__ import annotations
 import datetime
 import functools
 import glob
-import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from ..cache.digests import Digests
 from ..cache.untrusted import find_outside
 from ..errors import UsageError, WbflowError, printable
-from ..site.models import Camera, Site
+from .models import Camera, Site
 
 _DIRECTIVES = {
     "Y": r"\d{4}",
@@ -49,11 +48,8 @@ class Pattern:
 
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a night, in the order of their times, where their names say them, else of their names."""
-        if not any(mark in (text := self._filled(self.text, date)) for mark in "*?["):  # one name, and nothing to search for
-            path = f"{self.root}/{text.replace('{camera}', camera)}"
-            return [Path(path)] if os.path.lexists(path) and not os.path.isdir(path) else []  # noqa: PTH112
-        found = [path for path in map(Path, find_outside(self._wild(camera, date))) if not path.is_dir()]
         moment = self._reader(camera)
+        found = [path for path in map(Path, find_outside(self._wild(camera, date))) if not path.is_dir()]
         return sorted(found, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
@@ -73,25 +69,25 @@ class Pattern:
         """Names for which there are files, of whatever night, where the pattern's `{camera}` stands."""
         if "{camera}" not in self.text:
             return set()
-        text = self._filled(self.text, None).replace("{camera}", "*")
+        wild = self._in_root(self._filled(None).replace("{camera}", "*"))
         first, *rest = self._expression("\0").split("\0")
         expression = re.compile(first + "(?P<camera>[^/]+?)" + "(?P=camera)".join(rest))
-        found = (expression.fullmatch(name) for name in find_outside(str(Path(glob.escape(str(self.root))) / text)))
+        found = (expression.fullmatch(name) for name in find_outside(wild))
         return {match["camera"] for match in found if match}
 
     def expected(self, camera: str, date: datetime.date) -> str:
         """What a camera's captures of a night would be called, for messages."""
-        return str(self.root / self._filled(self.text, date).replace("{camera}", camera))
+        return str(self.root / self._filled(date).replace("{camera}", camera))
 
     def _wild(self, camera: str, date: datetime.date | None = None) -> str:
         """A pattern for `glob`: of one night, or of all."""
-        text = self._filled(self.text, date).replace("{camera}", glob.escape(camera))
+        return self._in_root(self._filled(date).replace("{camera}", glob.escape(camera)))
+
+    def _in_root(self, text: str) -> str:
         return str(Path(glob.escape(str(self.root))) / text)
 
-    @staticmethod
-    @functools.lru_cache(64)
-    def _filled(text: str, date: datetime.date | None) -> str:
-        """The date put in; what is not known matches anything."""
+    def _filled(self, date: datetime.date | None) -> str:
+        """The text with the date put in; what is not known matches anything."""
 
         def of(match: re.Match[str]) -> str:
             form = match.group(2) or _FORMATS[match.group(1)]
@@ -99,43 +95,21 @@ class Pattern:
                 return datetime.datetime.combine(date, datetime.time()).strftime(form)
             return re.sub(r"\*+", "*", re.sub(r"%[a-zA-Z]", "*", form))
 
-        return _FIELD.sub(of, text)
+        return _FIELD.sub(of, self.text)
 
     def _reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
-        """Reads the moment out of a path; None for a path without one."""
-        formats = self._formats
-        if not formats:
-            return lambda path: None
+        """A function that reads the moment out of a path; it returns None for a path without one."""
+        formats = "|".join(match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text))
+        expression = re.compile(self._expression(re.escape(camera)))
 
         def moment(path: str) -> datetime.datetime | None:
-            match = self._of_any.fullmatch(path)
-            if match and "camera" in match.re.groupindex and match["camera"] != camera:  # it can be read in more ways than one
-                match = re.fullmatch(self._expression(re.escape(camera)), path)
-            if not match:
-                return None
+            match = expression.fullmatch(path) if formats else None
             try:
-                return datetime.datetime.strptime("|".join(match[k] for k in self._groups(match)), "|".join(formats))
+                return datetime.datetime.strptime("|".join(match.groups()), formats) if match else None
             except ValueError:
                 return None
 
         return moment
-
-    @functools.cached_property
-    def _formats(self) -> list[str]:
-        return [match.group(2) or _FORMATS[match.group(1)] for match in _FIELD.finditer(self.text)]
-
-    @functools.cached_property
-    def _of_any(self) -> re.Pattern[str]:
-        """The expression for the captures of whatever camera; one is made for a site, not one for each camera."""
-        first, *rest = self._expression("\0").split("\0")
-        return re.compile(
-            first + "".join(("(?P=camera)" if k else "(?P<camera>[A-Za-z0-9_.-]+?)") + part for k, part in enumerate(rest))
-        )
-
-    @staticmethod
-    def _groups(match: re.Match[str]) -> list[int]:
-        """The groups of a match that are dates and times."""
-        return [k for k in range(1, match.re.groups + 1) if k != match.re.groupindex.get("camera")]
 
     def _expression(self, camera: str) -> str:
         """A regular expression for a capture's path with one group for each {date} and {time}; camera stands for {camera}."""
@@ -271,7 +245,7 @@ def find_captures(
     digests : Digests
         Of their bytes.
     tell : callable, optional
-        Is told how many cameras have been looked at, after each.
+        Receives how many cameras have been looked at, after each.
     """
     found, seconds = {}, ANSWER_SECONDS
     for camera in site.cameras:
@@ -337,3 +311,29 @@ def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
     except (OSError, ValueError) as error:
         why = error.what if isinstance(error, WbflowError) else getattr(error, "strerror", None) or str(error)
         return CaptureFile(printable(name), path, "", printable(why))
+
+
+def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
+    """A file as it is now."""
+    try:
+        return replace(file, digest=digests.of(file.path))
+    except OSError:  # gone since
+        return replace(file, digest="")
+
+
+def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:
+    """Captures that were replaced, or grew, since their digests were taken: their names, by camera.
+
+    replaced: files of which that is known.
+    """
+
+    def moved(files: list[CaptureFile]) -> list[str]:
+        return [f.name for f in files if f.digest and (f.path in replaced or as_now(f, digests).digest != f.digest)]
+
+    found, seconds = {}, ANSWER_SECONDS
+    for camera, files in captures.items():
+        try:
+            found[camera] = answered(functools.partial(moved, files), seconds)
+        except TimeoutError:  # the mount has died since
+            seconds = LATER_SECONDS
+    return {camera: names for camera, names in found.items() if names}

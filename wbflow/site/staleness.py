@@ -14,8 +14,8 @@ from ..cache.artifact import digest
 from ..cache.digests import Digests, Seen
 from ..pipeline.summaries import FrameSummary
 from ..records.record import Health
-from ..site.models import Camera, Site
 from .captures import CaptureFile, captures_of, pattern_of
+from .models import Camera, Site
 
 FAR_OFF_HOURS = 3.0
 """A camera whose captures are further than this from those of the others shows another light, or its clock is wrong."""

@@ -11,7 +11,7 @@ import pytest
 
 from wbflow.cache.digests import Digests
 from wbflow.errors import UsageError
-from wbflow.runner.captures import backlog, find_captures, night
+from wbflow.site.captures import backlog, find_captures, night
 from wbflow.site.load import Site, load_site
 
 

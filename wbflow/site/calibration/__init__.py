@@ -1,1 +1,0 @@
-"""Calibrations in the forms in which programs write them."""
