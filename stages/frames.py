@@ -155,6 +155,7 @@ def _one_frame(
         **vars(image_statistics(background.image, allowed)),
         **vars(signal),
         blur_px=blur_px(background.image, allowed),
+        noise_left=noise,
         coarseness=1 + (signal.blocking - 1) * width / camera.width,
         frames_used=len(images) - len(words),
         doubtful=float((background.doubtful & allowed).mean()),

@@ -92,26 +92,32 @@ def solve_poses(
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
     believed = {name: placement for name, placement in placements.items() if name not in moved} | held
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
+    calibration = _calibration(known, cameras, set(moved), geometries, tuple(views))
     geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
     found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected):
         return found
-    calibration = _calibration(known, cameras, set(moved), seen)
     found = replace(found, uncertain=_uncertain(adjusted, geometries), calibration=calibration)
     found = replace(found, **check_survey(found, views, placements, survey))
     return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
 
 
 def _calibration(
-    known: Mapping[str, Camera], cameras: Mapping[str, Camera], moved: set[str], geometries: Mapping[Pair, Geometry]
+    known: Mapping[str, Camera],
+    cameras: Mapping[str, Camera],
+    moved: set[str],
+    geometries: Mapping[Pair, Geometry],
+    order: tuple[str, ...],
 ) -> CalibrationCheck | None:
     """The stated calibration as a whole; what single cameras that were moved explain is no fault of the others.
 
     known, cameras: as stated, and as they are within their standard deviations, without those that were moved.
+    geometries: of all pairs.
+    order: all cameras.
     """
-    found = check_calibration({**known, **cameras}, geometries)
+    found = check_calibration({**known, **cameras}, geometries, order)
     if moved and found is not None and found.contradicted and (not found.cause or moved & {*found.cameras}):
-        return check_calibration(cameras, geometries)
+        return check_calibration(cameras, geometries, order)
     return found
 
 

@@ -16,7 +16,7 @@ Loss: Cauchy, see Black & Anandan, The Robust Estimation of Multiple Motions, 19
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -69,34 +69,33 @@ class _Matches:
 
 
 @dataclass(frozen=True)
-class _World:
-    """Cameras, and a radial distortion that is left in their frames."""
+class _Seen:
+    """A camera, and a radial distortion that is left in its frames."""
 
-    cameras: Mapping[str, Camera]
+    camera: Camera
     k1: float = 0.0
 
-    def residuals(self, matches: _Matches) -> Float64s:
-        """Distances (n,) of matches to the epipolar lines, in standard deviations."""
-        left, right = (self.cameras[name] for name in matches.pair)
-        F = fundamental_from_cameras(left, right)
-        return sampson_distance(F, self.straight(left, matches.x1), self.straight(right, matches.x2)) / matches.noise_px
-
-    def straight(self, camera: Camera, x: Float64s) -> Float64s:
+    def straight(self, x: Float64s) -> Float64s:
         """Pixels without the distortion that was left in."""
         if self.k1 == 0:
             return x
-        focal = np.array([camera.K[0, 0], camera.K[1, 1]])
-        ray = (x - camera.K[:2, 2]) / focal
-        return np.asarray(camera.K[:2, 2] + ray * (1 - self.k1 * (ray**2).sum(axis=1, keepdims=True)) * focal, dtype=np.float64)
+        K = self.camera.K
+        focal = np.array([K[0, 0], K[1, 1]])
+        ray = (x - K[:2, 2]) / focal
+        return np.asarray(K[:2, 2] + ray * (1 - self.k1 * (ray**2).sum(axis=1, keepdims=True)) * focal, dtype=np.float64)
+
+
+_World = Mapping[str, _Seen]
 
 
 @dataclass(frozen=True)
 class _Cause:
-    """Something that may be wrong with the stated cameras, with `unknowns` numbers; zeros: as stated."""
+    """Something that may be wrong with the stated cameras.  Zeros: as stated."""
 
     name: str
-    unknowns: int
-    world: Callable[[Float64s], _World]
+    change: Callable[[_World, Float64s], _World]
+    about: tuple[str, ...] = ()
+    """The camera that each unknown is about; "" for all."""
     cameras: tuple[str, ...] = ()
     """Those that it is about; () for all."""
 
@@ -105,48 +104,52 @@ class _Cause:
 class _Explanation:
     cause: _Cause
     amount: Float64s
+    world: _World
     loss: float
     """Mean over all matches."""
 
 
-def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> CalibrationCheck | None:
+def check_calibration(
+    cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], order: Sequence[str]
+) -> CalibrationCheck | None:
     """Compare stated cameras with the matches of the night; None where too few matches can tell.
 
     Parameters
     ----------
     cameras
-        As the site states them, at working resolution, by id, in the order of the site.
+        As the site states them, at working resolution, by id.
     geometries
-        Matches of the pairs, without the stated distortion.
+        Matches of the pairs, without the stated distortion; those of other cameras confirm matches.
+    order
+        All cameras, in the order of the site.
     """
+    if len(cameras) < 2:
+        return None
     believed = {
         pair: geometry
         for pair, geometry in geometries.items()
-        if set(pair) <= set(cameras) and geometry.good_probability >= BELIEVED and len(geometry.x1) >= MIN_SHARED
+        if geometry.good_probability >= BELIEVED and len(geometry.x1) >= MIN_SHARED
     }
-    confirmed = _confirmed(tuple(cameras), believed)
-    evidence = confirmed or [_matches(pair, geometry, geometry) for pair, geometry in believed.items()]
+    confirmed = [m for m in _confirmed(tuple(order), believed) if set(m.pair) <= set(cameras)]
+    evidence = confirmed or [_matches(pair, g, g) for pair, g in believed.items() if set(pair) <= set(cameras)]
     if not evidence:
         return None
-    stated = _World(cameras)
+    stated = {name: _Seen(camera) for name, camera in cameras.items()}
     loss, own = _loss(stated, evidence), float(_mean(evidence, [m.own_loss for m in evidence]))
     count = sum(len(m.x1) for m in evidence)
     found = CalibrationCheck(matches=count, pairs=len(evidence), confirmed=bool(confirmed), misfit=loss / max(own, 1e-9))
-    best = _explanation(stated, evidence, alone=not confirmed)
-    if best is not None and _explains(best, loss, own, evidence, alone=not confirmed):
-        off_px = _off_px(stated, best.cause.world(best.amount), evidence)
-        if not off_px < HARMFUL_PX:
-            amount = tuple(float(a) for a in best.amount)
-            return replace(
-                found,
-                contradicted=True,
-                cause=best.cause.name,
-                cameras=best.cause.cameras,
-                amount=amount,
-                better=loss / best.loss,
-                off_px=off_px,
-            )
-    return replace(found, contradicted=bool(confirmed) and loss > CONTRADICTED * own)
+    if loss <= EXPLAINED * own:
+        return found
+    beyond_noise = bool(confirmed) and loss > CONTRADICTED * own
+    best = _explanation(stated, evidence, own, alone=not confirmed)
+    if best is None:
+        return replace(found, contradicted=beyond_noise)
+    off_px = _off_px(stated, best.world, evidence)
+    if off_px < HARMFUL_PX and not beyond_noise:
+        return found
+    cause, amount = best.cause, tuple(float(a) for a in best.amount)
+    found = replace(found, cause=cause.name, cameras=cause.cameras, amount=amount, better=loss / best.loss, off_px=off_px)
+    return replace(found, contradicted=True)
 
 
 def _confirmed(names: tuple[str, ...], believed: Mapping[Pair, Geometry]) -> list[_Matches]:
@@ -175,13 +178,20 @@ def _cauchy(residuals: Float64s) -> Float64s:
     return np.asarray(OUTLIER**2 * np.log1p((residuals / OUTLIER) ** 2), dtype=np.float64)
 
 
+def _residuals(world: _World, matches: _Matches) -> Float64s:
+    """Distances (n,) of matches to the epipolar lines, in standard deviations."""
+    left, right = (world[name] for name in matches.pair)
+    F = fundamental_from_cameras(left.camera, right.camera)
+    return sampson_distance(F, left.straight(matches.x1), right.straight(matches.x2)) / matches.noise_px
+
+
 def _mean(evidence: list[_Matches], values: list[float]) -> float:
     """Mean over pairs, each by its number of matches."""
     return float(np.average(values, weights=[min(len(m.x1), COUNTED) for m in evidence]))
 
 
 def _loss(world: _World, evidence: list[_Matches]) -> float:
-    return _mean(evidence, [float(_cauchy(world.residuals(m)).mean()) for m in evidence])
+    return _mean(evidence, [float(_cauchy(_residuals(world, m)).mean()) for m in evidence])
 
 
 def _explains(best: _Explanation, loss: float, own: float, evidence: list[_Matches], alone: bool) -> bool:
@@ -197,7 +207,7 @@ def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
     change; `FARTHEST_PX` where they lie behind a camera."""
     found = []
     for matches in evidence:
-        if all(stated.cameras[n] is right.cameras[n] for n in matches.pair) and right.k1 == stated.k1:
+        if all(stated[name] is right[name] for name in matches.pair):
             continue
         (z, gain), (other, _) = (_depths(world, matches) for world in (stated, right))
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -206,91 +216,167 @@ def _off_px(stated: _World, right: _World, evidence: list[_Matches]) -> float:
 
 
 def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
-    left, right = (world.cameras[name] for name in matches.pair)
-    return triangulate_depth(left, right, world.straight(left, matches.x1), world.straight(right, matches.x2))
+    left, right = (world[name] for name in matches.pair)
+    return triangulate_depth(left.camera, right.camera, left.straight(matches.x1), right.straight(matches.x2))
 
 
-def _explanation(stated: _World, evidence: list[_Matches], alone: bool) -> _Explanation | None:
-    """The cause that explains the matches best; of those that do so about as well the simplest."""
-    found = [_fit(cause, evidence) for cause in _causes(stated, evidence, alone)]
-    if not found:
-        return None
-    least = min(explanation.loss for explanation in found)
-    return min(found, key=lambda e: (e.loss > 1.1 * least, e.cause.unknowns, e.loss))
+def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bool) -> _Explanation | None:
+    """The cause that explains the matches best; of those that do so about as well the simplest.
+
+    Other poses of all cameras explain much: they are asked for only where nothing else brings the matches back.
+    """
+    found = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone)]
+    loss, least = _loss(stated, evidence), min(explanation.loss for explanation in found)
+    enough = least + max(0.1 * least, 0.05 * (loss - least))
+    best = min(found, key=lambda e: (e.loss > enough, len(e.cause.about), e.loss))
+    if best.loss > CONTRADICTED * own and not alone and len(stated) <= LARGEST_SITE:
+        best = min(best, _fit(_all_poses(stated, evidence), stated, evidence), key=lambda e: e.loss)
+    return best if _explains(best, loss, own, evidence, alone) else None
 
 
-def _fit(cause: _Cause, evidence: list[_Matches]) -> _Explanation:
+def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
     """The amount of a cause that fits the matches best: Gauss-Newton steps on a loss that tightens as it goes."""
     mine = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
-    amount, damping = np.zeros(cause.unknowns), 1e-3
+    amount, damping, scale = np.zeros(len(cause.about)), 1e-3, np.inf
 
-    def residuals(at: Float64s) -> Float64s:
-        world = cause.world(at)
-        return np.concatenate([world.residuals(m) for m in mine])
+    def residuals(at: Float64s, about: str = "") -> list[Float64s]:
+        world = cause.change(stated, at)
+        return [_residuals(world, m) if not about or about in m.pair else off[k] for k, m in enumerate(mine)]
 
+    off: list[Float64s] = []
     off = residuals(amount)
-    scale = np.inf
-    for _ in range(STEPS if cause.unknowns else 0):
-        scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(off)))))
-        cost = float(np.log1p((off / scale) ** 2).sum())
-        slope = np.stack([(residuals(amount + 1e-6 * row) - off) / 1e-6 for row in np.eye(cause.unknowns)], axis=1)
-        weight = 1 / (1 + (off / scale) ** 2)
-        normal, right = slope.T @ (slope * weight[:, None]), slope.T @ (weight * off)
-        step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), -right)
+    for _ in range(STEPS if len(amount) else 0):
+        all_off = np.concatenate(off)
+        scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(all_off)))))
+        cost = float(np.log1p((all_off / scale) ** 2).sum())
+        rows = zip(cause.about, 1e-6 * np.eye(len(amount)), strict=True)
+        slope = np.stack([(np.concatenate(residuals(amount + row, about)) - all_off) / 1e-6 for about, row in rows], axis=1)
+        weight = 1 / (1 + (all_off / scale) ** 2)
+        normal, right = slope.T @ (slope * weight[:, None]), slope.T @ (weight * all_off)
+        step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -right)
         ahead = residuals(amount + step)
-        if float(np.log1p((ahead / scale) ** 2).sum()) < cost:
+        if float(np.log1p((np.concatenate(ahead) / scale) ** 2).sum()) < cost:
             amount, off, damping = amount + step, ahead, max(damping / 10, 1e-9)
         elif (damping := damping * 10) > 1e3:
             break
         if np.linalg.norm(step) < 1e-7 and scale <= OUTLIER:
             break
-    return _Explanation(cause, amount, _loss(cause.world(amount), evidence))
+    world = cause.change(stated, amount)
+    return _Explanation(cause, amount, world, _loss(world, evidence))
 
 
 def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_Cause]:
     """What may be wrong, the likeliest first."""
-    cameras = stated.cameras
     seen = sorted({name for m in evidence for name in m.pair})
-    size = float(np.median([np.linalg.norm(cameras[a].C - cameras[b].C) for a, b in (m.pair for m in evidence)]))
+    size, still = _size(stated, evidence), np.zeros(3)
 
-    def everywhere(change: Callable[[Camera], Camera], k1: float = 0.0) -> _World:
-        return _World({name: change(camera) for name, camera in cameras.items()}, k1)
+    def of_all(name: str, unknowns: int, change: Callable[[_Seen, Float64s], _Seen]) -> _Cause:
+        return _Cause(name, lambda w, a: {n: change(one, a) for n, one in w.items()}, ("",) * unknowns)
 
-    def only(name: str, change: Callable[[Camera], Camera]) -> _World:
-        return _World({**cameras, name: change(cameras[name])})
+    def of_one(name: str, unknowns: int, change: Callable[[_Seen, Float64s], _Seen], camera: str) -> _Cause:
+        return _Cause(name, lambda w, a: {**w, camera: change(w[camera], a)}, (camera,) * unknowns, (camera,))
 
-    yield _Cause("focal-lengths", 1, lambda a: everywhere(lambda c: _zoomed(c, a[0])))
-    yield _Cause("distortion", 1, lambda a: everywhere(lambda c: c, a[0]))
+    def of_two(name: str, keys: tuple[str, ...], one: str, other: str) -> _Cause:
+        return _Cause(
+            name, lambda w, a: {**w, one: _like(w[one], w[other], keys), other: _like(w[other], w[one], keys)}, (), (one, other)
+        )
+
+    yield of_all("focal-lengths", 1, _zoomed)
+    yield of_all("distortion", 1, _bent)
     if alone:
         return
-    yield _Cause("principal-points", 2, lambda a: everywhere(lambda c: _shifted(c, a)))
-    yield _Cause("focal-lengths-and-distortion", 2, lambda a: everywhere(lambda c: _zoomed(c, a[0]), a[1]))
+    yield of_all("pixel-shape", 1, _stretched)
+    yield of_all("principal-points", 2, _shifted)
+    yield of_all("focal-lengths-and-distortion", 2, lambda one, a: _bent(_zoomed(one, a[:1]), a[1:]))
+    for name, change in CONVENTIONS.items():
+        yield of_all(name, 0, lambda one, a, c=change: replace(one, camera=c(one.camera)))  # type: ignore[misc]
     for name in seen:
         if len({m.pair for m in evidence if name in m.pair}) < 2:  # one pair may show look-alikes
             continue
-        yield _Cause("focal-length", 1, lambda a, n=name: only(n, lambda c: _zoomed(c, a[0])), (name,))  # type: ignore[misc]
-        yield _Cause("turned", 3, lambda a, n=name: only(n, lambda c: replace(c, R=rotation_matrix(a) @ c.R)), (name,))  # type: ignore[misc]
-        yield _Cause("moved", 3, lambda a, n=name: only(n, lambda c: replace(c, C=c.C + size * a)), (name,))  # type: ignore[misc]
-    for axis in range(3):
-        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
-        yield _Cause(f"mirrored-{'xyz'[axis]}", 0, lambda a, s=sign: everywhere(lambda c: replace(c, C=c.C * s)))  # type: ignore[misc]
-    for one, other in combinations(seen, 2) if len(seen) <= LARGEST_SITE else ():
-        yield _Cause("exchanged", 0, lambda a, n=one, m=other: _exchanged(cameras, n, m), (one, other))  # type: ignore[misc]
+        yield of_one("focal-length", 1, _zoomed, name)
+        yield of_one("distortion-of-one", 1, _bent, name)
+        yield of_one("turned", 3, lambda one, a: _posed(one, np.append(a, still), size), name)
+        yield of_one("moved", 3, lambda one, a: _posed(one, np.append(still, a), size), name)
+        for convention in ("mirrored-frames", "upside-down"):
+            yield of_one(convention, 0, lambda one, a, c=convention: replace(one, camera=CONVENTIONS[c](one.camera)), name)  # type: ignore[misc]
+    if len(seen) <= LARGEST_SITE:
+        for one, other in combinations(seen, 2):
+            for name, keys in EXCHANGED.items():
+                yield of_two(name, keys, one, other)
 
 
-def _zoomed(camera: Camera, log_scale: float) -> Camera:
-    K = camera.K.copy()
-    K[:2, :2] *= np.exp(np.clip(log_scale, -LARGEST_ZOOM, LARGEST_ZOOM))
+def _all_poses(stated: _World, evidence: list[_Matches]) -> _Cause:
+    size, seen = _size(stated, evidence), sorted({name for m in evidence for name in m.pair})
+    rows = {name: slice(6 * k, 6 * k + 6) for k, name in enumerate(seen)}
+
+    def change(world: _World, amount: Float64s) -> _World:
+        return {**world, **{name: _posed(world[name], amount[rows[name]], size) for name in seen}}
+
+    return _Cause("poses", change, tuple(name for name in seen for _ in range(6)))
+
+
+def _size(stated: _World, evidence: list[_Matches]) -> float:
+    """Between two cameras, median."""
+    return float(np.median([np.linalg.norm(stated[a].camera.C - stated[b].camera.C) for a, b in (m.pair for m in evidence)]))
+
+
+def _posed(one: _Seen, amount: Float64s, size: float) -> _Seen:
+    """amount: a turn and a move."""
+    camera = one.camera
+    return replace(one, camera=replace(camera, R=rotation_matrix(amount[:3]) @ camera.R, C=camera.C + size * amount[3:]))
+
+
+def _zoomed(one: _Seen, log_scale: Float64s) -> _Seen:
+    return _scaled(one, np.exp(np.clip(log_scale[0], -LARGEST_ZOOM, LARGEST_ZOOM)) * np.ones(2))
+
+
+def _stretched(one: _Seen, log_scale: Float64s) -> _Seen:
+    """Wider pixels, of the same height."""
+    return _scaled(one, np.exp(np.clip(log_scale[0], -LARGEST_ZOOM, LARGEST_ZOOM) * np.array([1.0, 0.0])))
+
+
+def _scaled(one: _Seen, factors: Float64s) -> _Seen:
+    K = one.camera.K.copy()
+    K[[0, 1], [0, 1]] *= factors
+    return replace(one, camera=replace(one.camera, K=K))
+
+
+def _bent(one: _Seen, k1: Float64s) -> _Seen:
+    return replace(one, k1=float(k1[0]))
+
+
+def _shifted(one: _Seen, share: Float64s) -> _Seen:
+    """share: of the width."""
+    K = one.camera.K.copy()
+    K[:2, 2] += share * one.camera.width
+    return replace(one, camera=replace(one.camera, K=K))
+
+
+def _like(one: _Seen, other: _Seen, keys: tuple[str, ...]) -> _Seen:
+    """With parts of another camera."""
+    return replace(one, camera=replace(one.camera, **{key: getattr(other.camera, key) for key in keys}))
+
+
+def _flipped(camera: Camera, axes: int) -> Camera:
+    """Mirrored frames; with two axes: turned by half a turn."""
+    K, size = camera.K.copy(), (camera.width, camera.height)
+    for k in range(axes):
+        K[k, k], K[k, 2] = -K[k, k], size[k] - 1 - K[k, 2]
     return replace(camera, K=K)
 
 
-def _shifted(camera: Camera, share: Float64s) -> Camera:
-    """share: of the focal length."""
-    K = camera.K.copy()
-    K[:2, 2] += share * K[0, 0]
-    return replace(camera, K=K)
-
-
-def _exchanged(cameras: Mapping[str, Camera], one: str, other: str) -> _World:
-    a, b = cameras[one], cameras[other]
-    return _World({**cameras, one: replace(a, R=b.R, C=b.C), other: replace(b, R=a.R, C=a.C)})
+_DOWN = np.diag([1.0, -1.0, -1.0])
+CONVENTIONS: Mapping[str, Callable[[Camera], Camera]] = {
+    "mirrored-x": lambda c: replace(c, C=c.C * (-1, 1, 1)),
+    "mirrored-y": lambda c: replace(c, C=c.C * (1, -1, 1)),
+    "mirrored-z": lambda c: replace(c, C=c.C * (1, 1, -1)),
+    "axes-exchanged": lambda c: replace(c, C=c.C[[1, 0, 2]]),
+    "t-for-positions": lambda c: replace(c, C=-c.R.T @ c.C),
+    "rotations-transposed": lambda c: replace(c, R=c.R.T),
+    "rotations-opengl": lambda c: replace(c, R=_DOWN @ c.R),
+    "rotations-transposed-opengl": lambda c: replace(c, R=_DOWN @ c.R.T),
+    "mirrored-frames": lambda c: _flipped(c, 1),
+    "upside-down": lambda c: _flipped(c, 2),
+}
+"""How calibrations are misread: what would be right of what is stated."""
+EXCHANGED = {"exchanged": ("R", "C"), "positions-exchanged": ("C",), "lenses-exchanged": ("K",)}

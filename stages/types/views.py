@@ -94,6 +94,8 @@ class Frame:
     """Median saturation of the captures once their cast is taken off, 0 (grey, infrared) to 1."""
     noise: float = 0.0
     """Standard deviation of the captures' noise, grey levels (median)."""
+    noise_left: float = 0.0
+    """`noise` as far as it is left at working resolution by the median of the captures."""
     frames_used: int = 1
     """Captures that count fully."""
     doubtful: float = 0.0

@@ -57,6 +57,7 @@ class FrameSummary(Summary):
     cast: float | None = None
     colour: float | None = None
     noise: float | None = None
+    noise_left: float | None = None
     frames_used: int | None = None
     doubtful: float | None = None
     unchanged: float | None = None
@@ -310,6 +311,7 @@ class ChangesSummary(SiteSummary):
     changed_share: float | None = None
     unknown_share: float | None = None
     noise: float | None = None
+    noise_left: float | None = None
     changes: Mapping[str, Change] | None = None
 
     @property

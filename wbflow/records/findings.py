@@ -222,10 +222,11 @@ FINDINGS: Mapping[str, FindingType] = {
         FindingType(
             "pictures-soft",
             "degraded",
-            "Many pictures are too blurred, or coded too coarsely, to be measured in; `sigma_mm` may be too small.",
-            "pictures are too soft to be measured in: {cameras}; edges are blurred by up to {blur_px:.1f} px, and blocks of "
-            "their coding stand out by a factor of up to {coarseness:.1f}: points may be off by more than they say",
-            "look at focus, glass, exposure time and the quality at which captures are coded; or lower `resolution`",
+            "Many pictures are too blurred, noisy or coarsely coded to be measured in; `sigma_mm` may be too small.",
+            "pictures are too soft to be measured in: {cameras}; edges are blurred by up to {blur_px:.1f} px, blocks "
+            "of their coding stand out by a factor of up to {coarseness:.1f}, {noise_left:.0f} grey levels of noise are left: "
+            "points may be off by more than they say",
+            "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
         ),
         FindingType(
             "calibration-contradicted",

@@ -60,7 +60,7 @@ def stated(site: PairSite, change: Change) -> dict[str, Camera]:
 @pytest.mark.parametrize("noise_px", [0.0, 0.3, 0.8])
 def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) -> None:
     site = make_pair_site(cameras, noise_px=noise_px)
-    check = check_calibration(site.cameras, site.geometries)
+    check = check_calibration(site.cameras, site.geometries, tuple(site.cameras))
     assert check is not None and check.confirmed
     assert not check.contradicted
     assert check.misfit < 1.3
@@ -74,10 +74,14 @@ def test_a_right_calibration_is_not_contradicted(cameras: int, noise_px: float) 
         (shifted(8.0), "principal-points", None),
         (only("c2", turned), "turned", None),
         (mirrored, "mirrored-x", None),
+        (lambda _, c: replace(c, R=c.R.T), "rotations-transposed", None),
+        (lambda _, c: replace(c, R=np.diag([1.0, -1.0, -1.0]) @ c.R), "rotations-opengl", None),
+        (lambda _, c: replace(c, C=-c.R @ c.C), "t-for-positions", None),
+        (lambda _, c: replace(c, C=c.C[[1, 0, 2]]), "axes-exchanged", None),
     ],
 )
 def test_a_wrong_one_is_and_the_cause_is_named(site: PairSite, change: Change, cause: str, amount: float | None) -> None:
-    check = check_calibration(stated(site, change), site.geometries)
+    check = check_calibration(stated(site, change), site.geometries, tuple(site.cameras))
     assert check is not None and check.contradicted
     assert check.cause == cause
     if amount is not None:
@@ -89,21 +93,36 @@ def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
     one, other = list(cameras)[1], list(cameras)[4]
     a, b = cameras[one], cameras[other]
     cameras |= {one: replace(a, R=b.R, C=b.C), other: replace(b, R=a.R, C=a.C)}
-    check = check_calibration(cameras, site.geometries)
+    check = check_calibration(cameras, site.geometries, tuple(site.cameras))
     assert check is not None and (check.cause, set(check.cameras)) == ("exchanged", {one, other})
+
+
+def test_poses_that_are_all_wrong_are_named(site: PairSite) -> None:
+    rng = np.random.default_rng(4)
+    cameras = {name: replace(c, R=rotation_matrix(rng.normal(0, 0.005, 3)) @ c.R) for name, c in site.cameras.items()}
+    check = check_calibration(cameras, site.geometries, tuple(cameras))
+    assert check is not None and (check.contradicted, check.cause) == (True, "poses")
+
+
+def test_cameras_without_poses_confirm_matches_of_the_others(site: PairSite) -> None:
+    """Two cameras are stated, one of them wrongly."""
+    names = list(site.cameras)
+    two = {names[0]: site.cameras[names[0]], names[1]: turned(names[1], site.cameras[names[1]])}
+    check = check_calibration(two, site.geometries, tuple(names))
+    assert check is not None and (check.confirmed, check.contradicted) == (True, True)
 
 
 def test_look_alikes_of_one_pair_contradict_nothing(site: PairSite) -> None:
     """Matches of two cameras that have lines of their own, elsewhere."""
     pair, geometry = next(iter(site.geometries.items()))
     wrong = replace(geometry, x2=geometry.x2 + np.array([40.0, 15.0]), F=_moved(geometry, [40.0, 15.0]))
-    check = check_calibration({name: site.cameras[name] for name in pair}, {pair: wrong})
+    check = check_calibration({name: site.cameras[name] for name in pair}, {pair: wrong}, pair)
     assert check is not None and not check.confirmed
     assert not check.contradicted
 
 
 def test_without_matches_nothing_is_said(site: PairSite) -> None:
-    assert check_calibration(site.cameras, {}) is None
+    assert check_calibration(site.cameras, {}, tuple(site.cameras)) is None
 
 
 def test_poses_carry_what_was_found(site: PairSite) -> None:
