@@ -311,7 +311,6 @@ class ChangesSummary(SiteSummary):
     changed_share: float | None = None
     unknown_share: float | None = None
     noise: float | None = None
-    noise_left: float | None = None
     changes: Mapping[str, Change] | None = None
 
     @property

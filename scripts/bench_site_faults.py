@@ -1,0 +1,678 @@
+#!/usr/bin/env python3
+"""Does a night that is called good have a right cloud?  One thing wrong at a time with a small site whose truth is exact.
+
+    bench_site_faults.py FOLDER [--scenes yard carpark ...] [--only WORD ...] [--quick] [--json FILE]
+
+Renders the scenes into FOLDER, works through two nights of each, then makes a copy for each variation of `VARIATIONS`, changes it
+and runs it.  What came of a variation stays in FOLDER/results: a second call goes on where the first stopped, and prints all.
+Only the last run of a copy counts.  --quick ends a run after its poses where these are already found to be wrong: its cloud is
+not measured.
+
+- **Fault**: exit code 0 is a lie where less than 90 % of the points lie within the tolerance of the true surface.
+- **Harmless**: exit code 3 is a false alarm.
+- **Invisible**: no evidence in the pictures can show it; `why` has the proof.
+
+Exit code 1 where there is a lie or a false alarm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import scenes  # noqa: F401  # adds its scenes to the table
+import yaml
+from bench_certainty import errors_along_rays
+from scipy.spatial import cKDTree
+
+from wbflow.cache.ply import read_ply
+from wbflow.outcome.demo import write_demo
+from wbflow_stages.core.rotations import rotation_matrix
+from wbflow_stages.types import Float64s, Uint8s
+
+RIGHT = 0.9
+NIGHTS = ("2026-11-19", "2026-11-20")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A demo site in its small form, whose limits were fitted on it or not."""
+
+    render: dict[str, Any]
+    tolerance_m: float
+    fitted: bool
+
+
+SCENES = {
+    "yard": Scene({"scene": "yard"}, 0.2, fitted=True),
+    "carpark": Scene({"scene": "carpark"}, 0.2, fitted=True),
+    "apron": Scene({"scene": "apron", "cameras": 5}, 0.5, fitted=False),
+    "stadium": Scene({"scene": "stadium", "cameras": 5}, 0.5, fitted=False),
+    "yard-5": Scene({"scene": "yard", "seed": 5, "cameras": 5}, 0.2, fitted=False),
+}
+
+
+class Site:
+    """A copy of a site that may be changed."""
+
+    def __init__(self, folder: Path, night: str) -> None:
+        self.folder, self.night = folder, night
+        self.calibration: dict[str, Any] = json.loads((folder / "cameras.json").read_text())
+        self.file: dict[str, Any] = yaml.safe_load((folder / "site.yaml").read_text())
+        self.names = list(self.calibration)
+        self.run_options: list[str] = []
+
+    def write(self) -> None:
+        """Write calibration and site file."""
+        (self.folder / "cameras.json").write_text(json.dumps(self.calibration))
+        (self.folder / "site.yaml").write_text(yaml.safe_dump(self.file, sort_keys=False))
+
+    def files(self, camera: str) -> list[Path]:
+        """Tonight's captures of a camera."""
+        return sorted((self.folder / "captures" / camera).glob(f"{self.night}_*.jpg"))
+
+    def cameras(self, which: Sequence[int] | None = None) -> list[dict[str, Any]]:
+        """Entries of the calibration: all, or by number."""
+        return [self.calibration[self.names[k]] for k in (range(len(self.names)) if which is None else which)]
+
+    def pictures(self, change: Callable[[Uint8s], Uint8s], which: Sequence[int] | None = None, quality: int = 95) -> None:
+        """Change tonight's pictures."""
+        for k in range(len(self.names)) if which is None else which:
+            for file in self.files(self.names[k]):
+                image = cv2.imread(str(file))
+                assert image is not None
+                cv2.imwrite(str(file), change(image.astype(np.uint8)), [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+Change = Callable[[Site], None]
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One thing that differs from the site as it was rendered."""
+
+    name: str
+    kind: Literal["fault", "harmless", "invisible"]
+    change: Change
+    causes: tuple[str, ...] = ()
+    """What explains it: `cause` of the calibration check, or findings."""
+    on: tuple[str, ...] = ("yard",)
+    night: int = 1
+    """The second night has the first as reference."""
+    why: str = ""
+
+
+@dataclass
+class Result:
+    """What came of a variation."""
+
+    scene: str
+    name: str
+    kind: str
+    exit: int
+    right: float | None
+    """Share of all points within the tolerance of the true surface."""
+    points: int
+    sigma_mm: float | None
+    """Claimed, median."""
+    within_3_sigma: float | None
+    findings: list[str] = field(default_factory=list)
+    cause: str = ""
+    cause_right: bool | None = None
+    text: str = ""
+    cpu: float = 0.0
+
+
+# --- what may be wrong -------------------------------------------------------------------------------------------------------
+
+
+def focal(factor: float, which: Sequence[int] | None = None, axes: Sequence[int] = (0, 1)) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            for k in axes:
+                camera["K"][k][k] *= factor
+
+    return change
+
+
+def distortion(factor: float, which: Sequence[int] | None = None, only: Sequence[int] = (0, 1, 2, 3, 4)) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["distortion"] = [d * factor if k in only else d for k, d in enumerate(camera["distortion"])]
+
+    return change
+
+
+def principal(dx: float, dy: float, which: Sequence[int] | None = None) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["K"][0][2] += dx
+            camera["K"][1][2] += dy
+
+    return change
+
+
+def turn(degrees: tuple[float, float, float], which: Sequence[int] | None = None) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["R"] = (rotation_matrix(np.radians(degrees)) @ np.array(camera["R"])).tolist()
+
+    return change
+
+
+def turn_at_random(degrees: float, which: Sequence[int] | None = None) -> Change:
+    def change(site: Site) -> None:
+        rng = np.random.default_rng(1)
+        for camera in site.cameras(which):
+            w = rng.normal(size=3)
+            w *= np.radians(degrees) / np.linalg.norm(w)
+            camera["R"] = (rotation_matrix(w) @ np.array(camera["R"])).tolist()
+
+    return change
+
+
+def move(metres: tuple[float, float, float], which: Sequence[int]) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["C"] = (np.array(camera["C"]) + metres).tolist()
+
+    return change
+
+
+def centres(change_of: Callable[[Float64s], Float64s], which: Sequence[int] | None = None) -> Change:
+    """change_of: of the (3,) position."""
+
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["C"] = np.asarray(change_of(np.array(camera["C"]))).tolist()
+
+    return change
+
+
+def rotations(change_of: Callable[[Float64s], Float64s], which: Sequence[int] | None = None) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras(which):
+            camera["R"] = np.asarray(change_of(np.array(camera["R"]))).tolist()
+
+    return change
+
+
+def exchange(keys: Sequence[str], one: int = 0, other: int = 1) -> Change:
+    def change(site: Site) -> None:
+        a, b = site.cameras((one, other))
+        for key in keys:
+            a[key], b[key] = b[key], a[key]
+
+    return change
+
+
+def without_poses(which: Sequence[int], wrong: Change | None = None) -> Change:
+    def change(site: Site) -> None:
+        if wrong:
+            wrong(site)
+        for camera in site.cameras(which):
+            del camera["R"], camera["C"]
+
+    return change
+
+
+def as_t(site: Site) -> None:
+    """The vector of x = R X + t in place of the position."""
+    for camera in site.cameras():
+        camera["C"] = (-np.array(camera["R"]) @ np.array(camera["C"])).tolist()
+
+
+def distances(*factors: float) -> Change:
+    """State true distances between cameras, each times a factor."""
+
+    def change(site: Site) -> None:
+        pairs = [(0, 1), (1, 2), (0, 2)]
+        rows = []
+        for (i, j), factor in zip(pairs, factors, strict=False):
+            a, b = site.cameras((i, j))
+            length = float(np.linalg.norm(np.array(a["C"]) - np.array(b["C"])))
+            rows.append([site.names[i], site.names[j], length * factor])
+        site.file["distances"] = rows
+
+    return change
+
+
+def pictures(change_of: Callable[[Uint8s], Uint8s], which: Sequence[int] | None = None, quality: int = 95) -> Change:
+    return lambda site: site.pictures(change_of, which, quality)
+
+
+def blurred(sigma: float) -> Callable[[Uint8s], Uint8s]:
+    return lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8)
+
+
+def smeared(pixels: int) -> Callable[[Uint8s], Uint8s]:
+    return lambda image: np.asarray(cv2.blur(image, (pixels, 1)), np.uint8)
+
+
+def noisy(sigma: float) -> Callable[[Uint8s], Uint8s]:
+    def change(image: Uint8s) -> Uint8s:
+        noise = np.random.default_rng(int(image.astype(np.int64).sum()) % 2**31).normal(0, sigma, image.shape)
+        return np.asarray(np.clip(image + noise, 0, 255), np.uint8)
+
+    return change
+
+
+def zoomed(factor: float) -> Callable[[Uint8s], Uint8s]:
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        warp = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), 0, factor)
+        return np.asarray(cv2.warpAffine(image, warp, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def shifted(dx: float, dy: float) -> Callable[[Uint8s], Uint8s]:
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        warp = np.array([[1, 0, dx], [0, 1, dy]], np.float64)
+        return np.asarray(cv2.warpAffine(image, warp, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def sheared(pixels: float) -> Callable[[Uint8s], Uint8s]:
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        warp = np.array([[1, pixels / h, -pixels / 2], [0, 1, 0]], np.float64)
+        return np.asarray(cv2.warpAffine(image, warp, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def stretched(factor: float) -> Callable[[Uint8s], Uint8s]:
+    """Wider, cut to the same size: pixels that are not square."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        warp = np.array([[factor, 0, (1 - factor) * (w - 1) / 2], [0, 1, 0]], np.float64)
+        return np.asarray(cv2.warpAffine(image, warp, (w, h), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT), np.uint8)
+
+    return change
+
+
+def smaller(factor: float) -> Callable[[Uint8s], Uint8s]:
+    """Enlarged from fewer pixels."""
+
+    def change(image: Uint8s) -> Uint8s:
+        h, w = image.shape[:2]
+        few = cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.resize(few, (w, h), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+    return change
+
+
+def levels(gain: float, offset: float = 0.0, gamma: float = 1.0) -> Callable[[Uint8s], Uint8s]:
+    return lambda image: np.asarray(np.clip(255 * (image / 255.0) ** gamma * gain + offset, 0, 255), np.uint8)
+
+
+def tinted(image: Uint8s) -> Uint8s:
+    return np.asarray(np.clip(image * np.array([0.8, 1.0, 1.15]), 0, 255), np.uint8)
+
+
+def grey(image: Uint8s) -> Uint8s:
+    return np.asarray(cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def foggy(image: Uint8s) -> Uint8s:
+    return np.asarray(np.clip(0.6 * image + 0.4 * 190, 0, 255), np.uint8)
+
+
+def exchanged_captures(order: Callable[[list[str]], list[str]]) -> Change:
+    """Cameras deliver the captures of others."""
+
+    def change(site: Site) -> None:
+        content = {name: [file.read_bytes() for file in site.files(name)] for name in site.names}
+        for name, other in zip(site.names, order(site.names), strict=True):
+            for file, data in zip(site.files(name), content[other], strict=True):
+                file.write_bytes(data)
+
+    return change
+
+
+def same_picture_twice(poses: bool) -> Change:
+    def change(site: Site) -> None:
+        exchanged_captures(lambda names: [names[0], names[0], *names[2:]])(site)
+        if not poses:
+            without_poses(range(len(site.names)))(site)
+
+    return change
+
+
+def other_scene(site: Site) -> None:
+    """Camera 0 delivers pictures of elsewhere: random blocks."""
+    rng = np.random.default_rng(3)
+    site.pictures(
+        lambda image: np.asarray(cv2.resize(rng.integers(0, 255, (20, 36, 3), np.uint8), image.shape[1::-1]), np.uint8), (0,)
+    )
+
+
+def one_camera_less(site: Site) -> None:
+    gone = site.names[-1]
+    site.file["cameras"] = [camera for camera in site.file["cameras"] if camera["id"] != gone]
+
+
+def one_frame(site: Site) -> None:
+    for name in site.names:
+        for file in site.files(name)[1:]:
+            file.unlink()
+
+
+def no_masks(site: Site) -> None:
+    for camera in site.file["cameras"]:
+        camera.pop("mask", None)
+
+
+def resolution(pixels: int) -> Change:
+    return lambda site: site.file.update(resolution=pixels)
+
+
+def rounded(digits: int) -> Change:
+    def change(site: Site) -> None:
+        for camera in site.cameras():
+            for key in ("R", "C", "K", "distortion"):
+                camera[key] = np.round(camera[key], digits).tolist()
+
+    return change
+
+
+def farther(metres: tuple[float, float, float]) -> Change:
+    return centres(lambda C: C + np.array(metres))
+
+
+def turned_world(site: Site) -> None:
+    Q = rotation_matrix(np.array([0, 0, 0.17]))
+    centres(lambda C: Q @ C)(site)
+    rotations(lambda R: R @ Q.T)(site)
+
+
+def nothing(site: Site) -> None:
+    pass
+
+
+ALL = ("yard", "carpark", "apron", "stadium", "yard-5")
+TWO = ("yard", "apron")
+YZ = np.diag([1.0, -1.0, -1.0])
+FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
+BENT = ("distortion", "focal-lengths-and-distortion")
+ONE = ("turned", "moved", "camera-moved", "camera-unverified")
+
+
+def _fault(name: str, change: Change, *causes: str, on: tuple[str, ...] = TWO, night: int = 1) -> Variation:
+    return Variation(name, "fault", change, causes, on, night)
+
+
+def _harmless(name: str, change: Change, on: tuple[str, ...] = ("yard",), night: int = 1) -> Variation:
+    return Variation(name, "harmless", change, (), on, night)
+
+
+VARIATIONS = (
+    # lenses
+    _fault("focal +3 %", focal(1.03), *FOCAL, on=ALL),
+    _fault("focal +10 %", focal(1.1), *FOCAL, on=ALL),
+    _fault("focal -5 %", focal(0.95), *FOCAL, on=ALL),
+    _fault("focal x 2", focal(2.0), *FOCAL),
+    _fault("focal of one +10 %", focal(1.1, (1,)), "focal-length", on=ALL),
+    _fault("focal of one -4 %", focal(0.96, (0,)), "focal-length"),
+    _fault("fx alone +6 %", focal(1.06, axes=(0,)), "pixel-shape"),
+    _fault("distortion's sign", distortion(-1), *BENT, on=ALL),
+    _fault("distortion left out", distortion(0), *BENT, on=ALL),
+    _fault("distortion ten times", distortion(10), *BENT),
+    _fault("distortion twice", distortion(2), *BENT),
+    _fault("distortion of one left out", distortion(0, (1,)), "distortion-of-one"),
+    _fault("k1 alone", distortion(0, only=(1, 2, 3, 4)), *BENT),
+    _fault("principal points 6 px", principal(6, 0), "principal-points", on=ALL),
+    _fault("principal points 4 px down", principal(0, 4), "principal-points"),
+    _fault("principal point of one 6 px", principal(6, 2, (2,)), "turned", "principal-point"),
+    _fault("lenses of two exchanged", exchange(("K", "distortion")), "lenses-exchanged", "focal-length"),
+    # poses
+    _fault("one turned by .5 degrees", turn((0, 0.5, 0), (1,)), *ONE, on=ALL),
+    _fault("one tilted by .5 degrees", turn((0.5, 0, 0), (0,)), *ONE),
+    _fault("one turned by 2 degrees", turn((1, 1.73, 0), (1,)), *ONE, on=ALL),
+    _fault("one turned by 10 degrees", turn((2, 10, 0), (2,)), *ONE),
+    _fault("one rolled by 1 degree", turn((0, 0, 1), (1,)), *ONE, on=ALL),
+    _fault("one moved by .3 m", move((0.3, 0, 0), (1,)), *ONE),
+    _fault("one moved by .5 m", move((0, 0.5, 0), (0,)), *ONE, on=ALL),
+    _fault("one raised by 1 m", move((0, 0, 1), (2,)), *ONE, on=ALL),
+    _fault("one moved by 5 m", move((4, 3, 0), (1,)), *ONE),
+    _fault("all turned at random by .3 degrees", turn_at_random(0.3), "poses"),
+    _fault("all turned at random by 1 degree", turn_at_random(1.0), "poses"),
+    _fault("all positions rounded to metres", centres(np.round), "poses"),
+    _fault("two turned by 1 degree", turn_at_random(1.0, (0, 1)), "poses"),
+    _fault("poses of two exchanged", exchange(("R", "C")), "exchanged", on=ALL),
+    _fault("positions of two exchanged", exchange(("C",)), "positions-exchanged"),
+    _fault("positions mirrored in x", centres(lambda C: C * (-1, 1, 1)), "mirrored-x", on=ALL),
+    _fault("positions mirrored in z", centres(lambda C: C * (1, 1, -1)), "mirrored-z"),
+    _fault("east and north exchanged", centres(lambda C: C[[1, 0, 2]]), "axes-exchanged"),
+    _fault("heights left out", centres(lambda C: C * (1, 1, 0)), "poses"),
+    _fault("rotations from camera to world", rotations(lambda R: R.T), "rotations-transposed"),
+    _fault("rotations in OpenGL's axes", rotations(lambda R: YZ @ R), "rotations-opengl"),
+    _fault("t in place of positions", as_t, "t-for-positions"),
+    _fault("two stated wrongly, others free", without_poses((2, 3), turn_at_random(2.0, (0, 1))), "poses"),
+    _fault("two stated, one moved, others free", without_poses((2, 3), move((1.0, 1.0, 0), (0,))), "poses"),
+    _fault("one stated wrongly, one free", without_poses((3,), turn((0, 2, 0), (0,))), *ONE),
+    # units
+    _fault("positions in millimetres", centres(lambda C: C * 1000), "units", on=ALL),
+    _fault("positions in kilometres", centres(lambda C: C / 1000), "units"),
+    _fault("one position in millimetres", centres(lambda C: C * 1000, (1,)), *ONE, "units"),
+    _fault("a distance ten times too long", distances(10.0), "distances"),
+    _fault("two distances that contradict each other", distances(1.0, 2.7), "distances"),
+    _fault("three distances, one 30 % too long", distances(1.0, 1.3, 1.0), "distances"),
+    # pictures
+    _fault("all blurred by 1.5 px", pictures(blurred(1.5)), "pictures-soft"),
+    _fault("all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", on=ALL),
+    _fault("all blurred by 4 px", pictures(blurred(4.0)), "pictures-soft"),
+    _fault("one blurred by 4 px", pictures(blurred(4.0), (0,)), "pictures-soft"),
+    _fault("all smeared by 9 px", pictures(smeared(9)), "pictures-soft"),
+    _fault("JPEG quality 3", pictures(lambda p: p, quality=3), "pictures-soft", on=ALL),
+    _fault("JPEG quality 8", pictures(lambda p: p, quality=8), "pictures-soft"),
+    _fault("JPEG quality 15", pictures(lambda p: p, quality=15), "pictures-soft"),
+    _fault("noise of 20 levels", pictures(noisy(20)), "pictures-soft"),
+    _fault("noise of 50 levels", pictures(noisy(50)), "pictures-soft"),
+    _fault("enlarged three times", pictures(smaller(3)), "pictures-soft"),
+    _fault("overexposed", pictures(levels(3.0)), "pictures-soft"),
+    # captures
+    _fault("frames of all zoomed by 1.2", pictures(zoomed(1.2)), *FOCAL, on=ALL),
+    _fault("frames of all zoomed by .95", pictures(zoomed(0.95)), *FOCAL),
+    _fault("frames of one zoomed by 1.1", pictures(zoomed(1.1), (1,)), "focal-length"),
+    _fault("frames of all shifted by 6 px", pictures(shifted(6, 0)), "principal-points", on=ALL),
+    _fault("frames of one shifted by 6 px", pictures(shifted(6, -3), (0,)), "turned", "principal-point"),
+    _fault("frames of all sheared by 8 px", pictures(sheared(8)), "skew"),
+    _fault("frames of all stretched by 1.06", pictures(stretched(1.06)), "pixel-shape"),
+    _fault("frames of all mirrored", pictures(lambda p: p[:, ::-1]), "mirrored-frames"),
+    _fault("frames of one mirrored", pictures(lambda p: p[:, ::-1], (1,)), "mirrored-frames"),
+    _fault("frames of one upside down", pictures(lambda p: p[::-1, ::-1], (1,)), "upside-down", "turned", "camera-moved"),
+    _fault("captures of two exchanged", exchanged_captures(lambda n: [n[1], n[0], *n[2:]]), "exchanged", on=ALL),
+    _fault("captures of all rotated", exchanged_captures(lambda n: [*n[1:], n[0]]), "exchanged"),
+    _fault("the same picture twice", same_picture_twice(True), "same-picture"),
+    _fault("the same picture twice, poses solved", same_picture_twice(False), "same-picture"),
+    _fault("one shows another scene", other_scene, "camera-no-usable-pair", "camera-foreign"),
+    # second nights
+    _fault("second night: focal +10 %", focal(1.1), *FOCAL, night=2),
+    _fault("second night: distortion left out", distortion(0), *BENT, night=2),
+    _fault("second night: one turned by .5 degrees", turn((0, 0.5, 0), (1,)), *ONE, night=2),
+    _fault("second night: one moved by .5 m", move((0, 0.5, 0), (0,)), *ONE, night=2),
+    _fault("second night: millimetres", centres(lambda C: C * 1000), "units", night=2),
+    _fault("second night: frames zoomed by 1.2", pictures(zoomed(1.2)), *FOCAL, night=2),
+    _fault("second night: frames shifted by 6 px", pictures(shifted(6, 0)), "camera-shifted", night=2),
+    _fault("second night: captures of two exchanged", exchanged_captures(lambda n: [n[1], n[0], *n[2:]]), "exchanged", night=2),
+    _fault("second night: all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", night=2),
+    # what no picture shows
+    Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,
+              why="x ~ K R (sX - sC) = K R (X - C): every picture of a world times s is the same"),
+    Variation("positions 100 m farther east", "invisible", farther((100.0, 0.0, 0.0)), on=TWO,
+              why="x ~ K R ((X + d) - (C + d)): every picture of a moved world is the same"),
+    Variation("world turned by 10 degrees", "invisible", turned_world, on=TWO,
+              why="x ~ K (R Q') (Q X - Q C): every picture of a turned world is the same"),
+    # unharmed
+    _harmless("as it is", nothing, ALL),
+    _harmless("second night as it is", nothing, ALL, night=2),
+    _harmless("grey", pictures(grey)),
+    _harmless("one grey", pictures(grey, (1,))),
+    _harmless("tinted", pictures(tinted)),
+    _harmless("fog", pictures(foggy)),
+    _harmless("darker", pictures(levels(0.6))),
+    _harmless("brighter", pictures(levels(1.2, 10))),
+    _harmless("gamma .7", pictures(levels(1, gamma=0.7))),
+    _harmless("one darker", pictures(levels(0.7), (0,))),
+    _harmless("noise of 4 levels", pictures(noisy(4))),
+    _harmless("JPEG quality 70", pictures(lambda p: p, quality=70)),
+    _harmless("JPEG quality 50", pictures(lambda p: p, quality=50)),
+    _harmless("blurred by .5 px", pictures(blurred(0.5))),
+    _harmless("one frame", one_frame),
+    _harmless("one camera less", one_camera_less, TWO),
+    _harmless("without masks", no_masks),
+    _harmless("at 240 pixels", resolution(240)),
+    _harmless("calibration of four digits", rounded(4)),
+    _harmless("UTM coordinates", farther((389000.0, 5820000.0, 40.0))),
+    _harmless("true distances", distances(1.0, 1.0), ("yard",)),
+    _harmless("one pose withheld", without_poses((1,))),
+    _harmless("second night: grey", pictures(grey), night=2),
+    _harmless("second night: darker", pictures(levels(0.6)), night=2),
+    _harmless("second night: fog", pictures(foggy), night=2),
+)  # fmt: skip
+
+
+# --- working through them ----------------------------------------------------------------------------------------------------
+
+
+def prepare(folder: Path, scene: Scene) -> None:
+    """Render a scene, split its captures into two nights and work through both; what is kept is the state after the first."""
+    if (folder / "ready").exists():
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    write_demo(folder, small=True, captures=6, **scene.render)
+    for camera in sorted((folder / "captures").iterdir()):
+        for k, file in enumerate(sorted(camera.iterdir())):
+            file.rename(camera / f"{NIGHTS[k // 3]}_{k % 3 + 1}.jpg")
+    wbflow_run(folder, NIGHTS[0])
+    work = next((folder / ".wbflow").iterdir())
+    shutil.copytree(work, folder / "first", symlinks=True, ignore=shutil.ignore_patterns("cache"))
+    wbflow_run(folder, NIGHTS[1])
+    for kept in [*work.iterdir()]:
+        if kept.name != "cache":
+            shutil.rmtree(kept) if kept.is_dir() and not kept.is_symlink() else kept.unlink()
+    (folder / "ready").touch()
+
+
+def wbflow_run(folder: Path, night: str, *options: str) -> dict[str, Any]:
+    """run.json of a run; where there is none, its exit code and what it printed."""
+    command = [sys.executable, "-m", "wbflow", "run", str(folder), "--date", night, "--jobs", "1", "--json", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return dict(json.loads(done.stdout)) if done.stdout.startswith("{") else {"exit_code": done.returncode, "said": done.stderr}
+
+
+def work_through(variation: Variation, name: str, folder: Path, quick: bool) -> Result:
+    """Change a copy of a scene, and run it."""
+    base, copy = folder / name, folder / f"{name}-copy"
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(base, copy, symlinks=True, ignore=shutil.ignore_patterns("first"))
+    work = next((copy / ".wbflow").iterdir())
+    if variation.night == 2:
+        shutil.copytree(base / "first", work, symlinks=True, dirs_exist_ok=True)
+    site = Site(copy, NIGHTS[variation.night - 1])
+    variation.change(site)
+    site.write()
+    record: dict[str, Any] = wbflow_run(copy, site.night, "--until", "poses") if quick and variation.kind == "fault" else {}
+    if record.get("exit_code", 0) == 0:
+        record = wbflow_run(copy, site.night)
+    verdict = record.get("verdict", {})
+    findings = [finding["kind"] for finding in verdict.get("findings", ())]
+    check = (record.get("poses") or {}).get("calibration") or {}
+    cause = check.get("cause", "") if check.get("contradicted") else ""
+    text = " | ".join(finding["text"] for finding in verdict.get("findings", ())) or record.get("said", "")[-300:]
+    result = Result(name, variation.name, variation.kind, record["exit_code"], None, 0, None, None, findings, cause, text=text)
+    result.cpu = record.get("seconds", {}).get("cpu", 0.0)
+    if variation.causes:
+        result.cause_right = bool({cause, *findings} & {*variation.causes})
+    cloud = work / "runs" / "latest" / "cloud.ply"
+    if record.get("cloud") and cloud.exists():
+        measure(result, cloud, base / "truth", SCENES[name].tolerance_m)
+    shutil.rmtree(copy)
+    return result
+
+
+def measure(result: Result, cloud: Path, truth: Path, tolerance_m: float) -> None:
+    """Add what the truth shows of a cloud."""
+    table, reference = read_ply(cloud), read_ply(truth / "reference.ply")
+    X, true = (np.stack([np.asarray(t[axis], np.float64) for axis in "xyz"], axis=1) for t in (table, reference))
+    off, _ = cKDTree(true).query(X, distance_upper_bound=tolerance_m)
+    sigma = np.asarray(table["sigma_mm"], np.float64)
+    error = np.abs(errors_along_rays(X, truth)) * 1000
+    known = np.isfinite(error) & np.isfinite(sigma)
+    result.points, result.right, result.sigma_mm = len(X), float(np.isfinite(off).mean()), float(np.nanmedian(sigma))
+    result.within_3_sigma = float((error[known] <= 3 * sigma[known]).mean()) if known.any() else None
+
+
+def is_wrong(result: Result) -> str:
+    """Is a night called good that is not, or the other way round?"""
+    if result.kind == "fault" and result.exit == 0 and result.right is not None and result.right < RIGHT:
+        return "LIE"
+    return "FALSE ALARM" if result.kind == "harmless" and result.exit != 0 else ""
+
+
+def row(result: Result) -> dict[str, str | float | None]:
+    """Of the table."""
+    percent = {k: None if v is None else round(100 * v, 1) for k, v in (("r", result.right), ("s", result.within_3_sigma))}
+    return {
+        "scene": f"{result.scene}{' (fitted)' if SCENES[result.scene].fitted else ''}",
+        "variation": result.name,
+        "kind": result.kind,
+        "exit": result.exit,
+        "right %": percent["r"],
+        "sigma mm": None if result.sigma_mm is None else round(result.sigma_mm, 1),
+        "within 3 sigma %": percent["s"],
+        "findings": ", ".join(result.findings),
+        "cause": result.cause,
+        "cause right": {None: None, True: "yes", False: "no"}[result.cause_right],
+        "wrong": is_wrong(result),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--scenes", nargs="*", default=[*SCENES], choices=[*SCENES])
+    parser.add_argument("--only", nargs="*", default=[], help="words of the names of variations")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--table", action="store_true", help="only print what is there")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    kept = given.folder / "results"
+    kept.mkdir(parents=True, exist_ok=True)
+    results: list[Result] = []
+    for name in given.scenes:
+        for variation in (v for v in VARIATIONS if name in v.on):
+            if given.only and not any(word in variation.name for word in given.only):
+                continue
+            file = kept / f"{name}--{variation.name.replace(' ', '_').replace('/', '')}.json"
+            if not file.exists() and not given.table:
+                prepare(given.folder / name, SCENES[name])
+                result = work_through(variation, name, given.folder, given.quick)
+                file.write_text(json.dumps(asdict(result)))
+            if file.exists():
+                results.append(Result(**json.loads(file.read_text())))
+                print(" | ".join("" if cell is None else str(cell) for cell in row(results[-1]).values()), flush=True)
+    wrong = [result for result in results if is_wrong(result)]
+    named = [result.cause_right for result in results if result.cause_right is not None and result.exit]
+    print(f"{len(results)} variations, {len(wrong)} judged wrongly; cause named in {sum(named)} of {len(named)} that were found")
+    if given.json:
+        given.json.write_text(json.dumps([row(result) for result in results], indent=1))
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()
