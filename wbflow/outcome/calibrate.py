@@ -7,7 +7,7 @@ from pathlib import Path
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError
-from ..site.cameras import is_name
+from ..site.locations import is_name
 from .artifacts import function
 
 FILES = "wbflow_stages.board:board_files"

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
-import re
-from pathlib import Path
 from typing import Any
 
 from ..cache.plugins import load
@@ -14,32 +11,14 @@ from ..cache.untrusted import is_file
 from ..errors import printable
 from ..pipeline.exports import VIEWS_OF_LENS
 from ..task import view_name
-from .calibration import Calibrated, CalibrationError, find_camera, read_calibration
+from .calibration.read import find_camera, read_calibration
 from .geodesy import LocalFrame
-from .locations import Location, Problems
-from .models import Camera, CameraEntry, Lens, Placement, Privacy, SiteFile
+from .locations import CalibrationError, Location, Problems, beside, is_name
+from .models import Calibrated, Camera, CameraEntry, Lens, Placement, Privacy, SiteFile
 from .rotations import turned
 
-ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
-"""What a camera, and a site, may be called."""
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
 """Frames of these keep the K of their lens, however wide it is: the vision has no say."""
-
-
-def is_name(name: str) -> bool:
-    """May a camera, or a site, be called so?  It becomes the name of a folder."""
-    return bool(ID.fullmatch(name) and name.strip("."))
-
-
-def beside(path: str, location: Location, problems: Problems) -> Path:
-    """A path that a site file gives at a location: relative to the file."""
-    try:
-        given = Path(path).expanduser()
-    except (RuntimeError, ValueError) as error:
-        remedy = "write a path relative to the site file, or from the root: /srv/captures"
-        problems.add(location, f"{path!r} is no path: {printable(error)}", remedy)
-        given = Path(path)
-    return Path(os.path.normpath(problems.document.path.resolve().parent / given))
 
 
 def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> list[Camera]:

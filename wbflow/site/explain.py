@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import difflib
 import typing
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from ..errors import printable
 from ..pipeline.pairs import MOST_AT_A_CAMERA
-from .geodesy import POSITION_REMEDY
 from .locations import Document, Location, SiteProblem
-from .models import CUSTOM, LENS_MODELS, SiteFile
+from .models import CUSTOM, LENS_MODELS, POSITION_REMEDY, SiteFile
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
@@ -69,21 +65,6 @@ def explained(error: ValidationError, document: Document) -> list[SiteProblem]:
                 what = f"{what[0].lower()}{what[1:]}{shown}"
             found.append(document.problem(location, what, remedy))
     return found
-
-
-def did_you_mean(word: str, known: Iterable[str], otherwise: str) -> str:
-    """A remedy that names the nearest of what is known, where one is near."""
-    close = difflib.get_close_matches(word, known, 1)
-    return f"did you mean {printable(close[0])!r}?" if close else otherwise
-
-
-def similar(path: Path) -> str:
-    """A remedy that names what lies beside a path that does not exist, and has nearly the same name; "" where nothing does."""
-    try:
-        names = [entry.name for entry in path.parent.iterdir()]
-    except OSError:
-        return ""
-    return did_you_mean(path.name, names, "")
 
 
 def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:

@@ -9,11 +9,7 @@ import math
 from typing import Any
 
 from .locations import Location, Problems
-from .models import SiteFile, Survey
-
-POSITION_REMEDY = (
-    "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
-)
+from .models import POSITION_REMEDY, SiteFile, Survey
 
 
 class LocalFrame:

@@ -15,10 +15,21 @@ from ..errors import printable
 from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_AT_A_CAMERA
 from ..remote import is_url
-from .cameras import beside, is_name, read_cameras, views_of
-from .explain import did_you_mean, explained, similar, without_faults
+from .cameras import read_cameras, views_of
+from .explain import explained, without_faults
 from .geodesy import local_frame, read_survey
-from .locations import Document, Location, Problems, SiteError, SiteProblem, load_yaml
+from .locations import (
+    Document,
+    Location,
+    Problems,
+    SiteError,
+    SiteProblem,
+    beside,
+    did_you_mean,
+    is_name,
+    load_yaml,
+    similar,
+)
 from .models import Camera, Site, SiteFile, StageSettings
 from .stage_settings import read_stages
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
+import os
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -128,6 +131,41 @@ def _spelled(location: Location) -> str:
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).removeprefix(".")
 
 
+ID = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+"""What a camera, and a site, may be called."""
+
+
+def is_name(name: str) -> bool:
+    """May a camera, or a site, be called so?  It becomes the name of a folder."""
+    return bool(ID.fullmatch(name) and name.strip("."))
+
+
+def beside(path: str, location: Location, problems: Problems) -> Path:
+    """A path that a site file gives at a location: relative to the file."""
+    try:
+        given = Path(path).expanduser()
+    except (RuntimeError, ValueError) as error:
+        remedy = "write a path relative to the site file, or from the root: /srv/captures"
+        problems.add(location, f"{path!r} is no path: {printable(error)}", remedy)
+        given = Path(path)
+    return Path(os.path.normpath(problems.document.path.resolve().parent / given))
+
+
+def did_you_mean(word: str, known: Iterable[str], otherwise: str) -> str:
+    """A remedy that names the nearest of what is known, where one is near."""
+    close = difflib.get_close_matches(word, known, 1)
+    return f"did you mean {printable(close[0])!r}?" if close else otherwise
+
+
+def similar(path: Path) -> str:
+    """A remedy that names what lies beside a path that does not exist, and has nearly the same name; "" where nothing does."""
+    try:
+        names = [entry.name for entry in path.parent.iterdir()]
+    except OSError:
+        return ""
+    return did_you_mean(path.name, names, "")
+
+
 def read_text(path: Path) -> str:
     """The text of a file from outside.
 
@@ -219,7 +257,15 @@ def _refuse_depth(text: str) -> None:
     """Refuse deep nesting by the events alone: constructing it is recursive, and would overflow.  Raises MarkedYAMLError."""
     if text.count("[") + text.count("{") + len(_INLINE.findall(text)) < _DEEPEST and " " * _DEEPEST not in text:
         return
-    loader: Any = _Loader(text)
+    try:
+        _count_depth(_Loader(text))
+    except yaml.MarkedYAMLError as error:
+        if "nesting depth" not in str(error.problem):
+            raise
+        _count_depth(yaml.SafeLoader(text))  # libyaml has a limit of its own, looks ahead, and marks where it stopped
+
+
+def _count_depth(loader: Any) -> None:
     try:
         depth = 0
         while (event := loader.get_event()) is not None:

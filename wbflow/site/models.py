@@ -59,6 +59,10 @@ LARGEST = 1e12
 MOST_PIXELS_A_SIDE = 1_000_000
 """Of an image in a calibration."""
 
+POSITION_REMEDY = (
+    "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
+)
+
 CUSTOM = "site"
 """The type of validation errors whose message is complete."""
 

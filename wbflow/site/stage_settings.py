@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,9 +14,7 @@ from ..errors import printable
 from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
-from .cameras import beside
-from .explain import similar
-from .locations import Document, Location, Problems, SiteProblem
+from .locations import Document, Location, Problems, SiteProblem, beside, did_you_mean, similar
 from .models import StageSettings
 
 
@@ -65,8 +62,7 @@ def read_stages(
     for name, section in sections.items():
         location: Location = ("stages", name)
         if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            remedy = f"did you mean {close[0]!r}?" if close else f"stages are {', '.join(known)}"
+            remedy = did_you_mean(name, known, f"stages are {', '.join(known)}")
             problems.append(document.problem(location, f"unknown stage {name!r}", remedy, key=True))
         elif section is False:
             if not known[name].optional:
@@ -199,10 +195,7 @@ class _Section:
                 what = f"{key!r} is not read by the chosen {chooser.parameter}, {bound.method.dotted}"
                 self._problem(written, what, f"leave it out, or choose {chooser.parameter}: {' or '.join(readers)}", key=True)
                 return
-        close = difflib.get_close_matches(key, allowed, 1)
-        remedy = (
-            f"did you mean {close[0]!r}?" if close else f"parameters of {bound.function.dotted}: {', '.join(allowed) or 'none'}"
-        )
+        remedy = did_you_mean(key, allowed, f"parameters of {bound.function.dotted}: {', '.join(allowed) or 'none'}")
         self._problem(written, f"unknown parameter {key!r}", remedy, key=True)
 
     def _problem(self, name: str, what: str, remedy: str, *, key: bool = False) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow.site.calibration import read_calibration
+from wbflow.site.calibration.read import read_calibration
 from wbflow.site.locations import CalibrationError
 from wbflow.site.rotations import look_at, yaw_pitch_roll
 

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from wbflow.site.calibration import read_calibration
+from wbflow.site.calibration.read import read_calibration
 from wbflow.site.load import load_site
 from wbflow.site.locations import CalibrationError
 from wbflow.site.models import Calibrated

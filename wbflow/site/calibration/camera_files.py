@@ -1,8 +1,4 @@
-"""Calibrations read from files: wbflow's own JSON, what OpenCV (FileStorage), ROS (camera_info) and Kalibr (camchain) write,
-COLMAP's models, and folders with a file for each camera.
-
-All give, for each image or camera name, a lens and, where known, the placement (x ~ K R (X - C)).  Pixel centres are whole
-numbers in all of them, as they are here.  Plain lists out; no numpy needed.
+"""Calibrations of single cameras and rigs as OpenCV (FileStorage), ROS (camera_info) and Kalibr (camchain) write them.
 
 References
 ----------
@@ -14,24 +10,16 @@ Kalibr: github.com/ethz-asl/kalibr/wiki/yaml-formats, wiki/supported-models
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..cache.untrusted import is_file, is_folder
-from .colmap import is_colmap, read_colmap
-from .locations import CalibrationError, Document, Location, SiteError, parse_yaml, read_text
-from .models import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, Lens, Matrix, Placement, lens_fault
-from .rotations import rotation_fault
+from ..locations import CalibrationError, Document, Location, SiteError, parse_yaml
+from ..models import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, Lens, Matrix, Placement, lens_fault
+from ..rotations import rotation_fault
 
-__all__ = ["Calibrated", "CalibrationError", "find_camera", "read_calibration"]
-
-SUFFIXES = {".yaml", ".yml", ".json"}
-"""Of files with one camera each, in a folder of such."""
 REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP or wbflow wrote; see sites/README.md"
-OWN_REMEDY = "give K (3x3), width, height and, where known, R (3x3) and C (3 numbers): x ~ K R (X - C); see sites/README.md"
 
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx", "K", "k")
 _D = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "dist", "distortion", "D", "d")
@@ -59,7 +47,7 @@ _KALIBR = {"pinhole": 0, "omni": 1, "eucm": 2, "ds": 2}
 """Kalibr's projections, and how many of their intrinsics come before fu, fv, pu, pv."""
 
 
-class _Faulty(Exception):
+class Faulty(Exception):
     """A value that cannot be used, and where it is."""
 
     def __init__(self, what: str, location: Location = (), remedy: str = REMEDY) -> None:
@@ -67,159 +55,27 @@ class _Faulty(Exception):
         self.what, self.location, self.remedy = what, location, remedy
 
 
-def read_calibration(path: Path) -> dict[str, Calibrated]:
-    """Cameras by name, from a file, from a COLMAP model (a folder), or from a folder with a file for each camera.
-
-    Raises
-    ------
-    CalibrationError
-        Missing, unreadable, or an entry without what it needs.
-    """
-    if is_folder(path):
-        return _read_folder(path)
-    try:
-        text = read_text(path)
-    except SiteError as error:
-        raise CalibrationError.from_site_error(error) from None
-    if path.suffix.lower() == ".json" or text.lstrip().startswith(("{", "[")):
-        return _read_json(path, text)
-    found = _read_camera_file(_document(path, text))
-    if found is None:
-        what = "holds no calibration: neither OpenCV's camera_matrix, nor ROS's camera_info, nor Kalibr's cam0"
-        raise CalibrationError(what, where=f"{path}:1:1", remedy=OWN_REMEDY)
-    return found
-
-
-def find_camera(cameras: dict[str, Calibrated], camera: str) -> Calibrated | None:
-    """The entry of a camera id: the same name, the same name without extension, or a folder of that name."""
-    if camera in cameras:
-        return cameras[camera]
-    for name, entry in cameras.items():
-        path = Path(name)
-        if path.stem == camera or path.name == camera or camera in path.parent.parts:
-            return entry
-    return None
-
-
-def _read_folder(folder: Path) -> dict[str, Calibrated]:
-    if is_colmap(folder):
-        return read_colmap(folder)
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and is_file(file))
-    if not files:
-        return read_colmap(folder)  # which says what is missing
-    found: dict[str, Calibrated] = {}
-    for file in files:
-        inside = read_calibration(file)
-        # a file for one camera is called as the camera is, whatever the program that wrote it calls it
-        found |= {file.stem: next(iter(inside.values()))} if len(inside) == 1 else inside
-    return found
-
-
-def _read_json(path: Path, text: str) -> dict[str, Calibrated]:
-    try:
-        entries = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise CalibrationError(
-            f"not JSON: {error.msg}", where=f"{path}:{error.lineno}:{error.colno}", remedy=OWN_REMEDY
-        ) from None
-    except (ValueError, RecursionError):  # numbers of thousands of digits, brackets within brackets
-        raise CalibrationError("not JSON that can be read", where=str(path), remedy=OWN_REMEDY) from None
-    if not isinstance(entries, dict):
-        what = "must map image names to K, width, height and, where known, R and C"
-        raise CalibrationError(what, where=f"{path}:1:1", remedy=OWN_REMEDY)
-    if not all(isinstance(entry, dict) and "K" in entry for entry in entries.values()):
-        foreign = _read_camera_file(_document(path, text))
-        if foreign is not None:
-            return foreign
-    found = {}
-    for name, entry in entries.items():
-        try:
-            found[str(name)] = _entry(str(name), entry)
-        except _Faulty as fault:
-            raise CalibrationError(fault.what, where=_mark(path, text, fault.location), remedy=OWN_REMEDY) from None
-    return found
-
-
-def _mark(path: Path, text: str, location: Location) -> str:
-    """The file, with line and column of a value where they can be found (JSON is YAML, nearly)."""
-    try:
-        return parse_yaml(text, path).problem(location, "").mark
-    except SiteError:
-        return str(path)
-
-
-def _entry(name: str, entry: Any) -> Calibrated:
-    def numbers(key: str, *shape: int) -> Any:
-        value = entry.get(key)
-        rows = value if len(shape) == 2 else [value]
-        fits = isinstance(rows, list) and len(rows) == (shape[0] if len(shape) == 2 else 1)
-        fits = fits and all(isinstance(r, list) and len(r) == shape[-1] and all(map(_is_number, r)) for r in rows)
-        if not fits:
-            raise _Faulty(f"{name}.{key} must be {'x'.join(map(str, shape))} numbers", (name, key))
-        return value
-
-    if not isinstance(entry, dict):
-        raise _Faulty(f"{name} must hold K, width and height", (name,))
-    missing = [key for key in ("K", "width", "height") if key not in entry]
-    if missing:
-        raise _Faulty(f"{name} lacks {' and '.join(missing)}", (name,))
-    size = [entry["width"], entry["height"]]
-    if not all(map(_is_size, size)):
-        raise _Faulty(f"{name}.width and height must be positive whole numbers of pixels", (name, "width"))
-    R = numbers("R", 3, 3) if entry.get("R") is not None else None
-    C = numbers("C", 3) if entry.get("C") is not None else None
-    if R is not None and (fault := rotation_fault(R)):
-        raise _Faulty(f"{name}.R {fault}", (name, "R"))
-    K = numbers("K", 3, 3)
-    _check_K(K, f"{name}.K", (name, "K"))
-    model, distortion = _own_lens(name, entry)
-    sigmas = []
-    for key, of, known in (("position_sigma_m", "C", C), ("rotation_sigma_deg", "R", R)):
-        sigma = entry.get(key)
-        if sigma is not None and not (_is_number(sigma) and sigma >= 0):
-            raise _Faulty(f"{name}.{key} must be a number, 0 or more", (name, key))
-        if sigma is not None and known is None:
-            raise _Faulty(f"{name}.{key} says how well {of} is known, which is not given", (name, key))
-        sigmas.append(float(sigma or 0))
-    return Calibrated(
-        _lens(K, size[0], size[1], distortion, model), Placement(R, C, sigmas[0], sigmas[1], entry.get("metric") is not False)
-    )
-
-
-def _own_lens(name: str, entry: dict[str, Any]) -> tuple[str, list[float]]:
-    """Model and coefficients."""
-    model, distortion = entry.get("model", "brown"), entry.get("distortion")
-    if distortion is not None and not (isinstance(distortion, list) and all(map(_is_number, distortion))):
-        raise _Faulty(f"{name}.distortion must be a list of numbers", (name, "distortion"))
-    if not isinstance(model, str):
-        raise _Faulty(f"{name}.model must be a word", (name, "model"))
-    what, remedy = lens_fault(model, distortion)
-    if what:
-        raise _Faulty(f"{name}.distortion: {what}; {remedy}", (name, "distortion"))
-    return model, distortion or []
-
-
-def _check_K(K: Matrix, name: str, location: Location) -> None:
+def check_K(K: Matrix, name: str, location: Location) -> None:
     if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
-        raise _Faulty(f"{name} must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths", location)
+        raise Faulty(f"{name} must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths", location)
 
 
-def _lens(K: Matrix, width: int, height: int, distortion: list[float], model: str) -> Lens:
+def lens_of(K: Matrix, width: int, height: int, distortion: list[float], model: str) -> Lens:
     """A lens; coefficients that a short list of "brown" leaves out are 0."""
     if model == "brown" or not distortion:
         distortion = distortion + [0.0] * (5 - len(distortion))
     return Lens(K=K, distortion=distortion, width=width, height=height, model=model)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST  # not NaN either
 
 
-def _is_size(value: Any) -> bool:
+def is_size(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= MOST_PIXELS_A_SIDE
 
 
-def _document(path: Path, text: str) -> Document:
+def document_of(path: Path, text: str) -> Document:
     """A YAML or JSON file, with OpenCV's first line and tags, which no other program knows.  Raises CalibrationError."""
     if text.lstrip().startswith("<"):
         raise CalibrationError("is XML, which is not read", where=str(path), remedy="save it as .yaml or .json")
@@ -232,7 +88,7 @@ def _document(path: Path, text: str) -> Document:
         raise CalibrationError.from_site_error(error, REMEDY) from None
 
 
-def _read_camera_file(document: Document) -> dict[str, Calibrated] | None:
+def read_camera_file(document: Document) -> dict[str, Calibrated] | None:
     """The cameras of a file of OpenCV, ROS or Kalibr; None where it is of none of them.  Raises CalibrationError."""
     data = document.data
     if not isinstance(data, dict):
@@ -242,7 +98,7 @@ def _read_camera_file(document: Document) -> dict[str, Calibrated] | None:
             return _kalibr(data)
         if any(isinstance(data.get(key), dict | list) for key in _K):
             return {_text(data.get("camera_name")) or document.path.stem: _single(data)}
-    except _Faulty as fault:
+    except Faulty as fault:
         where = document.problem(fault.location, "").mark
         raise CalibrationError(fault.what, where=where, remedy=fault.remedy) from None
     return None
@@ -255,12 +111,12 @@ def _single(data: dict[str, Any]) -> Calibrated:
     assert key
     flat = _numbers(data[key], key)
     if len(flat) != 9:
-        raise _Faulty(f"{key} must hold 3x3 numbers, not {len(flat)}", (key,))
+        raise Faulty(f"{key} must hold 3x3 numbers, not {len(flat)}", (key,))
     K = [flat[0:3], flat[3:6], flat[6:9]]
-    _check_K(K, key, (key,))
+    check_K(K, key, (key,))
     found = _key(data, _D)
     if found is None:
-        raise _Faulty(f"lacks the distortion ({', '.join(_D[:3])} or D)", (), "add it; zeros where there is none")
+        raise Faulty(f"lacks the distortion ({', '.join(_D[:3])} or D)", (), "add it; zeros where there is none")
     distortion = _numbers(data[found], found)
     model = _model(data, len(distortion))
     if (key := _key(data, _XI)) is not None:  # as cv2.omnidir's files have it, beside k1 k2 p1 p2
@@ -276,10 +132,10 @@ def _cut(data: dict[str, Any], K: Matrix, width: int, height: int) -> tuple[int,
     if not isinstance(roi, dict) or not any(roi.get(name) for name in names):
         return width, height  # all zero: the whole sensor
     x, y, across, down = (roi.get(name, 0) for name in names)
-    if not (_is_size(across) and _is_size(down) and all(v == 0 or _is_size(v) for v in (x, y))):
-        raise _Faulty("roi must be a part of the picture, in whole pixels", ("roi",))
+    if not (is_size(across) and is_size(down) and all(v == 0 or is_size(v) for v in (x, y))):
+        raise Faulty("roi must be a part of the picture, in whole pixels", ("roi",))
     if x + across > width or y + down > height:
-        raise _Faulty(f"roi reaches beyond the {width}x{height} pixels of the camera", ("roi",))
+        raise Faulty(f"roi reaches beyond the {width}x{height} pixels of the camera", ("roi",))
     K[0][2] -= x
     K[1][2] -= y
     return across, down
@@ -322,7 +178,7 @@ def _chained(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tup
     T = _numbers(entry["T_cn_cnm1"], "T_cn_cnm1", (name,))
     rows = [T[4 * i : 4 * i + 3] for i in range(3)]
     if len(T) != 16 or rotation_fault(rows):
-        raise _Faulty(f"{name}.T_cn_cnm1 must be 4x4: a rotation and a translation", (name, "T_cn_cnm1"))
+        raise Faulty(f"{name}.T_cn_cnm1 must be 4x4: a rotation and a translation", (name, "T_cn_cnm1"))
     turned = [[sum(rows[i][k] * R[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
     return turned, [sum(rows[i][k] * t[k] for k in range(3)) + T[4 * i + 3] for i in range(3)]
 
@@ -330,15 +186,15 @@ def _chained(name: str, entry: dict[str, Any], R: Matrix, t: list[float]) -> tup
 def _kalibr_camera(name: str, entry: dict[str, Any]) -> Calibrated:
     projection = _text(entry.get("camera_model")).lower()
     if projection not in _KALIBR:
-        raise _Faulty(f"{name}.camera_model must be one of {', '.join(_KALIBR)}", (name, "camera_model"))
+        raise Faulty(f"{name}.camera_model must be one of {', '.join(_KALIBR)}", (name, "camera_model"))
     intrinsics = _numbers(entry.get("intrinsics"), "intrinsics", (name,))
     first = _KALIBR[projection]
     if len(intrinsics) != first + 4:
         what = f"{name}.intrinsics of a {projection} camera has {first + 4} numbers, not {len(intrinsics)}"
-        raise _Faulty(what, (name, "intrinsics"))
+        raise Faulty(what, (name, "intrinsics"))
     fx, fy, cx, cy = intrinsics[first:]
     if min(fx, fy) <= 0:
-        raise _Faulty(f"{name}.intrinsics: focal lengths must be positive", (name, "intrinsics"))
+        raise Faulty(f"{name}.intrinsics: focal lengths must be positive", (name, "intrinsics"))
     bent = _text(entry.get("distortion_model")).lower() or "none"
     given = _numbers(entry.get("distortion_coeffs", []), "distortion_coeffs", (name,))
     model, distortion = _NAMES.get(bent, bent), given
@@ -349,7 +205,7 @@ def _kalibr_camera(name: str, entry: dict[str, Any]) -> Calibrated:
     if projection != "pinhole":
         if model != "brown" or (projection != "omni" and any(distortion)):
             what = f"{name}: {projection} with {bent} distortion is not known"
-            raise _Faulty(
+            raise Faulty(
                 what, (name, "distortion_model"), f"calibrate with {'omni-radtan' if first == 1 else projection + '-none'}"
             )
         model = {"omni": "omni", "eucm": "eucm", "ds": "double-sphere"}[projection]
@@ -364,8 +220,8 @@ def _checked(
 ) -> Calibrated:
     what, remedy = lens_fault(model, distortion)
     if what:
-        raise _Faulty(".".join([*map(str, location), f"{key}: {what}"]), (*location, key), remedy)
-    return Calibrated(_lens(K, width, height, distortion, model))
+        raise Faulty(".".join([*map(str, location), f"{key}: {what}"]), (*location, key), remedy)
+    return Calibrated(lens_of(K, width, height, distortion, model))
 
 
 def _size(data: dict[str, Any], location: Location = ()) -> tuple[int, int]:
@@ -377,11 +233,9 @@ def _size(data: dict[str, Any], location: Location = ()) -> tuple[int, int]:
         size = data[key]
     else:
         what = " ".join([*map(str, location), "lacks the size of the pictures"])
-        raise _Faulty(what, location, "add image_width and image_height, in pixels")
-    if not isinstance(size, list) or len(size) != 2 or not all(map(_is_size, size)):
-        raise _Faulty(
-            "width and height must be positive whole numbers of pixels", (*location, keys[0] or _key(data, _SIZE) or "")
-        )
+        raise Faulty(what, location, "add image_width and image_height, in pixels")
+    if not isinstance(size, list) or len(size) != 2 or not all(map(is_size, size)):
+        raise Faulty("width and height must be positive whole numbers of pixels", (*location, keys[0] or _key(data, _SIZE) or ""))
     return size[0], size[1]
 
 
@@ -391,11 +245,11 @@ def _numbers(value: Any, key: str, location: Location = ()) -> list[float]:
         rows, columns = value.get("rows"), value.get("cols")
         flat = list(_flat(value.get("data")))
         if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(flat):
-            raise _Faulty(f"{key} says {rows} x {columns}, and holds {len(flat)} numbers", (*location, key))
+            raise Faulty(f"{key} says {rows} x {columns}, and holds {len(flat)} numbers", (*location, key))
     else:
         flat = list(_flat(value))
-    if not all(map(_is_number, flat)):
-        raise _Faulty(f"{key} must hold numbers", (*location, key))
+    if not all(map(is_number, flat)):
+        raise Faulty(f"{key} must hold numbers", (*location, key))
     return [float(number) for number in flat]
 
 

@@ -13,9 +13,9 @@ import struct
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ..cache.untrusted import Unreadable, is_file, open_outside
-from .locations import CalibrationError, SiteError, read_text
-from .models import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, Lens, Matrix, Placement
+from ...cache.untrusted import Unreadable, is_file, open_outside
+from ..locations import CalibrationError, SiteError, read_text
+from ..models import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, Lens, Matrix, Placement
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
     "SIMPLE_PINHOLE": ("pinhole", 1, 0),

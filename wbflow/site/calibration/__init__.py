@@ -1,0 +1,1 @@
+"""Calibrations in the forms in which programs write them."""
