@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..cache.plugins import load
 from ..cache.untrusted import is_file
@@ -12,10 +12,12 @@ from ..errors import printable
 from ..pipeline.exports import VIEWS_OF_LENS
 from ..task import view_name
 from .calibration.read import find_camera, read_calibration
-from .geodesy import LocalFrame
 from .locations import CalibrationError, Location, Problems, beside, is_name
 from .models import Calibrated, Camera, CameraEntry, Lens, Placement, Privacy, SiteFile
 from .rotations import turned
+
+if TYPE_CHECKING:
+    from .geodesy import LocalFrame
 
 _OWN_PINHOLE = frozenset({"pinhole", "brown"})
 """Frames of these keep the K of their lens, however wide it is: the vision has no say."""
