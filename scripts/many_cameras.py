@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wbflow_demo.cameras import CENTRE, MOUNTS, Viewpoint, choose_mounts
+from wbflow_demo.cameras import CENTRE, Viewpoint
 from wbflow_demo.files import calibration_of
+from wbflow_demo.light import light_of
 from wbflow_demo.movers import movers
 from wbflow_demo.photograph import DemoSite, Night, Shots, photograph
 from wbflow_demo.sensor import jpeg, png
-from wbflow_demo.yard import static_yard, yard_light
+from wbflow_demo.yard import LAMPS, static_yard
 
 
 def viewpoints(count: int, every: int = 1) -> tuple[Viewpoint, ...]:
@@ -44,9 +45,9 @@ def render(count: int, size: tuple[int, int], every: int = 1) -> DemoSite:
     texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
     night = Night(
         viewpoints=viewpoints(count, every),
-        still=static_yard(shots.random(1), texel_m, choose_mounts(len(MOUNTS))),
+        still=static_yard(shots.random(1), texel_m),
         traffic=tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures)),
-        lighting=yard_light(shots.light),
+        lighting=light_of(shots.light, LAMPS),
     )
     return photograph(night, shots, shots.voxel_m(51.2))
 

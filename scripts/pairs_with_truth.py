@@ -242,11 +242,12 @@ WALLS = (
 
 def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     """Close views of the demo yard's walls, three of each section; sections look alike and share nothing."""
-    from wbflow_demo.cameras import choose_mounts, look_at
+    from wbflow_demo.cameras import look_at
+    from wbflow_demo.light import light_of
     from wbflow_demo.photograph import render_view, true_depth
     from wbflow_demo.renderer import PreparedScene, build_atlas
     from wbflow_demo.sensor import develop, sensor_of
-    from wbflow_demo.yard import static_yard, yard_light
+    from wbflow_demo.yard import LAMPS, static_yard
 
     cache.mkdir(parents=True, exist_ok=True)
     height = width * 9 // 16
@@ -255,8 +256,8 @@ def walls(cache: Path, width: int = 960) -> dict[str, TrueView]:
     arrays = dict(np.load(file)) if file.exists() else {}
     prepared = None
     if not arrays:
-        scene = static_yard(np.random.default_rng([0, 1]), 0.0098, choose_mounts(8))
-        prepared = PreparedScene(scene, yard_light("day"), build_atlas(scene.textures))
+        scene = static_yard(np.random.default_rng([0, 1]), 0.0098)
+        prepared = PreparedScene(scene, light_of("day", LAMPS), build_atlas(scene.textures))
     views = {}
     for section, places, target in WALLS:
         for k, place in enumerate(places):

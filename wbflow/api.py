@@ -12,16 +12,15 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .cache.layout import WorkFolder
 from .cache.owner import claim
-from .cache.room import FULL, REMEDY, bytes_of
-from .errors import UsageError, WbflowError
+from .cache.room import bytes_of, disk_fault
+from .errors import UsageError
 from .outcome.artifacts import FinishedRun, function, task_named
 from .outcome.through import mend_ledger, run_pipeline
 from .records.events import Event, Listener, Watcher
@@ -105,7 +104,7 @@ class Run:
         return [task for task, event in self.finished.tasks.items() if event.usable]
 
     def artifact(self, task: Task | str) -> Any:
-        """What a task made: a dataclass of `wbflow_stages.types`.
+        """Return what a task made: a dataclass of `wbflow_stages.types`.
 
         Parameters
         ----------
@@ -204,16 +203,21 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    most = _size(memory) if memory else None
+    try:
+        most = bytes_of(memory) if memory else None
+    except ValueError as error:
+        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, most, time_limit, stop_at)
     options.check(site)
-    with _faults_of_the_disk(site):
-        return _run(site, options, listen or _quiet, watch)
+    try:
+        return _run(site, options, listen or (lambda event: None), watch)
+    except OSError as error:
+        raise disk_fault(error, site.work) from error
 
 
 def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
-    """A run that is finished.
+    """Return a finished run.
 
     Parameters
     ----------
@@ -260,16 +264,6 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
         return Run(finished)
 
 
-@contextmanager
-def _faults_of_the_disk(site: Site) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        what = f"{error.filename or site.work}: {error.strerror or error}"
-        remedy = REMEDY if error.errno in FULL else "check the disk and the rights on the work folder"
-        raise WbflowError(what, remedy=remedy) from error
-
-
 def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
     """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
     if site.notify is None:
@@ -281,14 +275,3 @@ def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
     except (NotTold, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])
-
-
-def _size(text: str) -> int:
-    try:
-        return bytes_of(text)
-    except ValueError as error:
-        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
-
-
-def _quiet(event: Event) -> None:
-    """A listener that ignores events."""

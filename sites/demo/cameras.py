@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -38,8 +37,6 @@ class Viewpoint:
     """Of its pictures' size."""
     whole_picture: bool = False
     """`hfov_deg` is that of the (distorted) picture, rather than of the pinhole with the same K."""
-    sight: Literal["colour", "grey", "infrared"] = "colour"
-    """What its sensor sees; infrared light is its own lamp's at night."""
 
     def size(self, size: tuple[int, int]) -> tuple[int, int]:
         """Return (width, height) of its pictures where those of others have `size`."""
@@ -58,48 +55,37 @@ def viewpoint_on_post(k: int, name: str, centre: Place, target: Place, hfov_deg:
     return Viewpoint(f"{name}-{k + 1}", centre, target, hfov_deg, distortion, 0.8 * shift[0], shift)
 
 
-@dataclass(frozen=True)
-class Mount:
-    """A camera of the yard and its place."""
-
-    name: str
-    bearing_deg: float
-    """East of south, seen from CENTRE."""
-    distance: float
-    height: float
-    """Metres."""
-    target: tuple[float, float, float]
-    """What it looks at."""
-    hfov_deg: float
-    distortion: tuple[float, float, float, float, float]
-    """Its lens."""
+def _mounted(
+    name: str, bearing_deg: float, distance: float, height: float, target: Place, hfov_deg: float, distortion: tuple[float, ...]
+) -> Viewpoint:
+    """Return a camera of the yard; `bearing_deg` and `distance`, in metres: where it hangs, east of south, seen from CENTRE."""
+    bearing = np.deg2rad(bearing_deg)
+    centre = (float(CENTRE[0] + distance * np.sin(bearing)), float(CENTRE[1] - distance * np.cos(bearing)), height)
+    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
+    right, down = np.sin(np.array([1.0, 2.0]) * (bearing_deg + 7.0))
+    roll_deg = 1.2 * float(np.sin(bearing_deg))
+    return Viewpoint(name, centre, target, hfov_deg, distortion, roll_deg, (float(right), float(down)))
 
 
 # Distortions of the size of real surveillance lenses: barrel, a little decentring.
 MOUNTS = (
-    Mount("gate", -71.0, 19.5, 6.2, (21.0, 20.5, 1.2), 70.0, (-0.21, 0.055, 0.0004, -0.0003, -0.008)),
-    Mount("mast-1", -50.0, 20.0, 7.6, (20.5, 21.5, 1.4), 66.0, (-0.16, 0.032, -0.0005, 0.0002, 0.0)),
-    Mount("crane-1", -30.5, 19.0, 9.4, (20.0, 22.0, 1.0), 68.0, (-0.19, 0.046, 0.0002, 0.0004, -0.005)),
-    Mount("mast-2", -10.0, 19.5, 7.0, (20.5, 22.5, 1.8), 67.0, (-0.17, 0.035, 0.0, -0.0004, 0.0)),
-    Mount("mast-3", 10.5, 19.0, 8.2, (19.5, 22.5, 1.5), 65.0, (-0.15, 0.028, 0.0003, 0.0003, 0.0)),
-    Mount("crane-2", 30.0, 20.0, 9.0, (20.0, 22.0, 1.2), 69.0, (-0.20, 0.050, -0.0002, -0.0003, -0.006)),
-    Mount("quay", 50.0, 19.5, 6.6, (19.5, 21.5, 1.5), 66.0, (-0.16, 0.030, 0.0004, 0.0002, 0.0)),
-    Mount("roof", 70.0, 19.8, 7.4, (19.0, 20.5, 1.0), 70.0, (-0.22, 0.060, -0.0003, 0.0004, -0.009)),
+    _mounted("gate", -71.0, 19.5, 6.2, (21.0, 20.5, 1.2), 70.0, (-0.21, 0.055, 0.0004, -0.0003, -0.008)),
+    _mounted("mast-1", -50.0, 20.0, 7.6, (20.5, 21.5, 1.4), 66.0, (-0.16, 0.032, -0.0005, 0.0002, 0.0)),
+    _mounted("crane-1", -30.5, 19.0, 9.4, (20.0, 22.0, 1.0), 68.0, (-0.19, 0.046, 0.0002, 0.0004, -0.005)),
+    _mounted("mast-2", -10.0, 19.5, 7.0, (20.5, 22.5, 1.8), 67.0, (-0.17, 0.035, 0.0, -0.0004, 0.0)),
+    _mounted("mast-3", 10.5, 19.0, 8.2, (19.5, 22.5, 1.5), 65.0, (-0.15, 0.028, 0.0003, 0.0003, 0.0)),
+    _mounted("crane-2", 30.0, 20.0, 9.0, (20.0, 22.0, 1.2), 69.0, (-0.20, 0.050, -0.0002, -0.0003, -0.006)),
+    _mounted("quay", 50.0, 19.5, 6.6, (19.5, 21.5, 1.5), 66.0, (-0.16, 0.030, 0.0004, 0.0002, 0.0)),
+    _mounted("roof", 70.0, 19.8, 7.4, (19.0, 20.5, 1.0), 70.0, (-0.22, 0.060, -0.0003, 0.0004, -0.009)),
 )
 
 
-def choose_mounts(cameras: int) -> tuple[Mount, ...]:
+def choose_mounts(cameras: int) -> tuple[Viewpoint, ...]:
     """Return the `cameras` neighbours in the middle of the half ring."""
     if not 1 <= cameras <= len(MOUNTS):
         raise ValueError(f"the yard has 1 to {len(MOUNTS)} cameras, not {cameras}")
     first = (len(MOUNTS) - cameras) // 2
     return MOUNTS[first : first + cameras]
-
-
-def position(mount: Mount) -> Float64s:
-    """Return camera centre (3,) float64, metres."""
-    bearing = np.deg2rad(mount.bearing_deg)
-    return np.array([CENTRE[0] + mount.distance * np.sin(bearing), CENTRE[1] - mount.distance * np.cos(bearing), mount.height])
 
 
 def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float64s:
@@ -110,27 +96,6 @@ def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float6
     down = np.cross(forward, right)
     c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
     return np.array([c * right + s * down, -s * right + c * down, forward])
-
-
-def viewpoint_of(mount: Mount) -> Viewpoint:
-    """Return the viewpoint of a mount of the yard."""
-    x, y, z = position(mount)
-    # principal points lie a little off the middle, as in real cameras, and no camera hangs quite level
-    shift = np.sin(np.array([1.0, 2.0]) * (mount.bearing_deg + 7.0))
-    return Viewpoint(
-        mount.name,
-        (float(x), float(y), float(z)),
-        mount.target,
-        mount.hfov_deg,
-        mount.distortion,
-        roll_deg=1.2 * float(np.sin(mount.bearing_deg)),
-        shift=(float(shift[0]), float(shift[1])),
-    )
-
-
-def camera_of(mount: Mount, size: tuple[int, int]) -> tuple[Camera, Lens]:
-    """Return what `camera_at` does, of a mount of the yard."""
-    return camera_at(viewpoint_of(mount), size)
 
 
 def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens]:
@@ -223,28 +188,18 @@ VARIANTS = {
     "fisheye": "every second camera sees 180 degrees, with twice the pixels along each side",
     "brown": "all see 100 degrees with half as many pixels again along each side, and bend lines strongly",
     "mixed": "every second camera has four times the pixels of its neighbours along each side",
-    "infrared": "colour, infrared, grey, infrared; at night the infrared ones see by their own lamp",
 }
 """What each is."""
 
 _FISHEYE = (-0.012, 0.004, -0.0011, 0.0001)
 """k1..k4 of a lens that is nearly equidistant."""
 _BARREL = (-0.15, 0.02, 0.0004, -0.0003, 0.0)
-_SIGHTS: tuple[Literal["colour", "grey", "infrared"], ...] = ("colour", "infrared", "grey", "infrared")
 
 
-def check_lenses(lenses: str) -> None:
-    """Raise ValueError for lenses that are not in `VARIANTS`."""
+def with_lenses(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
+    """Return a scene's k-th camera with the lens of a row of `VARIANTS`.  Raises ValueError for another row."""
     if lenses not in VARIANTS:
         raise ValueError(f"lenses are {', '.join(VARIANTS)}, not {lenses!r}")
-
-
-def with_lenses(viewpoints: Sequence[Viewpoint], lenses: str) -> tuple[Viewpoint, ...]:
-    """Return the viewpoints with the lenses of a row of `VARIANTS`."""
-    return tuple(_with_lens(viewpoint, k, lenses) for k, viewpoint in enumerate(viewpoints))
-
-
-def _with_lens(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
     every_second = k % 2 == 1
     if lenses == "fisheye" and every_second:
         return replace(viewpoint, model="fisheye", distortion=_FISHEYE, hfov_deg=180.0, scale=2.0)
@@ -252,6 +207,4 @@ def _with_lens(viewpoint: Viewpoint, k: int, lenses: str) -> Viewpoint:
         return replace(viewpoint, distortion=_BARREL, hfov_deg=100.0, whole_picture=True, scale=1.5)
     if lenses == "mixed":
         return replace(viewpoint, scale=2.0 if every_second else 0.5)
-    if lenses == "infrared":
-        return replace(viewpoint, sight=_SIGHTS[k % len(_SIGHTS)])
     return viewpoint

@@ -41,48 +41,13 @@ class DemoFiles:
     """Name and content of every file."""
 
 
-def demo_files(
-    scene: str,
-    *,
-    small: bool = False,
-    light: str = "day",
-    cameras: int | None = None,
-    captures: int | None = None,
-    seed: int = 0,
-    lenses: str = "standard",
-    surfaces: str = "standard",
-) -> DemoFiles:
-    """Render a scene; the same arguments give the same bytes.
-
-    Parameters
-    ----------
-    scene : str
-        A name of `SCENES`.
-    small : bool
-        320 x 180 pixels: rendered in seconds.
-    light : str
-        "day", "dusk", "night", or "dark": night without lamps.
-    cameras, captures : int, optional
-        How many cameras, and captures of each; the scene's own where not given.
-    seed : int
-        Of everything that is drawn at random.
-    lenses : str
-        A name of `cameras.VARIANTS`.
-    surfaces : str
-        A name of `weak.SURFACES`.
-
-    Raises
-    ------
-    ValueError
-        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
-    """
-    kinds = {"lenses": lenses, "surfaces": surfaces}
-    site = render(
-        scene, small=small, cameras=cameras, captures=captures, seed=seed, light=light, lenses=lenses, surfaces=surfaces
-    )
-    which = ({} if scene == "yard" else {"scene": scene}) | {key: kind for key, kind in kinds.items() if kind != "standard"}
+def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int = 0, **options: Any) -> DemoFiles:
+    """Render a scene; the same arguments, which are those of `scenes.render`, give the same bytes."""
+    site = render(scene, small=small, light=light, seed=seed, **options)
+    kinds = {key: kind for key in ("lenses", "surfaces") if (kind := options.get(key, "standard")) != "standard"}
+    which = ({} if scene == "yard" else {"scene": scene}) | kinds
     manifest = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
-    return DemoFiles(manifest, _files(site, scene, light, lenses))
+    return DemoFiles(manifest, _files(site, scene, light, kinds.get("lenses", "standard")))
 
 
 def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes | Points]]:
@@ -218,25 +183,9 @@ NIGHT_SMALL, NIGHT_LARGE = (320, 180), (640, 360)
 
 
 def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: int | None = None, seed: int = 0) -> DemoFiles:
-    """Render nights of the yard; the same arguments give the same bytes.
+    """Render nights of the yard, with so many frames of each camera and night; the same arguments give the same bytes.
 
-    Parameters
-    ----------
-    nights : int
-        How many.
-    frames : int
-        Of each camera and night.
-    small : bool
-        320 x 180 pixels instead of 640 x 360, and 4 cameras.
-    cameras : int, optional
-        How many, 1 to 8.
-    seed : int
-        Of everything that is drawn at random.
-
-    Raises
-    ------
-    ValueError
-        Impossible numbers.
+    small: 320 x 180 pixels instead of 640 x 360, and 4 cameras.  Raises ValueError for impossible numbers.
     """
     count = cameras or (SCENES["yard"].small_cameras if small else None) or 8
     size = NIGHT_SMALL if small else NIGHT_LARGE

@@ -16,7 +16,7 @@ import open3d as o3d
 
 from wbflow_stages.types import Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 
-from .cameras import MOUNTS, Viewpoint, camera_at, choose_mounts, viewpoint_of
+from .cameras import MOUNTS, Viewpoint, camera_at, choose_mounts
 from .depot import containers
 from .movers import PAINTS, movers, van
 from .paint import Rng
@@ -182,11 +182,10 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     shots.check(len(MOUNTS))
     if nights < 1:
         raise ValueError(f"at least one night can be rendered, not {nights}")
-    mounts = choose_mounts(shots.cameras)
     things = Things(shots.random(4), _texel_m(shots))
     shoot = _Shoot(tuple(_scenes(things, nights, shots)), shots)
     with ThreadPoolExecutor(shots.threads) as pool:
-        done = list(pool.map(lambda mount: _camera_nights(shoot, viewpoint_of(mount)), mounts))
+        done = list(pool.map(lambda mount: _camera_nights(shoot, mount), choose_mounts(shots.cameras)))
     rows = [each.camera for each in done]
     pinholes, depths, colors = [c.camera for c in rows], [c.depth for c in rows], [undistorted_colours(c) for c in rows]
     voxel_m = shots.voxel_m(51.2)
@@ -207,7 +206,7 @@ def _texel_m(shots: Shots) -> float:
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """Yield the yard of each night, empty and at each frame; all share textures and sky."""
     frames = shots.captures
-    yard = static_yard(shots.random(1), _texel_m(shots), choose_mounts(len(MOUNTS)))
+    yard = static_yard(shots.random(1), _texel_m(shots))
     traffic = moving(nights, shots)
     whole = joined(joined(yard, things.scene(stays(1))), traffic[0])
     atlas = build_atlas(whole.textures)

@@ -7,7 +7,6 @@ depth, and a reference cloud.  The same arguments give the same bytes.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Literal
@@ -21,11 +20,11 @@ from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.types import Bools, Camera, Cloud, Float32s, Float64s, Lens, Placement, Uint8s
 
 from .cameras import Viewpoint, camera_at, distort, pixel_rays, with_lenses
-from .light import Lamp, Light
+from .light import Light
 from .reference import reference_cloud
 from .renderer import Hits, PreparedScene, SkyGrid, build_atlas, shade, trace
 from .scene import WATER, Scene, joined
-from .sensor import as_seen_by, burn_clock, clock_mask, develop, grey, sensor_of
+from .sensor import burn_clock, clock_mask, develop, sensor_of
 
 Daytime = Literal["day", "dusk", "night", "dark"]
 
@@ -150,7 +149,7 @@ def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
     busy = tuple(PreparedScene(scene, empty.light, atlas, empty.sky) for scene in scenes)
     shoot = _Shoot(empty, busy, night.traffic, shots.light, shots.seed)
     with ThreadPoolExecutor(shots.threads) as pool:
-        viewpoints = with_lenses(night.viewpoints, shots.lenses)
+        viewpoints = [with_lenses(viewpoint, k, shots.lenses) for k, viewpoint in enumerate(night.viewpoints)]
         done = list(pool.map(lambda viewpoint: _photograph(shoot, viewpoint, viewpoint.size(shots.size)), viewpoints))
     views = [view for _, seen in done for view in seen]
     pinholes, depths, normals, colors = zip(*views, strict=True)
@@ -167,17 +166,15 @@ def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> t
     depth, normals = true_range(shoot.empty, camera, lens) if lens.model == "fisheye" else true_depth(shoot.empty, camera)
     seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
     sensor = sensor_of(np.random.default_rng(seed), shoot.light)
-    own_light = with_own_lamp(shoot.empty.light, viewpoint, shoot.light)
-    still = render_view(in_light(shoot.empty, own_light), camera, lens)
+    still = render_view(shoot.empty, camera, lens)
     images, times = [], []
     for k, (prepared, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
         rng = np.random.default_rng([*seed, k])
         time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
         radiance = still.copy()
         pixels = np.flatnonzero(changed_pixels(scene, shoot.empty.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(in_light(prepared, own_light), camera, lens, pixels)
-        image = develop(as_seen_by(radiance, viewpoint.sight), sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
-        image = image if viewpoint.sight == "colour" else grey(image)
+        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
+        image = develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
         images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
         times.append(time)
     placement = Placement(R=camera.R, C=camera.C)
@@ -328,21 +325,3 @@ def undistorted_colours(camera: DemoCamera, pinhole: Camera | None = None) -> Ui
     u, v = np.clip(at[:, 0], 0, camera.lens.width - 1), np.clip(at[:, 1], 0, camera.lens.height - 1)
     middle = np.median(np.stack([image[v, u] for image in camera.captures]), axis=0).astype(np.uint8)
     return np.asarray(middle.reshape(view.height, view.width, 3), np.uint8)
-
-
-_LAMP = 120.0
-"""Power of an infrared camera's own lamp: it lights a yard as well as the lamps on its walls do."""
-
-
-def with_own_lamp(light: Light, viewpoint: Viewpoint, hour: str) -> Light:
-    """Return the light that a camera sees by: at night an infrared one adds a lamp of its own."""
-    if viewpoint.sight != "infrared" or hour not in {"night", "dark"}:
-        return light
-    return replace(light, lamps=(*light.lamps, Lamp(viewpoint.centre, (_LAMP, _LAMP, _LAMP))))
-
-
-def in_light(prepared: PreparedScene, light: Light) -> PreparedScene:
-    """Return the same scene in another light."""
-    other = copy(prepared)
-    other.light = light
-    return other

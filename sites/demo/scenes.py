@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import cast
 
-from .cameras import check_lenses
 from .photograph import Daytime, DemoSite, Shots
 from .weak import check_surfaces
 
@@ -54,13 +53,33 @@ def render(
 ) -> DemoSite:
     """Render a scene in memory; the same arguments give the same bytes.
 
-    Parameters are those of `files.demo_files`; `size` is width and height in pixels.  Raises ValueError for an unknown scene,
-    light, kind of lenses or surfaces, and for impossible numbers.
+    Parameters
+    ----------
+    name : str
+        Of `SCENES`.
+    small : bool
+        320 x 180 pixels: rendered in seconds.
+    cameras, captures : int, optional
+        How many cameras, and captures of each; the scene's own where not given.
+    size : tuple of int, optional
+        Width and height in pixels.
+    seed : int
+        Of everything that is drawn at random.
+    light : str
+        "day", "dusk", "night", or "dark": night without lamps.
+    lenses : str
+        A name of `cameras.VARIANTS`.
+    surfaces : str
+        A name of `weak.SURFACES`.
+
+    Raises
+    ------
+    ValueError
+        An unknown scene, light, kind of lenses or surfaces, or impossible numbers.
     """
     if name not in SCENES:
         raise ValueError(f"there is no scene {name!r}; there are {', '.join(SCENES)}")
     row = SCENES[name]
-    check_lenses(lenses)
     check_surfaces(surfaces, name)
     if small:
         cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures

@@ -37,22 +37,6 @@ def sensor_of(rng: np.random.Generator, light: str) -> Sensor:
     return Sensor(gain, balance, full_well, 6.0, float(rng.uniform(0.12, 0.25)))
 
 
-_SENSITIVE = {"grey": (0.30, 0.59, 0.11), "infrared": (0.85, 0.10, 0.05)}
-"""To red, green and blue, of sensors that see one kind of light: near infrared is much like red."""
-
-
-def as_seen_by(radiance: Float32s, sight: str) -> Float32s:
-    """Return radiance (h, w, 3) for a sensor that sees "colour", "grey" or "infrared"."""
-    if sight == "colour":
-        return radiance
-    return np.repeat((radiance @ np.array(_SENSITIVE[sight], np.float32))[..., None], 3, axis=2)
-
-
-def grey(image: Uint8s) -> Uint8s:
-    """Return a picture (h, w, 3) without the colours that a sensor's balance and noise give it."""
-    return np.repeat(image[..., 1:2], 3, axis=2)
-
-
 def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: np.random.Generator) -> Uint8s:
     """Return one capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: this capture's own factor."""
     h, w = radiance.shape[:2]

@@ -8,8 +8,8 @@ import numpy as np
 
 from . import ground, weak
 from . import textures as paint
-from .cameras import CENTRE, MOUNTS, Mount, choose_mounts, position, viewpoint_of
-from .light import Light, light_of
+from .cameras import CENTRE, MOUNTS, choose_mounts
+from .light import light_of
 from .movers import movers
 from .paint import Rng
 from .photograph import DemoSite, Night, Shots, photograph
@@ -41,7 +41,7 @@ WOOD = ((0.36, 0.25, 0.14), (0.27, 0.21, 0.15), (0.42, 0.33, 0.2))
 DRUMS = ((0.06, 0.14, 0.34), (0.40, 0.10, 0.04), (0.12, 0.25, 0.14))
 
 
-def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...], surfaces: str = "standard") -> Scene:
+def static_yard(rng: Rng, texel_m: float, surfaces: str = "standard") -> Scene:
     """Return everything that stands still."""
     build = SceneBuilder()
     build.kind = STATIC
@@ -50,7 +50,7 @@ def static_yard(rng: Rng, texel_m: float, mounts: tuple[Mount, ...], surfaces: s
     for box in CONTAINERS:
         container(build, rng, texel_m, box)
     crane(build, rng, (7.0, 21.5), texel_m, height=10.0, reach=11.0, bearing=0.45)
-    _clutter(build, rng, texel_m, mounts)
+    _clutter(build, rng, texel_m)
     return build.build()
 
 
@@ -145,7 +145,7 @@ def _signs(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
         build.box(place, size, front, front=front)
 
 
-def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount, ...]) -> None:
+def _clutter(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     """Add crates, drums, a parked lorry, heaps of gravel, bollards, lamps and the cameras' masts."""
     wood = [build.add_texture(paint.planks(rng, 5.0, 1.5, texel_m, tone)) for tone in WOOD]
     stencil = paint.sign_board(rng, 4.0, 1.0, texel_m, ("OBEN", "VORSICHT 40 KG"), (0.38, 0.28, 0.16), (0.05, 0.04, 0.04))
@@ -163,11 +163,10 @@ def _clutter(build: SceneBuilder, rng: Rng, texel_m: float, mounts: tuple[Mount,
         build.tube((float(x), -4.3, 0.0), 0.22, 0.7, drums[1], sides=10)
     steel = build.add_texture(paint.painted_steel(rng, 3.0, 9.0, texel_m, (0.30, 0.31, 0.31)))
     _lamp_holders(build, rng, steel)
-    for mount in mounts:
-        x, y, z = position(mount)
-        back = 0.45 / mount.distance
-        foot = (x + back * (x - CENTRE[0]), y + back * (y - CENTRE[1]), 0.0)
-        build.tube(foot, 0.1, float(z) + 0.3, steel, sides=8)
+    for x, y, z in (mount.centre for mount in MOUNTS):
+        east, north = x - CENTRE[0], y - CENTRE[1]
+        back = 0.45 / np.hypot(east, north)
+        build.tube((x + back * east, y + back * north, 0.0), 0.1, z + 0.3, steel, sides=8)
 
 
 def _lamp_holders(build: SceneBuilder, rng: Rng, steel: int) -> None:
@@ -202,21 +201,15 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
             build.ball((x, y, 0.45), (0.46, 0.46, 0.46), dark, steps=7)
 
 
-def yard_light(light: str) -> Light:
-    """Return afternoon sun, the last of dusk with the lamps on, night, or night without lamps."""
-    return light_of(light, LAMPS)
-
-
 def yard(shots: Shots) -> DemoSite:
     """Render the yard: up to 8 neighbours of a half ring.  Raises ValueError for impossible shots."""
     shots.check(len(MOUNTS))
-    mounts = choose_mounts(shots.cameras)
     texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
     night = Night(
-        viewpoints=tuple(viewpoint_of(mount) for mount in mounts),
-        still=static_yard(shots.random(1), texel_m, choose_mounts(len(MOUNTS)), shots.surfaces),
+        viewpoints=choose_mounts(shots.cameras),
+        still=static_yard(shots.random(1), texel_m, shots.surfaces),
         traffic=tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures)),
-        lighting=yard_light(shots.light),
+        lighting=light_of(shots.light, LAMPS),
     )
     # about two pixels in the middle of the yard
     voxel_m = shots.voxel_m(51.2)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbflow_demo.cameras import MOUNTS, camera_of, look_at
-from wbflow_demo.light import Light
+from wbflow_demo.cameras import MOUNTS, camera_at, look_at
+from wbflow_demo.light import Light, light_of
 from wbflow_demo.movers import movers
 from wbflow_demo.paint import Texture, encode
 from wbflow_demo.photograph import Daytime, changed_pixels, render_pixels, render_view, true_depth
 from wbflow_demo.renderer import PreparedScene, build_atlas
 from wbflow_demo.scene import SceneBuilder, joined
-from wbflow_demo.yard import static_yard, yard_light
+from wbflow_demo.yard import LAMPS, static_yard
 from wbflow_stages.types import Camera
 
 OVERCAST = Light((0.0, 0.6, 0.8), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
@@ -84,12 +84,12 @@ def test_depth_is_measured_along_the_axis() -> None:
 
 @pytest.mark.parametrize("light", ["day", "night"])
 def test_only_pixels_that_movers_touch_need_to_be_rendered_again(light: Daytime) -> None:
-    still = static_yard(np.random.default_rng(1), 0.15, MOUNTS)
+    still = static_yard(np.random.default_rng(1), 0.15)
     mover = movers(np.random.default_rng(2), 0.15, 1)[0]
     scene = joined(still, mover)
-    empty = PreparedScene(still, yard_light(light), build_atlas(scene.textures))
+    empty = PreparedScene(still, light_of(light, LAMPS), build_atlas(scene.textures))
     busy = PreparedScene(scene, empty.light, empty.atlas, empty.sky)
-    camera, lens = camera_of(MOUNTS[3], (160, 90))
+    camera, lens = camera_at(MOUNTS[3], (160, 90))
     whole = render_view(busy, camera, lens)
     patched = render_view(empty, camera, lens)
     changed = changed_pixels(mover, empty.light, camera, lens)

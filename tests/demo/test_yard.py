@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic_site import single_pair, small_yard
-from wbflow_demo.cameras import MOUNTS, Mount, camera_of, distort, pixel_rays
+from wbflow_demo.cameras import MOUNTS, Viewpoint, camera_at, distort, pixel_rays
 from wbflow_demo.photograph import DemoCamera, Shots
 from wbflow_demo.yard import yard
 from wbflow_stages.core.cameras import backproject, project
@@ -48,8 +48,8 @@ def test_depth_of_one_camera_agrees_with_what_its_neighbour_sees() -> None:
 
 
 @pytest.mark.parametrize("mount", MOUNTS, ids=lambda m: m.name)
-def test_lenses_distort_as_opencv_says(mount: Mount) -> None:
-    camera, lens = camera_of(mount, (320, 180))
+def test_lenses_distort_as_opencv_says(mount: Viewpoint) -> None:
+    camera, lens = camera_at(mount, (320, 180))
     y, x = (grid.ravel().astype(float) for grid in np.mgrid[0:180:20, 0:320:20])
     rays = pixel_rays(camera, lens, x, y).astype(float)
     straight, _ = project(camera, camera.C + rays)
@@ -115,7 +115,7 @@ def test_reference_points_lie_on_what_two_cameras_see() -> None:
 
 
 def test_cameras_form_a_connected_half_ring() -> None:
-    axes = np.array([camera_of(mount, (1280, 720))[0].R[2] for mount in MOUNTS])
+    axes = np.array([camera_at(mount, (1280, 720))[0].R[2] for mount in MOUNTS])
     angles = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
     assert ((np.diag(angles, 1) > 13) & (np.diag(angles, 1) < 30)).all()
     assert angles.max() > 60

@@ -7,6 +7,8 @@ import re
 import shutil
 from pathlib import Path
 
+from ..errors import WbflowError
+
 _POWERS = " KMGT"
 
 
@@ -35,6 +37,12 @@ def in_words(size: float) -> str:
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Errors of a full disk: of all of it, of the user's share, of the longest file that a process may write."""
 REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or say in the site file what to keep"
+
+
+def disk_fault(error: OSError, place: Path | str) -> WbflowError:
+    """Return the error for people when a file or folder cannot be read or written."""
+    remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
+    return WbflowError(f"{error.filename or place}: {error.strerror or error}", remedy=remedy)
 
 
 def free_bytes(folder: Path) -> int:

@@ -10,7 +10,7 @@ import traceback
 import click
 
 from .. import __version__
-from ..cache.room import FULL, REMEDY
+from ..cache.room import FULL, disk_fault
 from ..errors import ExitCode, WbflowError
 from . import results, run, setup
 from .common import stop
@@ -42,8 +42,7 @@ class _Commands(click.Group):
             if _wants_tracebacks():
                 raise
             if isinstance(error, OSError) and error.errno in _UNWRITABLE | FULL:
-                remedy = REMEDY if error.errno in FULL else "check the rights on the work folder and its file system"
-                stop(ExitCode.FAILED, f"{error.filename or 'the work folder'}: {error.strerror}\n  {remedy}")
+                stop(ExitCode.FAILED, str(disk_fault(error, "the work folder")))
             stop(ExitCode.FAILED, f"wbflow itself failed: {type(error).__name__}: {error}\n  again with -v shows where")
 
 

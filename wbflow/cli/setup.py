@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..errors import ExitCode, UsageError
 from .common import PATH, echo, jobs_option, stop, verbose_option
+
+_PLAIN = ("yard", "day", "standard", "standard")
+"""Scene, light, lenses and surfaces of a demo of several nights."""
 
 
 @click.command()
@@ -15,24 +19,13 @@ from .common import PATH, echo, jobs_option, stop, verbose_option
 @click.option("--scene", default="yard", metavar="NAME", help="yard, square or carpark.")
 @click.option("--small", is_flag=True, help="320x180 (the yard with 4 cameras): rendered in seconds.")
 @click.option("--light", type=click.Choice(["day", "dusk", "night", "dark"]), default="day", help="Time of day; dark: no lamps.")
-@click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown, mixed or infrared: other cameras.")
+@click.option("--lenses", default="standard", metavar="KIND", help="fisheye, brown or mixed: other cameras.")
 @click.option("--surfaces", default="standard", metavar="KIND", help="weak: the yard with white walls, wet asphalt and snow.")
 @click.option("--cameras", type=click.IntRange(min=1), metavar="N", help="How many of the scene's cameras.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Another scene of the same kind.")
 @click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Render nights of the yard (640x360).")
 @click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Frames of each camera and night.")
-def demo(
-    folder: Path,
-    scene: str,
-    small: bool,
-    light: str,
-    lenses: str,
-    surfaces: str,
-    cameras: int | None,
-    seed: int,
-    nights: int | None,
-    frames: int,
-) -> None:
+def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
     """Render the demo site (captures, site.yaml, truth) into DIR.
 
     With --nights, each night has its own light and traffic; cameras are turned, covered, frozen and swapped, things appear and
@@ -48,14 +41,12 @@ def demo(
     from ..outcome.demo import write_demo, write_nights
 
     if nights is None:
-        write_demo(folder, scene=scene, small=small, light=light, cameras=cameras, seed=seed, lenses=lenses, surfaces=surfaces)
-    elif (scene, light, lenses, surfaces) != ("yard", "day", "standard", "standard"):
-        raise UsageError(
-            "--nights renders the yard, each night in its own light",
-            remedy="leave out --scene, --light, --lenses and --surfaces",
-        )
+        write_demo(folder, **options)
+    elif (options.pop("scene"), options.pop("light"), options.pop("lenses"), options.pop("surfaces")) != _PLAIN:
+        remedy = "leave out --scene, --light, --lenses and --surfaces"
+        raise UsageError("--nights renders the yard, each night in its own light", remedy=remedy)
     else:
-        write_nights(folder, nights, frames=frames, small=small, cameras=cameras, seed=seed)
+        write_nights(folder, nights, frames=frames, **options)
     echo(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
 
 

@@ -23,38 +23,17 @@ class NotADemo(UsageError):
     """A folder holds something that a demo must not overwrite."""
 
 
-def write_demo(
-    folder: Path,
-    *,
-    scene: str = "yard",
-    small: bool = False,
-    light: str = "day",
-    cameras: int | None = None,
-    captures: int | None = None,
-    seed: int = 0,
-    lenses: str = "standard",
-    surfaces: str = "standard",
-) -> None:
-    """Render a demo scene into `folder`; the same arguments write the same bytes.
+def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
+    """Render a demo scene into a folder that is new, empty, or holds an earlier demo; the same arguments write the same bytes.
 
     Parameters
     ----------
     folder : Path
-        New, empty, or holding an earlier demo.
+        Where the files go.
     scene : str
-        "yard", "square" or "carpark" (`wbflow_demo.scenes.SCENES`).
-    small : bool
-        320x180 pixels: rendered in seconds.
-    light : str
-        "day", "dusk", "night", or "dark" (night without lamps).
-    cameras, captures : int, optional
-        How many cameras, and captures of each; the scene's own where not given.
-    seed : int
-        Of everything that is drawn at random.
-    lenses : str
-        "standard", "fisheye", "brown", "mixed" or "infrared".
-    surfaces : str
-        "standard" or "weak".
+        "yard", "square" or "carpark".
+    **options
+        Those of `wbflow_demo.scenes.render`: small, light, cameras, captures, seed, lenses, surfaces.
 
     Raises
     ------
@@ -63,39 +42,15 @@ def write_demo(
     UsageError
         An unknown scene or light, or no captures.
     """
-    kinds = {"light": light, "lenses": lenses, "surfaces": surfaces}
-    chosen = {"small": small, "cameras": cameras, "captures": captures, "seed": seed, **kinds}
-    _write(folder, lambda: function(DEMO_FILES)(scene, **chosen))
+    _write(folder, lambda: function(DEMO_FILES)(scene, **options))
 
 
-def write_nights(
-    folder: Path, nights: int, *, frames: int = 3, small: bool = False, cameras: int | None = None, seed: int = 0
-) -> None:
-    """Render nights of the demo yard into `folder`, with what happens in them; the same arguments write the same bytes.
+def write_nights(folder: Path, nights: int, **options: Any) -> None:
+    """Render so many nights of the demo yard into a folder, with what happens in them; otherwise as `write_demo`.
 
-    Parameters
-    ----------
-    folder : Path
-        New, empty, or holding an earlier demo.
-    nights : int
-        How many.
-    frames : int
-        Of each camera and night.
-    small : bool
-        320x180 pixels and 4 cameras, instead of 640x360 and 8.
-    cameras : int, optional
-        How many.
-    seed : int
-        Of everything that is drawn at random.
-
-    Raises
-    ------
-    NotADemo
-        As `write_demo`.
-    UsageError
-        Impossible numbers.
+    options: those of `wbflow_demo.files.demo_nights`: frames, small, cameras, seed.
     """
-    _write(folder, lambda: function(DEMO_NIGHTS)(nights, frames=frames, small=small, cameras=cameras, seed=seed))
+    _write(folder, lambda: function(DEMO_NIGHTS)(nights, **options))
 
 
 def _write(folder: Path, render: Callable[[], Any]) -> None:
