@@ -97,24 +97,25 @@ def _first_remedy(findings: tuple[Finding, ...]) -> str:
 
 def _facts(data: ReportData) -> Iterator[Fact]:
     record = data.record
-    usual = record.usual.figures if record.usual else {}
-    now = figures_of(record)
+    usual, now = record.usual.figures if record.usual else {}, figures_of(record)
     whose = "reference" if record.usual and record.usual.reference else "usual"
+
+    def measured(name: str, unit: str, words: str) -> Fact:
+        base = usual.get(name)
+        compared = f"{whose}: {base:,.0f} {unit}".rstrip() if base else ""
+        return Fact(f"{now[name]:,.0f} {unit}".rstrip(), words, compared, _grade(now[name], base))
+
     well, good = sum(camera.ok for camera in record.cameras), sum(pair.ok for pair in record.pairs)
     yield Fact(f"{well} of {len(record.cameras)}", "cameras", grade="" if well == len(record.cameras) else "bad")
     if most := max(len(record.pairs), round(usual.get(Measure.PAIRS, 0))):
         yield Fact(f"{good} of {most}", "pairs of cameras", grade=_grade(good, usual.get(Measure.PAIRS)))
     if record.cloud:
-        base = usual.get(Measure.POINTS)
-        words = f"{whose}: {base:,.0f}" if base else ""
-        yield Fact(f"{record.cloud.points:,}", "points", words, _grade(now[Measure.POINTS], base))
+        yield measured(Measure.POINTS, "", "points")
     if record.poses and record.poses.unverified:
         yield Fact("unverified", "calibration: too few matches to check it", grade="fair")
     for stage, result in record.results.items():
         if stage in now:
-            base, (unit, measured) = usual.get(stage), result.AMOUNT
-            words = f"{whose}: {base:,.0f} {unit}" if base else ""
-            yield Fact(f"{now[stage]:,.0f} {unit}", measured, words, _grade(now[stage], base))
+            yield measured(stage, *result.AMOUNT)
         if (count := _change_count(result)) is not None:
             since, words = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
             yield Fact(str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else "")
