@@ -66,6 +66,8 @@ class Facts:
     """Of tasks that were not started because the time was over."""
     behind: Finding | None = None
     """What the object store does not have yet."""
+    calibration_change: str = ""
+    """How lenses and poses differ from those of the reference, which is out of use for that."""
 
     @staticmethod
     def from_plan(plan: Plan, interrupted: bool, behind: Finding | None = None) -> Facts:
@@ -78,7 +80,7 @@ class Facts:
             state = plan.states.get(Task(plan.until))
             if state and not state.usable:
                 missing = plan.until, root_cause(plan, Task(plan.until)) or ""
-        return Facts(failed, product, missing, interrupted, stopped, behind)
+        return Facts(failed, product, missing, interrupted, stopped, behind, plan.calibration_change)
 
 
 def judge_run(record: RunRecord, plan: Plan, baseline: Baseline, interrupted: bool, behind: Finding | None = None) -> RunRecord:
@@ -340,7 +342,9 @@ def _soft_figures(camera: CameraRecord) -> dict[str, float]:
 
 
 def check_calibration(night: Night) -> Iterator[Finding]:
-    """Do the matches contradict what the site states of lenses and poses?"""
+    """Do the reference, or the matches, contradict what the site states of lenses and poses?"""
+    if change := night.facts.calibration_change:
+        yield finding("calibration-changed", reason=change)
     check = night.record.poses.calibration if night.record.poses else None
     if check and check.contradicted:
         figures = {"misfit": check.misfit, "better": check.better, "off_px": check.off_px}

@@ -229,6 +229,13 @@ FINDINGS: Mapping[str, FindingType] = {
             "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
         ),
         FindingType(
+            "calibration-changed",
+            "degraded",
+            "Lenses or poses are stated otherwise than when the reference was pinned, which is out of use until another one is.",
+            "what the site states of lenses and poses has changed since the reference was pinned: {reason}",
+            "if it is meant, look at the cloud and pin it (wbflow pin SITE.yaml RUN); else bring the calibration file back",
+        ),
+        FindingType(
             "calibration-contradicted",
             "degraded",
             "Tonight's matches contradict the stated lenses or poses as a whole.",

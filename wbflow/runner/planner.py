@@ -18,6 +18,7 @@ from ..pipeline.binding import Binding, bind
 from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
 from ..records.record import Health
 from ..records.reference_folder import Reference
+from ..reference.calibration_change import calibration_change
 from ..reference.compatibility import misfit
 from ..reference.health_history import ShiftHistory
 from ..reference.resolve import Pinned
@@ -55,6 +56,8 @@ class Plan:
     """What tonight is compared with."""
     misfit: str = ""
     """Why it is not, where a reference is there that is one of the site as it was before its file changed."""
+    calibration_change: str = ""
+    """What lenses and poses have become then, compared with those of the reference."""
     stale: dict[str, Health] = field(default_factory=dict)
     """Cameras whose captures are not of tonight."""
     night_given: bool = False
@@ -85,6 +88,7 @@ class Plan:
         self._subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
             self.misfit = misfit(self.reference, self.site, self._stages, self._bound, self._settings, self.cache, self.named)
+            self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
         self.reference = None if self.misfit else self.reference
         past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
         cameras = [view.id for view in self.site.views]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import threading
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
+from wbflow import api
 from wbflow.cache.digests import Digests
+from wbflow.errors import WbflowError
 from wbflow.runner.spec import Cause
 from wbflow.site import captures
 
@@ -138,3 +141,36 @@ def test_a_camera_whose_folder_does_not_answer_is_named_and_costs_no_other(toy: 
     reasons = {camera["id"]: camera["reason"] for camera in record["cameras"]}
     assert "roof" in reasons["roof"] and "does not answer" in reasons["roof"]
     assert [reason for camera, reason in reasons.items() if camera != "roof" and reason] == []
+
+
+CLOSES = """
+import os
+
+from toy_stages import detect as detected
+
+
+def detect(frame, *, offset: float = 0.0):
+    os.closerange(3, 4096)
+    return detected(frame)
+"""
+
+
+def test_a_stage_that_closes_the_descriptors_of_its_worker_is_named(toy: ToySite) -> None:
+    (toy.folder / "closing.py").write_text(CLOSES)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "closing:detect"}
+    toy.file.write_text(json.dumps(site))
+    toy.backend = "processes"
+    record = toy.run("--until", "features", code=3)
+    print(record)
+    assert 0
+
+
+def test_an_interpreter_that_may_not_be_executed_is_named(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    python = toy.folder / "python"
+    python.write_text("no program")
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", os.fsencode(python))
+    with pytest.raises(WbflowError, match="python") as raised:
+        api.run(toy.file, jobs=1)
+    print(raised.value, raised.value.remedy)
+    assert 0
