@@ -8,6 +8,7 @@ import importlib
 import os
 import re
 import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
@@ -96,7 +97,7 @@ class Processes(Executor):
             )
             started = pool.submit(os.getpid)
         except (OSError, ImportError, NotImplementedError) as error:
-            raise WbflowError(f"no worker process can be started: {error}", remedy="try --backend threading") from None
+            raise _not_started(str(error)) from None
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         self._workers.append(_Worker(pool, started))
@@ -105,8 +106,7 @@ class Processes(Executor):
     def _begin(self, chosen: _Worker, outcome: Future[Any], call: Callable[[], Any]) -> None:
         """Submit a call to a worker that has started: loky would wait for ever for one that dies before it reads a long call."""
         if failure := chosen.started.exception():
-            why = f"no worker process can be started: {_ending(failure)}"
-            outcome.set_exception(WbflowError(why, remedy="its output says why; is wbflow installed for this Python?"))
+            outcome.set_exception(_not_started(_ending(failure)))
             return
         chosen.most = 0
         try:
@@ -209,6 +209,17 @@ def machine_memory() -> int:
     with suppress(ValueError, OSError):
         known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     return int(SHARE * min(known, default=0))
+
+
+def _not_started(why: str) -> WbflowError:
+    """The fault of a worker process that does not start; a pipe that breaks says nothing of an interpreter without rights."""
+    if not os.access(sys.executable, os.X_OK):
+        what = f"no worker process can be started: this user may not execute {sys.executable}"
+        return WbflowError(
+            what, remedy="give it the right to (chmod, or another installation of Python); or try --backend threading"
+        )
+    what = f"no worker process can be started: {why}"
+    return WbflowError(what, remedy="its output says why; is wbflow installed for this Python? or try --backend threading")
 
 
 def _ending(error: BaseException) -> str:
