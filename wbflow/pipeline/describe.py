@@ -27,7 +27,7 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class ParameterDoc:
-    """What is said of one parameter."""
+    """What a docstring has of one parameter."""
 
     unit: str = ""
     meaning: str = ""
@@ -43,12 +43,12 @@ def parameter_docs(function: ast.FunctionDef) -> dict[str, ParameterDoc]:
     """What the section Parameters of a docstring says, by name."""
     found: dict[str, ParameterDoc] = {}
     for head, body in _entries(ast.get_docstring(function) or ""):
-        names, _, told = head.partition(" : ") if " : " in head else head.partition(": ")
-        told = told.strip()
-        typed = _TYPES.match(told)
-        ends_there = typed and (typed.end() == len(told) or told[: typed.end()].rstrip().endswith(","))
-        unit = told[typed.end() :].strip() if typed and ends_there else ""
-        meaning = " ".join([*([] if ends_there else [told]), *body]).strip()
+        names, _, text = head.partition(" : ") if " : " in head else head.partition(": ")
+        text = text.strip()
+        typed = _TYPES.match(text)
+        ends_there = typed and (typed.end() == len(text) or text[: typed.end()].rstrip().endswith(","))
+        unit = text[typed.end() :].strip() if typed and ends_there else ""
+        meaning = " ".join([*([] if ends_there else [text]), *body]).strip()
         for name in names.replace("*", "").split(","):
             found[name.strip()] = ParameterDoc(unit or unit_of(name.strip()), meaning)
     return found
@@ -185,6 +185,6 @@ def _row(parameter: Parameter, docs: dict[str, ParameterDoc], elsewhere: str) ->
 def _lines(row: ParameterRow, indent: str) -> list[str]:
     unit = f" [{row.unit}]" if row.unit else ""
     head = f"{indent}{row.name} = {row.default}{unit}"
-    untold = [choice for choice in row.choices if choice not in row.meaning]
-    words = f"{row.meaning} One of {', '.join(row.choices)}.".strip() if untold else row.meaning
+    unnamed = [choice for choice in row.choices if choice not in row.meaning]
+    words = f"{row.meaning} One of {', '.join(row.choices)}.".strip() if unnamed else row.meaning
     return [head, *textwrap.wrap(words, WIDTH, initial_indent=f"{indent}    ", subsequent_indent=f"{indent}    ")]

@@ -97,7 +97,7 @@ PAIR_RESULTS: Mapping[str, str] = {
 """By argument name; what a pair did not come to is None."""
 
 DEMO_FILES = "wbflow_demo.files:demo_files"
-"""Renders a demo: what is told of it, and its files; a ValueError says what cannot be rendered."""
+"""Renders a demo: its description and its files; a ValueError says what cannot be rendered."""
 
 DEMO_NIGHTS = "wbflow_demo.files:demo_nights"
 """The same, of several nights of the demo yard."""

@@ -2,7 +2,7 @@
 
 Nodes are cameras; edges carry the evidence of `Overlap`.  The graph is kept connected (maximum spanning tree), then made
 robust (edges across weak cuts), then filled with the best edges up to `degree` at each camera.  No camera gets more than
-`MOST_AT_A_CAMERA`, whatever asks for them.
+`MOST_AT_A_CAMERA`, not even by `include`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from ..task import camera_of
 
 if TYPE_CHECKING:
     import networkx as nx
-if TYPE_CHECKING:
     import numpy as np
 
 Pair = tuple[str, str]
@@ -27,13 +26,13 @@ Known = tuple[float, float, float]
 Evidence = Mapping[Pair, Known]
 
 MOST_CANDIDATES = 96
-"""So many of a view's pairs are thought over, the most promising first: a view takes a third of them at most."""
+"""Pairs of one view that are candidates, the most promising first: a view takes a third of them at most."""
 ALL_KNOWN = 32
 """Of so many views each pair has a row; of more, those that share nothing may have none."""
 _LESS_ALIKE, _AIM_DEG = 0.047, 12.0
 """Share by which views look less alike for each degree between them, and the angle that is best where only looks are known."""
 MOST_DROPPED = 24
-"""So many of a camera's dropped pairs are told of, the most promising first."""
+"""Dropped pairs of one camera that are listed with their reason, the most promising first."""
 
 
 def cameras_of(pair: Pair) -> frozenset[str]:
@@ -61,11 +60,11 @@ def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | Non
     return None
 
 
-def evidence_of(overlap: Any, angles: tuple[float, float], asked: Collection[frozenset[str]]) -> tuple[dict[Pair, Known], int]:
-    """The evidence of pairs that may be chosen or told of, and how many pairs there are.
+def evidence_of(overlap: Any, angles: tuple[float, float], named: Collection[frozenset[str]]) -> tuple[dict[Pair, Known], int]:
+    """Return the evidence of pairs that may be chosen or listed, and how many pairs there are.
 
-    Two views of one camera tell no depth and are no pair.  Where views have more pairs than can be thought over, each has its
-    most promising ones, and as many more as it takes that all hang together that can.
+    Two views of one camera have no baseline and are no pair.  Where views have more pairs than `MOST_CANDIDATES`, each keeps its
+    most promising ones, and as many more as connect all cameras that can be connected.
 
     Parameters
     ----------
@@ -73,7 +72,7 @@ def evidence_of(overlap: Any, angles: tuple[float, float], asked: Collection[fro
         Angle and shared share by pair.
     angles : (float, float)
         Degrees between which pairs are fit.
-    asked : collection of frozenset of str
+    named : collection of frozenset of str
         Pairs of cameras that the site file names: theirs are all looked at.
     """
     import numpy as np
@@ -85,18 +84,17 @@ def evidence_of(overlap: Any, angles: tuple[float, float], asked: Collection[fro
     rows = np.flatnonzero(camera[overlap.pairs[:, 0]] != camera[overlap.pairs[:, 1]])
     count, promise = len(rows), worth(overlap.angle_deg, _apart_enough(overlap))
     if count > len(names) * MOST_CANDIDATES // 2:
-        wanted = {tuple(sorted(number[name] for name in pair)) for pair in asked if pair <= number.keys()}
+        wanted = {tuple(sorted(number[name] for name in pair)) for pair in named if pair <= number.keys()}
         rows = _promising(overlap, rows, promise, camera, angles, wanted)
     columns = (x[rows].tolist() for x in (overlap.pairs, overlap.angle_deg, overlap.shared, promise))
     return {(names[i], names[j]): tuple(known) for (i, j), *known in zip(*columns, strict=True)}, count
 
 
 def _apart_enough(overlap: Any) -> np.ndarray:
-    """(m,) shares; of many views without poses less where two are too much alike: they look from one place, and tell no depth.
+    """Return shares (m,); of many views without poses, less where two are too similar: without a baseline there is no depth.
 
-    How alike views look falls with the angle between them, on two photographed sites by the same 4.7 % for each degree.  What the
-    views' best have is taken for views from one place, and a pair counts as if it were as much farther from 12 degrees as it is
-    nearer.
+    The similarity of views falls with the angle between them, by 4.7 % a degree on two photographed sites.  The best similarity
+    of each view is taken as that of no angle, and a pair nearer than 12 degrees counts as one that is as much farther.
     """
     import numpy as np
 
@@ -134,6 +132,7 @@ def _promising(
     wanted
         Pairs of these numbers that are all looked at.
     """
+    import networkx as nx
     import numpy as np
 
     pairs, angle, promise = overlap.pairs[rows], overlap.angle_deg[rows], promise[rows]
@@ -144,18 +143,12 @@ def _promising(
     ends = np.sort(camera[pairs], axis=1)
     for one, other in wanted:
         keep |= (ends[:, 0] == one) & (ends[:, 1] == other)
-    groups = list(range(int(camera.max()) + 1))
-
-    def group(at: int) -> int:
-        while groups[at] != at:
-            groups[at] = at = groups[groups[at]]
-        return at
-
+    groups = nx.utils.UnionFind(range(int(camera.max()) + 1))
     best_first = fits[np.argsort(-promise[fits], kind="stable")]
     kept_first = np.concatenate([best_first[keep[best_first]], best_first[~keep[best_first]]])
     for row, (one, other) in zip(kept_first.tolist(), ends[kept_first].tolist(), strict=True):
-        if (a := group(one)) != (b := group(other)):
-            groups[a] = b
+        if groups[one] != groups[other]:
+            groups.union(one, other)
             keep[row] = True
     promising: np.ndarray = rows[keep]
     return promising
@@ -180,10 +173,10 @@ MOST_AT_A_CAMERA = 32
 """Pairs of one view: its depth is fused from no more."""
 
 _LEAST_OF_VIEWS = 0.04
-"""A pair with one of several views must promise so much, unless cameras hang together by it: the other views show the rest."""
+"""A pair with one of several views must promise this much, unless it connects cameras: the other views show the rest."""
 _LEAST_OF_BEST = 0.5
-"""Where only looks are known, or so much of what the best views of the same two cameras do: how alike views look is no share
-of what they see, and right pairs of wide views have a likeness of a few hundredths."""
+"""Where only similarity is known: or this share of what the best views of the same two cameras promise.  Similarity is no share
+of what both see, and right pairs of wide views have a similarity of a few hundredths."""
 
 
 def of_little_use(evidence: Evidence) -> set[Pair]:
@@ -213,12 +206,12 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
     forced
         Pairs that are always chosen.
     little
-        Pairs that are chosen only where cameras hang together by them.
+        Pairs that are chosen only where they connect cameras.
     """
     import networkx as nx
 
     position = {node: i for i, node in enumerate(candidates.nodes)}
-    graph, whole = nx.Graph(), nx.Graph()  # of views, and of the cameras that these are of: they hang together anyhow
+    graph, whole = nx.Graph(), nx.Graph()  # of views, and of their cameras: views of one camera are connected
     graph.add_nodes_from(candidates.nodes)
     whole.add_nodes_from(map(camera_of, candidates.nodes))
     chosen: dict[Pair, str] = {}
@@ -367,10 +360,10 @@ def select_pairs(
     little = of_little_use(evidence)
     chosen = choose(candidates, degree, [p for p in evidence if p in forced and cameras_of(p) not in banned], little)
     counts = Counter(camera for pair in chosen for camera in pair)
-    told = _told(evidence, chosen)
+    listed = _listed(evidence, chosen)
     edges = []
     for pair, (angle, shared, _) in evidence.items():
-        if pair in told:
+        if pair in listed:
             reason = chosen.get(pair) or reasons.get(pair) or _why_not(pair, little, counts, degree)
             edges.append(Edge(*pair, kept=pair in chosen, reason=reason, angle_deg=angle, shared=shared))
     kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
@@ -409,21 +402,21 @@ def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ..
     return tuple(sorted(components, key=lambda c: (-len(c), position[c[0]])))
 
 
-def _told(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
-    """The pairs that are told of: all chosen ones, and of the others those that are among the first of one of their cameras."""
-    told, counts = set(chosen), Counter[str]()
-    dropped = [pair for pair in evidence if pair not in told]
+def _listed(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
+    """Return the pairs that are listed: all chosen ones, and the most promising dropped ones of each camera."""
+    listed, counts = set(chosen), Counter[str]()
+    dropped = [pair for pair in evidence if pair not in listed]
     for pair in sorted(dropped, key=lambda pair: -evidence[pair][2]):
         if min(counts[camera] for camera in pair) < MOST_DROPPED:
-            told.add(pair)
+            listed.add(pair)
             counts.update(pair)
-    return told
+    return listed
 
 
 def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, Known]) -> set[Pair]:
     """The pairs that are always matched: of two cameras with several views, those views that promise most.
 
-    Of many views those that share nothing are not among the evidence; asked for they are, and told of as such.
+    Of many views those that share nothing are not among the evidence; those that the site file names are entered as such.
     """
     found = dict[frozenset[str], Pair]()
     for pair in evidence if wanted else ():
@@ -487,8 +480,8 @@ def select_dense_pairs(
         if max(counts[view] for view in pair) < MOST_AT_A_CAMERA:
             take(pair, math.nan, 0.0, "matched; its cameras are not both placed")
     edges = [taken.get((edge.left, edge.right), edge) for edge in rules.edges]
-    told = {(edge.left, edge.right) for edge in edges}
-    edges += [edge for pair, edge in taken.items() if pair not in told]
+    listed = {(edge.left, edge.right) for edge in edges}
+    edges += [edge for pair, edge in taken.items() if pair not in listed]
     kept = tuple((edge.left, edge.right) for edge in edges if edge.kept)
     views = dict.fromkeys([*shared.cameras, *(view for pair in kept for view in pair), *(c for g in pairs.components for c in g)])
     return PairGraph(kept, tuple(edges), groups(list(views), kept), rules.untold, rules.crowded)

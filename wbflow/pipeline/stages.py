@@ -137,7 +137,7 @@ class PointTable:
     restore: str
     """Dotted function: columns by name -> the result."""
     figures: str
-    """Dotted function: the result -> figures that its fields do not tell."""
+    """Dotted function: the result -> figures beside its fields."""
 
     suffix = ".ply"
 

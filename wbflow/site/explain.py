@@ -87,7 +87,7 @@ def without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | N
 
 
 def _close(key: str, location: Location) -> str:
-    """The key that is meant by a misspelt one; "" where none is near."""
+    """Return the known key nearest to a misspelt one; "" where none is near."""
     return next(iter(difflib.get_close_matches(key, _keys_at(location), 1)), "")
 
 

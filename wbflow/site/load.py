@@ -119,7 +119,7 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
 
 
 def _work_folder(asked: str, file: SiteFile, problems: Problems) -> WorkFolder:
-    """asked: replaces what the file says."""
+    """Return the work folder.  asked: replaces the file's own key."""
     given, name = asked or file.work or "", file.site if is_name(file.site) else "site"
     if is_url(given):
         return WorkFolder.mirroring(given, name)

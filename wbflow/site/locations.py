@@ -82,7 +82,7 @@ class CalibrationError(WbflowError, ValueError):
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML file, and where everything stands in it."""
+    """A YAML file with the line and column of everything in it."""
 
     path: Path
     data: Any
@@ -277,7 +277,7 @@ def _count_depth(loader: Any) -> None:
 
 
 def _refuse_bomb(node: Any) -> None:
-    """An alias stands for all that its anchor holds: a few lines can mean more values than any machine has.  Raises YAMLError."""
+    """Refuse aliases that expand to more values than a machine can hold.  Raises YAMLError."""
     sizes: dict[int, int] = {}
 
     def size(part: Any) -> int:
@@ -299,7 +299,7 @@ def _refuse_bomb(node: Any) -> None:
 
 
 def _mark(node: Any, location: Location, document: Document, problems: list[SiteProblem]) -> None:
-    """Enter where a value and all in it stands; keys that stand twice are added to `problems`."""
+    """Enter the places of a value and of all in it; duplicate keys are added to `problems`."""
     document.marks[location] = (node.start_mark.line + 1, node.start_mark.column + 1)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:

@@ -1,6 +1,6 @@
 """A site: the sections of its file as validation models, and what they become once calibrations are read and paths resolved.
 
-`SiteFile` is what stands in the YAML; `Site` is what everything else reads.  Sections that need nothing but validation (`Pairs`,
+`SiteFile` is the YAML; `Site` is what everything else reads.  Sections that need nothing but validation (`Pairs`,
 `Health`, `Expected`, `Notify`) are the same objects in both.
 """
 
@@ -399,7 +399,7 @@ class SiteFile(Section):
     work: str | None = None
 
     def positions(self) -> Iterator[tuple[Location, Position]]:
-        """Every position in the file, and where it stands."""
+        """Every position in the file with its location."""
         yield from ((("cameras", k, "pose"), camera.pose) for k, camera in enumerate(self.cameras) if camera.pose)
         yield from ((("control_points", k), point) for k, point in enumerate(self.control_points))
 

@@ -142,7 +142,7 @@ def _cut(data: dict[str, Any], K: Matrix, width: int, height: int) -> tuple[int,
 
 
 def _model(data: dict[str, Any], count: int) -> str:
-    """The model that a file names, or that its number of coefficients and its flags tell."""
+    """Return the model that a file names, else the one that its flags and its number of coefficients imply."""
     key = _key(data, _MODEL)
     named = _text(data.get(key, "")).lower().replace("-", "_") if key else ""
     fisheye = data.get("fisheye_model") or "fisheye" in _text(data.get("flags")).lower()

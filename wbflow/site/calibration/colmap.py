@@ -170,7 +170,7 @@ _REMEDY = "have COLMAP write the model again: model_converter --output_type TXT"
 def _finite(word: str | float) -> float:
     value = float(word)
     if not abs(value) < LARGEST:
-        raise ValueError(f"{str(word)[:40]} is no number to reckon with")
+        raise ValueError(f"{str(word)[:40]} is no finite number")
     return value
 
 
