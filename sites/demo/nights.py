@@ -23,8 +23,7 @@ from .paint import Rng
 from .photograph import (
     DemoCamera,
     Shots,
-    changed_pixels,
-    render_pixels,
+    captures,
     shade_pixels,
     trace_pixels,
     true_depth,
@@ -34,7 +33,7 @@ from .reference import reference_cloud
 from .renderer import Hits, PreparedScene, build_atlas
 from .scene import STATIC, Scene, SceneBuilder, joined
 from .script import Hour, Stay, event_of, frame_time, hour_of, stays, turned_axes, weather_of
-from .sensor import add_rain, burn_clock, clock_mask, develop, jpeg, sensor_of
+from .sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
 from .structures import Box, container
 from .textures import cloth, painted_steel, planks, sign_board
 from .yard import static_yard
@@ -265,21 +264,15 @@ def _camera_nights(shoot: _Shoot, viewpoint: Viewpoint) -> CameraNights:
 def _photographed(
     shoot: _Shoot, night: _NightScene, camera: Camera, lens: Lens, name: str, seen: Hits | None
 ) -> Iterator[Uint8s]:
-    """Yield the frames of a camera that sees the yard; `seen`: what its rays hit in the empty yard, where known."""
+    """Return the frames of a camera that sees the yard; `seen`: what its rays hit in the empty yard, where known."""
     if seen is None:
         seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
     sensor = sensor_of(np.random.default_rng([shoot.shots.seed, 3, sum(name.encode())]), night.hour.sensor)
     if night.hour.rain:
         sensor = replace(sensor, gain=1.4 * sensor.gain, full_well=sensor.full_well / 4)
     still = shade_pixels(night.still, seen).reshape(camera.height, camera.width, 3)
-    for k, (prepared, moving) in enumerate(zip(night.busy, night.moving, strict=True)):
-        rng = _rng(shoot, night, name, k)
-        radiance = still.copy()
-        pixels = np.flatnonzero(changed_pixels(moving, night.hour.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
-        if night.hour.rain:
-            radiance = add_rain(radiance, night.hour.light, rng)
-        yield develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+    rngs = [_rng(shoot, night, name, k) for k in range(len(night.busy))]
+    return captures(still, list(zip(night.busy, night.moving, rngs, strict=True)), camera, lens, sensor, night.hour.rain)
 
 
 def _covered(shoot: _Shoot, night: _NightScene, name: str, frame: int) -> Uint8s:

@@ -6,6 +6,7 @@ depth, and a reference cloud.  The same arguments give the same bytes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -24,7 +25,7 @@ from .light import Light
 from .reference import reference_cloud
 from .renderer import Hits, PreparedScene, SkyGrid, build_atlas, shade, trace
 from .scene import WATER, Scene, joined
-from .sensor import burn_clock, clock_mask, develop, sensor_of
+from .sensor import Sensor, add_rain, burn_clock, clock_mask, develop, sensor_of
 
 Daytime = Literal["day", "dusk", "night", "dark"]
 
@@ -163,26 +164,42 @@ TrueView = tuple[Camera, Float32s, Float32s, Uint8s]
 def _photograph(shoot: _Shoot, viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[DemoCamera, list[TrueView]]:
     """Return all captures of one camera with its truth, and its pinhole view (of a fisheye: several)."""
     camera, lens = camera_at(viewpoint, size)
-    depth, normals = true_range(shoot.empty, camera, lens) if lens.model == "fisheye" else true_depth(shoot.empty, camera)
+    depth, normals = true_depth(shoot.empty, camera, lens if lens.model == "fisheye" else None)
     seed = [shoot.seed, 3, sum(viewpoint.name.encode())]
     sensor = sensor_of(np.random.default_rng(seed), shoot.light)
     still = render_view(shoot.empty, camera, lens)
-    images, times = [], []
-    for k, (prepared, scene) in enumerate(zip(shoot.busy, shoot.movers, strict=True)):
-        rng = np.random.default_rng([*seed, k])
-        time = FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11)
-        radiance = still.copy()
-        pixels = np.flatnonzero(changed_pixels(scene, shoot.empty.light, camera, lens))
-        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
-        image = develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
-        images.append(burn_clock(image, f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"))
-        times.append(time)
+    rngs = [np.random.default_rng([*seed, k]) for k in range(len(shoot.busy))]
+    times = [FIRST_CAPTURE[shoot.light] + timedelta(seconds=97 * k + seed[2] % 11) for k in range(len(rngs))]
+    clocks = [f"{viewpoint.name.upper()}  {time:%Y-%m-%d  %H:%M:%S}" for time in times]
+    frames = captures(still, list(zip(shoot.busy, shoot.movers, rngs, strict=True)), camera, lens, sensor)
+    images = [burn_clock(image, clock) for image, clock in zip(frames, clocks, strict=True)]
     placement = Placement(R=camera.R, C=camera.C)
     demo = DemoCamera(viewpoint.name, tuple(images), tuple(times), clock_mask(size), depth, camera, lens, placement)
     if lens.model != "fisheye":
         return demo, [(camera, depth, normals, undistorted_colours(demo))]
     pinholes = pinholes_of(camera, lens, viewpoint.name)
     return demo, [(pinhole, *true_depth(shoot.empty, pinhole), undistorted_colours(demo, pinhole)) for pinhole in pinholes]
+
+
+def captures(
+    still: Float32s,
+    frames: Sequence[tuple[PreparedScene, Scene, np.random.Generator]],
+    camera: Camera,
+    lens: Lens,
+    sensor: Sensor,
+    rain: bool = False,
+) -> Iterator[Uint8s]:
+    """Yield what a camera captures: of each frame the whole scene, what moves in it, and its random numbers.
+
+    still: radiance (h, w, 3) of the empty scene; only pixels that movers may change are rendered again.
+    """
+    for prepared, moving, rng in frames:
+        radiance = still.copy()
+        pixels = np.flatnonzero(changed_pixels(moving, prepared.light, camera, lens))
+        radiance.reshape(-1, 3)[pixels] = render_pixels(prepared, camera, lens, pixels)
+        if rain:
+            radiance = add_rain(radiance, prepared.light, rng)
+        yield develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
 
 
 def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
@@ -225,31 +242,21 @@ def _in_pixel() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     return rows, columns
 
 
-def true_depth(prepared: PreparedScene, camera: Camera) -> tuple[Float32s, Float32s]:
-    """Return depth (h, w) float32 of the undistorted view, 0 without truth, and normals (h, w, 3) towards the camera."""
+def true_depth(prepared: PreparedScene, camera: Camera, wide: Lens | None = None) -> tuple[Float32s, Float32s]:
+    """Return depth (h, w) float32 of the undistorted view, 0 without truth, and normals (h, w, 3) towards the camera.
+
+    wide: for a fisheye's own pixels, and metres along their rays instead of along the axis.
+    """
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
-    rays = pixel_rays(camera, None, x.astype(np.float64), y.astype(np.float64))
-    distance, normals = _truth(prepared, camera.C, rays)
-    depth = (distance * (rays @ camera.R[2].astype(np.float32))).astype(np.float32)
-    shape = (camera.height, camera.width)
-    return depth.reshape(shape), normals.reshape(*shape, 3)
-
-
-def true_range(prepared: PreparedScene, camera: Camera, lens: Lens) -> tuple[Float32s, Float32s]:
-    """Return metres (h, w) float32 along the rays of a lens's pixels, and normals, as `true_depth`."""
-    y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
-    rays = pixel_rays(camera, lens, x.astype(np.float64), y.astype(np.float64))
-    distance, normals = _truth(prepared, camera.C, rays)
-    return distance.reshape(camera.height, camera.width), normals.reshape(camera.height, camera.width, 3)
-
-
-def _truth(prepared: PreparedScene, centre: Float64s, rays: Float32s) -> tuple[Float32s, Float32s]:
-    """Return distance (n,) along unit rays (n, 3), 0 where there is no truth, and normals (n, 3) against them."""
-    distance, facet = prepared.cast(np.broadcast_to(centre.astype(np.float32), rays.shape), rays)
+    rays = pixel_rays(camera, wide, x.astype(np.float64), y.astype(np.float64))
+    distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
     known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
     normals = prepared.scene.normals[np.maximum(facet, 0)]
     normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
-    return np.where(known, distance, np.float32(0)), normals
+    depth = np.where(known, distance, np.float32(0))
+    if wide is None:
+        depth = (depth * (rays @ camera.R[2].astype(np.float32))).astype(np.float32)
+    return depth.reshape(camera.height, camera.width), normals.reshape(camera.height, camera.width, 3)
 
 
 def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
