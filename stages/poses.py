@@ -36,7 +36,20 @@ from .sfm.pose_check import (
 from .sfm.pose_prior_adjustment import AdjustedPoses, adjust_within_priors
 from .sfm.rigs import beside
 from .sfm.survey_check import check_survey
-from .types import CalibrationCheck, Camera, Frame, Geometry, Pair, PairCheck, Placement, PoseCheck, Poses, Survey, View
+from .types import (
+    CalibrationCheck,
+    Camera,
+    Frame,
+    Geometry,
+    Pair,
+    PairCheck,
+    Placement,
+    PoseCheck,
+    PoseIssue,
+    Poses,
+    Survey,
+    View,
+)
 
 MOST_NAMES = 6
 """A sentence lists so many cameras at most."""
@@ -97,7 +110,8 @@ def solve_poses(
     found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected):
         return found
-    found = replace(found, uncertain=_uncertain(adjusted, geometries), calibration=calibration)
+    uncertain = (PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain(adjusted, geometries).items())
+    found = replace(found, issues=(*found.issues, *uncertain), calibration=calibration)
     found = replace(found, **check_survey(found, views, placements, survey))
     return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
 
@@ -142,7 +156,7 @@ def _checked(
     checks = check_cameras(cameras, seen, told)
     unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
     common = _common(unclear, told)
-    open_ = dict.fromkeys(unclear, _doubt(unclear, cameras, seen, told)) if unclear else {}
+    contradiction = _doubt(unclear, cameras, seen, told) if unclear else ""
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
     pair_checks = _pair_checks(found, _fit(cameras, seen, max_epipolar_px))
@@ -153,9 +167,12 @@ def _checked(
         pose_checks=checks | off,
         source="mixed" if moved else found.source,
         sources={name: _source(name, known, trusted, found) for name in found.cameras},
-        suspects={**suspects, **found.suspects},
-        doubtful={**found.doubtful, **{name: _doubtful(name, cameras, seen, told) for name in common}},
-        contradicting={**found.contradicting, **(open_ if not common else {})},
+        issues=(
+            *(PoseIssue("moved", name, text) for name, text in suspects.items()),
+            *found.issues,
+            *(PoseIssue("unverified", name, _doubtful(name, cameras, seen, told)) for name in common),
+            *(PoseIssue("contradicted", name, contradiction) for name in (unclear if not common else ())),
+        ),
     )
 
 

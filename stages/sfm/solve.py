@@ -12,7 +12,7 @@ from ..core.residual_distortion import STRAIGHT_PX, residual_px, without_distort
 from ..core.rotations import angle_between_deg
 from ..reasons import Reason, Rejected
 from ..twoview.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
-from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, Poses, Survey, View
+from ..types import Camera, Geometry, LensSigma, Pair, PairCheck, Placement, PoseIssue, Poses, Survey, View
 from .incremental import Model, refine
 from .lens_sigma import MOST_SIGMA_PX, lens_sigmas
 from .loops import USUAL, Habits
@@ -53,8 +53,8 @@ def solve_from_pairs(
     held = {number[name]: camera for name, camera in exact.items()}
     believed = {edge: graph.geometries[edge] for edge in trusted}
     models, out = _refined(graph.models(trusted, held), believed, max_epipolar_px)
-    strained = {graph.names[view]: much for view, much in _inconsistent(models, believed).items()}
-    if strained:
+    inconsistent = {graph.names[view]: strain for view, strain in _inconsistent(models, believed).items()}
+    if inconsistent:
         confirmed = replace(graph, geometries={**graph.geometries, **consistent_matches(believed, FEWEST)})
         again, gone = _refined(confirmed.models(trusted, held), believed, max_epipolar_px)
         models, out = (again, gone) if again else (models, out)
@@ -63,7 +63,9 @@ def solve_from_pairs(
     worlds = [to_world(graph, model, placements, survey) for model in models]
     metric = all(placements[name].metric for name in exact)
     found = _collect(graph, worlds, stated, exact, metric, dropped, {graph.names[view] for view in out}, max_epipolar_px, survey)
-    return replace(found, unsure_lenses=_unsure_lenses(graph, worlds), strained=strained)
+    issues = [PoseIssue("lens-undetermined", name, **vars(sigma)) for name, sigma in _unsure_lenses(graph, worlds).items()]
+    issues += [PoseIssue("inconsistent", name, strain=strain) for name, strain in inconsistent.items()]
+    return replace(found, issues=(*found.issues, *issues))
 
 
 def _refined(grown: Sequence[Model], believed: Mapping[Edge, Geometry], max_epipolar_px: float) -> tuple[list[Model], list[int]]:
@@ -155,9 +157,11 @@ def _collect(
         metric=main.metric,
         source="mixed" if set(stated) & set(cameras) - set(suspects) else "solved",
         pair_checks=checks,
-        suspects=suspects,
-        doubtful={name: reason for world in worlds for name, reason in world.doubtful.items()},
-        contradicting={name: reason for world in worlds for name, reason in world.contradicting.items()},
+        issues=(
+            *(PoseIssue("moved", name, reason) for name, reason in suspects.items()),
+            *(PoseIssue("unverified", name, reason) for world in worlds for name, reason in world.doubtful.items()),
+            *(PoseIssue("contradicted", name, reason) for world in worlds for name, reason in world.contradicting.items()),
+        ),
         focals=tuple(name for view, name in enumerate(graph.names) if view in graph.lenses.solved and name in cameras),
         components=tuple(tuple(name for name in order if name in group) for group in groups),
         joins=_joins(graph, groups),

@@ -7,7 +7,7 @@ from .dense import INVALID, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows,
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Change, Changes, Coverage, GroundGrid
 from .health import CameraHealth, Usual
 from .pairs import Geometry, Matches, Overlap, PairCheck
-from .site import CalibrationCheck, LensSigma, PoseCheck, Poses, Scene
+from .site import CalibrationCheck, LensSigma, PoseCheck, PoseIssue, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "Placement",
     "PolarRows",
     "PoseCheck",
+    "PoseIssue",
     "Poses",
     "Privacy",
     "Reason",

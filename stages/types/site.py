@@ -73,6 +73,33 @@ class LensSigma:
 
 @short_repr
 @dataclass(frozen=True)
+class PoseIssue:
+    """A doubt about the pose or the lens of a camera."""
+
+    kind: str
+    """"moved": the images contradict the known pose.
+    "unverified": all contradictions between known poses have this camera in common; the pose stays in use.
+    "contradicted": known poses contradict each other, or the model of the others; which is wrong is open, and they stay in use.
+    "uncertain": the images tell the known pose no better than it is stated, which is too little to match along rows.
+    "inconsistent": all matches would place the camera otherwise than those that a third camera confirms, from which alone it is
+    solved (`sfm.triplet_consistency`).
+    "lens-undetermined": the lens was solved, and the images do not determine it."""
+    camera: str
+    """Its id, or the control point that is in doubt."""
+    text: str = ""
+    """Of "moved", "unverified" and "contradicted": by how much, and by what."""
+    row_px: float = float("nan")
+    """Of "uncertain": standard deviation of the rows of the camera's best pair, pixels."""
+    strain: float = float("nan")
+    """Of "inconsistent": what the confirmed matches would lose, squared standard deviations for each degree of freedom."""
+    focal: float = float("nan")
+    """Of "lens-undetermined": standard deviation of the focal length, as a share of it..."""
+    border_px: float = float("nan")
+    """...and of pixels at the border of the frame."""
+
+
+@short_repr
+@dataclass(frozen=True)
 class Scene:
     """Where the things that the cameras look at are expected, in the world of the cameras."""
 
@@ -99,28 +126,14 @@ class Poses:
     """"calibration", "solved" or "mixed"."""
     pair_checks: Mapping[str, PairCheck] = field(default_factory=dict)
     """By "left--right", of every pair that was looked at."""
-    suspects: Mapping[str, str] = field(default_factory=dict)
-    """Known poses (by id) that the images contradict, and by how much."""
-    doubtful: Mapping[str, str] = field(default_factory=dict)
-    """Known poses (by id) that stay in use, though all that contradicts known poses has them in common; and by how much."""
-    contradicting: Mapping[str, str] = field(default_factory=dict)
-    """Known poses (by id) that stay in use, though they contradict each other or the model of the others, and how: which is wrong
-    is open."""
+    issues: tuple[PoseIssue, ...] = ()
+    """What is doubtful about poses and lenses, one entry for each camera and kind."""
     distances_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Stated distances ("left--right") that the cameras contradict: as stated, and between the cameras; metres."""
     points_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Control points by name that the cameras contradict: how far off they are, and what is tolerated; metres."""
     units_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """"nearest": metres from a camera to the nearest other one (median) and the limit, where no site is so small or so large."""
-    uncertain: Mapping[str, float] = field(default_factory=dict)
-    """Known poses (by id) that the images tell no better than they are stated, where that is not well enough to match along rows:
-    standard deviation of the rows of the camera's best pair, pixels."""
-    unsure_lenses: Mapping[str, LensSigma] = field(default_factory=dict)
-    """Lenses (by id of the camera) that were solved, though the images don't tell them well enough."""
-    strained: Mapping[str, float] = field(default_factory=dict)
-    """Cameras (by id) that all matches would place otherwise than those that a third camera confirms, and that are solved from
-    the latter alone: what these would lose, in squared standard deviations for each degree of freedom
-    (`sfm.triplet_consistency`)."""
     focals: tuple[str, ...] = ()
     """Ids of cameras whose focal length was solved."""
     components: tuple[tuple[str, ...], ...] = ()
@@ -143,3 +156,7 @@ class Poses:
     """The stated cameras as a whole, held against the matches; None where nothing is stated, or too little is matched."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """By id, how the pose in use is known: "stated", "refined" (within what is stated of it) or "solved"."""
+
+    def issues_of(self, kind: str) -> dict[str, PoseIssue]:
+        """Return the issues of one kind by camera."""
+        return {issue.camera: issue for issue in self.issues if issue.kind == kind}

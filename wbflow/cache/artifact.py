@@ -136,13 +136,18 @@ def parts(value: Any) -> dict[str, str]:
 
 
 def figures(value: Any) -> dict[str, Any]:
-    """Plain fields of a dataclass by name: scalars, tuples, small dataclasses and mappings of them; rows of its arrays as
-    `<field>_count`."""
+    """Plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them; rows of its arrays as
+    `<field>_count`.  A field whose metadata say `figure=False` is left out."""
     found: dict[str, Any] = {}
+    left_out = {field.name for field in dataclasses.fields(value) if not field.metadata.get("figure", True)}
     for name in _kept(value):
         field = getattr(value, name)
+        if name in left_out:
+            continue
         if _is_plain(field):
             found[name] = field
+        elif isinstance(field, tuple) and all(map(_is_small, field)):
+            found[name] = [figures(entry) for entry in field]
         elif isinstance(field, Mapping) and all(map(_is_small, field.values())):
             found[name] = {key: figures(entry) for key, entry in field.items()}
         elif dataclasses.is_dataclass(field) and all(_is_plain(getattr(field, f.name)) for f in dataclasses.fields(field)):

@@ -159,7 +159,8 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     check = poses.pose_checks.get(camera)
     verified, source = check.get("verified") if check else None, poses.sources.get(camera)
     figures = replace(record.figures, pose=check, verified=verified, pose_from=source, points=whole.points.get(camera))
-    notes = (*record.notes, *filter(None, (whole.crowded.get(camera), poses.suspects.get(camera))))
+    crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
+    notes = (*record.notes, *([crowded] if crowded else []), *([moved.text] if moved else []))
     record = replace(record, figures=figures, notes=notes)
     if camera in poses.unsolved:
         record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
@@ -261,7 +262,9 @@ def _figure(values: Sequence[Any], adds: bool) -> Any:
 
 def _by_camera(poses: PosesSummary) -> PosesSummary:
     """Return the summary with cameras named where the poses name their views."""
-    return replace(poses, **{name: _named(value) for name, value in vars(poses).items()})
+    issues = {(issue.kind, _name(issue.camera)): issue for issue in reversed(poses.issues)}
+    named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
+    return replace(poses, **{name: _named(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
 
 
 def _named(value: Any) -> Any:

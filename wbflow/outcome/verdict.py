@@ -13,11 +13,10 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 from ..errors import ExitCode, counted
 from ..pipeline.stages import FUSE, STAGES, stage_named
-from ..pipeline.summaries import CalibrationCheck, SiteSummary
+from ..pipeline.summaries import CalibrationCheck, PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
 from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual
 from ..runner.planner import Plan
@@ -210,10 +209,10 @@ def _is_left_out(camera: CameraRecord, record: RunRecord) -> Finding | None:
 
 
 def _has_doubtful_pose(camera: CameraRecord, record: RunRecord) -> Finding | None:
-    if record.poses and (reason := record.poses.suspects.get(camera.id)):
-        return finding("camera-moved", (camera.id,), reason=reason)
-    if record.poses and (reason := record.poses.doubtful.get(camera.id)):
-        return finding("camera-unverified", (camera.id,), reason=reason)
+    poses = record.poses or PosesSummary()
+    for kind in ("moved", "unverified"):
+        if issue := poses.issues_of(kind).get(camera.id):
+            return finding(f"camera-{kind}", (camera.id,), reason=issue.text)
     return None
 
 
@@ -392,30 +391,22 @@ def _explanation(check: CalibrationCheck) -> str:
 
 def check_poses(night: Night) -> Iterator[Finding]:
     """Are poses and lenses known well enough?  They may fit the pictures, and be wrong."""
-    poses = night.record.poses
-    if poses and not (poses.calibration and poses.calibration.contradicted):  # that finding explains what these say
-        for reason in dict.fromkeys(poses.contradicting.values()):
-            names = tuple(name for name, why in poses.contradicting.items() if why == reason)
+    poses = night.record.poses or PosesSummary()
+    contradicted = poses.issues_of("contradicted")
+    if not (poses.calibration and poses.calibration.contradicted):  # that finding explains what these say
+        for reason in dict.fromkeys(issue.text for issue in contradicted.values()):
+            names = tuple(name for name, issue in contradicted.items() if issue.text == reason)
             yield finding("poses-contradicted", names, reason=reason)
-    if poses and poses.uncertain:
-        row_px = max(poses.uncertain.values())
-        yield finding(
-            "poses-uncertain", tuple(poses.uncertain), {"row_px": row_px}, row_px=row_px, cameras=_names(poses.uncertain)
-        )
-    if poses and poses.strained:
-        factor = max(poses.strained.values())
-        yield finding(
-            "poses-inconsistent", tuple(poses.strained), {"strain": factor}, factor=factor, cameras=_names(poses.strained)
-        )
-    if poses and poses.unsure_lenses:
-        unsure = poses.unsure_lenses
-        worst = {name: max(getattr(sigma, name) for sigma in unsure.values()) for name in ("focal", "border_px")}
-        words: dict[str, Any] = {
-            "cameras": _names(unsure),
-            "focal_percent": 100 * worst["focal"],
-            "border_px": worst["border_px"],
-        }
-        yield finding("lens-undetermined", tuple(unsure), worst, None, None, **words)
+    if found := poses.issues_of("uncertain"):
+        row_px = max(issue.row_px or 0.0 for issue in found.values())
+        yield finding("poses-uncertain", tuple(found), {"row_px": row_px}, row_px=row_px, cameras=_names(found))
+    if found := poses.issues_of("inconsistent"):
+        strain = max(issue.strain or 0.0 for issue in found.values())
+        yield finding("poses-inconsistent", tuple(found), {"strain": strain}, factor=strain, cameras=_names(found))
+    if found := poses.issues_of("lens-undetermined"):
+        focal, border = (max(getattr(issue, name) or 0.0 for issue in found.values()) for name in ("focal", "border_px"))
+        words = {"cameras": _names(found), "focal_percent": 100 * focal, "border_px": border}
+        yield finding("lens-undetermined", tuple(found), {"focal": focal, "border_px": border}, None, None, **words)
 
 
 def check_survey(night: Night) -> Iterator[Finding]:

@@ -304,7 +304,7 @@ class PairGraph:
 
     pairs: tuple[Pair, ...]
     """Those to match, in the order of the site file."""
-    edges: tuple[Edge, ...]
+    edges: tuple[Edge, ...] = field(metadata={"figure": False})
     """The decision about each; of many that were dropped, the most promising of each camera."""
     components: tuple[tuple[str, ...], ...]
     """Cameras that the kept pairs connect, largest group first."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import AliasChoices, Field, ValidationError, model_validator
+from pydantic import AliasChoices, Field, ValidationError, model_serializer, model_validator
 
 from ..records.findings import HealthState
 from ..records.plain import Plain
@@ -177,11 +177,25 @@ class CalibrationCheck(Summary):
 
 
 @dataclass(frozen=True)
-class LensSigma(Summary):
-    """Standard deviations of what was solved of a lens (`stages.types.LensSigma`)."""
+class PoseIssue(Summary):
+    """A doubt about the pose or the lens of a camera (`stages.types.PoseIssue`)."""
 
-    focal: float = 0.0
-    border_px: float = 0.0
+    kind: str = ""
+    camera: str = ""
+    text: str = ""
+    row_px: float | None = None
+    strain: float | None = None
+    focal: float | None = None
+    border_px: float | None = None
+
+
+_FORMER_ISSUES = {
+    "suspects": ("moved", "text"),
+    "doubtful": ("unverified", "text"),
+    "uncertain": ("uncertain", "row_px"),
+    "strained": ("inconsistent", "strain"),
+}
+"""By key that run.json had before 0.2: kind and field of an issue."""
 
 
 @dataclass(frozen=True)
@@ -194,15 +208,10 @@ class PosesSummary(Summary):
     metric: bool = True
     """Lengths are metres."""
     source: str = ""
-    suspects: Mapping[str, str] = field(default_factory=dict)
-    doubtful: Mapping[str, str] = field(default_factory=dict)
-    contradicting: Mapping[str, str] = field(default_factory=dict)
+    issues: tuple[PoseIssue, ...] = ()
     distances_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     points_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     units_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    uncertain: Mapping[str, float] = field(default_factory=dict)
-    unsure_lenses: Mapping[str, LensSigma] = field(default_factory=dict)
-    strained: Mapping[str, float] = field(default_factory=dict)
     focals: tuple[str, ...] = ()
     components: tuple[tuple[str, ...], ...] = ()
     joins: tuple[str, ...] = ()
@@ -224,6 +233,21 @@ class PosesSummary(Summary):
     def unverified(self) -> bool:
         """Are lenses and poses stated, and were there too few matches to check them?"""
         return self.source in {"calibration", "mixed"} and self.calibration is None
+
+    def issues_of(self, kind: str) -> dict[str, PoseIssue]:
+        """Return the issues of one kind by camera."""
+        return {issue.camera: issue for issue in self.issues if issue.kind == kind}
+
+    @model_serializer(mode="wrap")
+    def _with_former_keys(self, write: Any) -> dict[str, Any]:
+        """Add the issues as versions before 0.2 wrote them, for one more version."""
+        former: dict[str, dict[str, Any]] = {
+            key: {camera: getattr(issue, field) for camera, issue in self.issues_of(kind).items()}
+            for key, (kind, field) in _FORMER_ISSUES.items()
+        }
+        lenses = self.issues_of("lens-undetermined").items()
+        former["unsure_lenses"] = {camera: {"focal": lens.focal, "border_px": lens.border_px} for camera, lens in lenses}
+        return {**write(self), **former}
 
 
 @dataclass(frozen=True)

@@ -143,8 +143,7 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
         return "bad"
     health = camera.health is None or camera.health.ok
     poses = record.poses
-    doubts = (poses.suspects, poses.doubtful, poses.uncertain, poses.unsure_lenses, poses.strained) if poses else ()
-    suspect = any(camera.id in named for named in doubts)
+    suspect = poses is not None and any(issue.camera == camera.id for issue in poses.issues)
     return "good" if health and not suspect and camera.down is None else "warn"
 
 

@@ -59,7 +59,7 @@ def test_rough_poses_are_adjusted_to_paving_and_are_uncertain_without_its_frames
     before = solve_poses(views, known, pairs)
     after = solve_poses(views, known, pairs, None, frames)
     assert isinstance(before, Poses) and isinstance(after, Poses)
-    assert set(before.uncertain) == set(known) and not after.uncertain
+    assert set(before.issues_of("uncertain")) == set(known) and not after.issues_of("uncertain")
     assert max(row_errors(dict(before.cameras))) > 0.8
     assert max(row_errors(dict(after.cameras))) < 0.15
     assert set(after.sources.values()) == {"refined"}

@@ -31,23 +31,23 @@ def adjusted(site: PairSite) -> Model:
 
 
 def test_a_lens_that_many_points_all_over_the_pictures_tell_is_not_named() -> None:
-    assert not solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=7)).unsure_lenses
+    assert not solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=7)).issues_of("lens-undetermined")
 
 
 def test_a_lens_whose_border_no_point_is_near_is_named_with_how_little_is_known_of_it() -> None:
     poses = solve(make_pair_site(6, know="nothing", noise_px=0.2, radius=24))
-    assert set(poses.unsure_lenses) == set(poses.cameras)
-    for sigma in poses.unsure_lenses.values():
+    assert set(poses.issues_of("lens-undetermined")) == set(poses.cameras)
+    for sigma in poses.issues_of("lens-undetermined").values():
         assert sigma.border_px > 3 * MOST_SIGMA_PX and sigma.focal > 0.005
 
 
 def test_two_cameras_alone_do_not_tell_their_lens() -> None:
     poses = solve(make_pair_site(2, know="nothing", noise_px=0.2))
-    assert set(poses.unsure_lenses) == {"c0", "c1"}
+    assert set(poses.issues_of("lens-undetermined")) == {"c0", "c1"}
 
 
 def test_a_stated_lens_is_never_named() -> None:
-    assert not solve(make_pair_site(2, know="K", noise_px=0.2, radius=24)).unsure_lenses
+    assert not solve(make_pair_site(2, know="K", noise_px=0.2, radius=24)).issues_of("lens-undetermined")
 
 
 def test_focal_lengths_are_off_by_as_much_as_their_standard_deviations_say() -> None:

@@ -33,7 +33,7 @@ def solve(site: PairSite, known: dict[str, Placement]) -> Poses:
 def test_right_poses_are_taken_as_they_are_and_their_figures_kept() -> None:
     site = make_pair_site(5, noise_px=0.3)
     poses = solve(site, placements(site))
-    assert poses.source == "calibration" and not poses.suspects and not poses.notes
+    assert poses.source == "calibration" and not poses.issues_of("moved") and not poses.notes
     assert set(poses.pose_checks) == set(site.cameras)
     for name, check in poses.pose_checks.items():
         assert check.pairs == sum(name in pair for pair in site.geometries) and check.inliers > 100
@@ -56,12 +56,12 @@ def test_the_one_wrong_pose_is_named_with_how_far_it_is_off_and_bends_no_other(
     site = make_pair_site(5, noise_px=0.2)
     known = placements(site, **{name: moved(site, name, degrees, metres)})
     poses = solve(site, known)
-    assert list(poses.suspects) == [name]
+    assert list(poses.issues_of("moved")) == [name]
     check = poses.pose_checks[name]
     assert check.moved
     assert check.off_m == pytest.approx(np.linalg.norm(metres), abs=0.02)
     assert check.off_deg == pytest.approx(np.linalg.norm(degrees), abs=0.1)
-    assert f"{check.off_m:.3f} m and {check.off_deg:.2f} degrees" in poses.suspects[name]
+    assert f"{check.off_m:.3f} m and {check.off_deg:.2f} degrees" in poses.issues_of("moved")[name].text
     for other in set(site.cameras) - {name}:
         C, R = known[other].C, known[other].R
         assert C is not None and R is not None
@@ -73,14 +73,14 @@ def test_the_one_wrong_pose_is_named_with_how_far_it_is_off_and_bends_no_other(
 def test_two_wrong_poses_are_both_named() -> None:
     site = make_pair_site(7, noise_px=0.2)
     wrong = {"c1": moved(site, "c1", (0, 5, 0), (0, 0, 0)), "c4": moved(site, "c4", (0, 0, 0), (1, 0, 0))}
-    assert set(solve(site, placements(site, **wrong)).suspects) == {"c1", "c4"}
+    assert set(solve(site, placements(site, **wrong)).issues_of("moved")) == {"c1", "c4"}
 
 
 def test_one_wrong_pair_accuses_no_camera() -> None:
     site = make_pair_site(6, noise_px=0.2)
     pair = next(iter(site.geometries))
     poses = solve(replace(site, geometries=site.geometries | {pair: turned_wrong(site, pair, 0)}), placements(site))
-    assert poses.source == "calibration" and not poses.suspects
+    assert poses.source == "calibration" and not poses.issues_of("moved")
     check = poses.pair_checks["--".join(pair)]
     assert check.flagged and not check.kept and check.code == "matches-contradict-cameras"
     assert all(check.verified for check in poses.pose_checks.values())
@@ -95,7 +95,7 @@ def test_no_wrong_pair_ever_removes_or_moves_a_stated_camera(count: int, seed: i
     site = replace(site, geometries=site.geometries | {pair: wrong} if sure else {pair: wrong})
     known = placements(site)
     poses = solve(site, known)
-    assert not poses.suspects and not any(check.moved for check in poses.pose_checks.values())
+    assert not poses.issues_of("moved") and not any(check.moved for check in poses.pose_checks.values())
     assert all(np.array_equal(poses.cameras[name].C, camera.C) for name, camera in site.cameras.items())
     assert all(np.array_equal(poses.cameras[name].R, camera.R) for name, camera in site.cameras.items())
 
@@ -104,7 +104,7 @@ def test_two_look_alike_pairs_that_tell_different_poses_move_no_camera() -> None
     site = make_pair_site(4, noise_px=0.2)
     wrong = {pair: turned_wrong(site, pair, k) for k, pair in enumerate(site.geometries) if "c1" in pair}
     poses = solve(replace(site, geometries=site.geometries | wrong), placements(site))
-    assert not poses.suspects and np.array_equal(poses.cameras["c1"].C, site.cameras["c1"].C)
+    assert not poses.issues_of("moved") and np.array_equal(poses.cameras["c1"].C, site.cameras["c1"].C)
     assert not poses.pose_checks["c1"].verified and poses.pose_checks["c3"].verified
 
 
@@ -112,8 +112,8 @@ def test_a_new_pose_that_no_distinctive_matches_tell_is_not_believed() -> None:
     site = make_pair_site(5, noise_px=0.2)
     repeated = {pair: replace(geometry, distinct_cells=3) for pair, geometry in site.geometries.items()}
     known = placements(site, c2=moved(site, "c2", (0, 3, 0), (0.5, 0, 0)))
-    assert not solve(replace(site, geometries=repeated), known).suspects
-    assert list(solve(site, known).suspects) == ["c2"]
+    assert not solve(replace(site, geometries=repeated), known).issues_of("moved")
+    assert list(solve(site, known).issues_of("moved")) == ["c2"]
 
 
 def rough(site: PairSite, seed: int, metres: float, degrees: float, exact: tuple[str, ...] = ()) -> dict[str, Placement]:
@@ -131,7 +131,7 @@ def test_poses_with_standard_deviations_are_refined_to_nearly_exact_ones(count: 
     site = make_pair_site(count, noise_px=0.3)
     known = rough(site, 0, 0.05, 0.3)
     poses = solve(site, known)
-    assert not poses.suspects and not poses.notes and set(poses.sources.values()) == {"refined"}
+    assert not poses.issues_of("moved") and not poses.notes and set(poses.sources.values()) == {"refined"}
     stated = stated_cameras(site.views, known)
     before, after = (aligned_errors(replace(poses, cameras=c), site.cameras) for c in (stated, poses.cameras))
     assert after[0] < before[0] / 8 and after[1] < before[1] / 8
@@ -145,9 +145,11 @@ def test_rough_poses_that_one_pair_alone_tells_no_better_are_uncertain_and_exact
     two = only(three, "c0", "c1")
     known = rough(three, 0, 0.05, 0.3)
     alone = solve(two, {name: known[name] for name in two.views})
-    assert set(alone.uncertain) == {"c0", "c1"} and all(1 < sigma < 8 for sigma in alone.uncertain.values())
-    assert not solve(three, known).uncertain
-    assert not solve(two, {name: placement for name, placement in placements(three).items() if name in two.views}).uncertain
+    uncertain = alone.issues_of("uncertain")
+    assert set(uncertain) == {"c0", "c1"} and all(1 < issue.row_px < 8 for issue in uncertain.values())
+    assert not solve(three, known).issues_of("uncertain")
+    exact = solve(two, {name: placement for name, placement in placements(three).items() if name in two.views})
+    assert not exact.issues_of("uncertain")
 
 
 def test_exact_poses_stay_and_rough_ones_are_refined_to_them() -> None:
@@ -171,7 +173,7 @@ def test_a_rough_pose_that_is_wrong_beyond_its_standard_deviation_is_named() -> 
     site = make_pair_site(5, noise_px=0.3)
     known = rough(site, 0, 0.05, 0.3)
     poses = solve(site, known | {"c2": replace(moved(site, "c2", (0, 3, 0), (0.5, 0, 0)), sigma_m=0.05, sigma_deg=0.3)})
-    assert list(poses.suspects) == ["c2"] and poses.sources["c2"] == "solved"
+    assert list(poses.issues_of("moved")) == ["c2"] and poses.sources["c2"] == "solved"
     assert poses.pose_checks["c2"].off_deg == pytest.approx(3, abs=0.6)
 
 
@@ -179,9 +181,9 @@ def test_of_two_cameras_it_cannot_be_told_which_is_wrong() -> None:
     site = only(make_pair_site(3, noise_px=0.2), "c0", "c1")
     known = {name: p for name, p in placements(site, c1=moved(site, "c1", (5, 0, 0), (0, 0, 0))).items() if name in site.views}
     poses = solve(site, known)
-    assert not poses.suspects
-    assert list(poses.contradicting) == ["c0", "c1"]
-    note = poses.contradicting["c0"]
+    assert not poses.issues_of("moved")
+    assert list(poses.issues_of("contradicted")) == ["c0", "c1"]
+    note = poses.issues_of("contradicted")["c0"].text
     assert note.startswith("the known poses of c0 and c1 contradict each other by 5.0 degrees: which is wrong cannot be told")
     assert "unverified" in note and "If one was moved, leave out its pose" in note
     assert set(poses.cameras) == {"c0", "c1"} and set(poses.sources.values()) == {"stated"}
@@ -192,9 +194,9 @@ def test_a_camera_turned_at_the_end_of_a_chain_is_unverified() -> None:
     site = make_pair_site(3, noise_px=0.2)
     chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
     poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 3, 0), (0, 0, 0))))
-    assert not poses.suspects and poses.sources["c2"] == "stated"
+    assert not poses.issues_of("moved") and poses.sources["c2"] == "stated"
     assert not poses.pose_checks["c2"].verified and poses.pose_checks["c0"].verified
-    note = poses.contradicting["c2"]
+    note = poses.issues_of("contradicted")["c2"].text
     assert "contradict each other by 2.9 degrees" in note and "unverified" in note
     check = poses.pair_checks["c1--c2"]
     assert (check.kept, check.code, check.known) == (False, "matches-contradict-cameras", "stated")
@@ -204,8 +206,8 @@ def test_who_was_shifted_in_a_chain_cannot_be_told_from_who_was_not() -> None:
     site = make_pair_site(3, noise_px=0.2)
     chain = replace(site, geometries={pair: g for pair, g in site.geometries.items() if pair != ("c0", "c2")})
     poses = solve(chain, placements(chain, c2=moved(chain, "c2", (0, 0, 0), (0.5, 0.5, 0.5))))
-    assert not poses.suspects and not poses.doubtful
-    assert "contradict each other: which is wrong cannot be told" in poses.contradicting["c2"]
+    assert not poses.issues_of("moved") and not poses.issues_of("unverified")
+    assert "contradict each other: which is wrong cannot be told" in poses.issues_of("contradicted")["c2"].text
 
 
 def test_the_camera_that_all_contradictions_have_in_common_is_named_though_they_agree_on_no_other_pose() -> None:
@@ -213,9 +215,9 @@ def test_the_camera_that_all_contradictions_have_in_common_is_named_though_they_
     pairs = {("c0", "c1"): site.geometries["c0", "c1"], ("c1", "c2"): turned_wrong(site, ("c1", "c2"), 8)}
     chain = replace(site, geometries=pairs)
     poses = solve(chain, placements(chain, c1=moved(chain, "c1", (0, 3, 0), (0.5, 0, 0))))
-    assert not poses.suspects and poses.sources["c1"] == "stated"
-    assert list(poses.doubtful) == ["c1"] and not poses.contradicting
-    assert poses.doubtful["c1"].startswith("2 of its 2 pairs contradict its known pose by up to ")
+    assert not poses.issues_of("moved") and poses.sources["c1"] == "stated"
+    assert list(poses.issues_of("unverified")) == ["c1"] and not poses.issues_of("contradicted")
+    assert poses.issues_of("unverified")["c1"].text.startswith("2 of its 2 pairs contradict its known pose by up to ")
 
 
 def test_a_calibration_that_fits_nowhere_accuses_no_single_camera() -> None:
@@ -223,4 +225,4 @@ def test_a_calibration_that_fits_nowhere_accuses_no_single_camera() -> None:
     rng = np.random.default_rng(0)
     known = {name: moved(site, name, tuple(rng.uniform(-5, 5, 3)), (0, 0, 0)) for name in site.cameras}
     poses = solve(site, known)
-    assert not poses.suspects and "contradict each other" in poses.contradicting["c0"]
+    assert not poses.issues_of("moved") and "contradict each other" in poses.issues_of("contradicted")["c0"].text

@@ -79,7 +79,7 @@ def test_a_look_alike_in_one_view_is_outvoted_by_what_the_others_of_its_camera_s
     other = {("c0", name): site.geometries["c0", name] for name in ("c1@1", "c2", "c4")}
     placements = {name: Placement(R=camera.R, C=camera.C, metric=True) for name, camera in site.cameras.items()}
     poses = solve(replace(site, geometries={**other, **lonely, **wrong}), placements)
-    assert not poses.doubtful and not poses.suspects and all(check.verified for check in poses.pose_checks.values())
+    assert not poses.issues and all(check.verified for check in poses.pose_checks.values())
     alone = {pair: g for pair, g in lonely.items() if "c3@1" not in pair}
     poses = solve(replace(site, geometries={**other, **alone, **wrong}), placements)
     assert not poses.pose_checks["c3@2"].verified, "nothing else of this camera says anything"

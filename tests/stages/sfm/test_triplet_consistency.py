@@ -54,7 +54,7 @@ def test_cameras_that_all_matches_agree_on_are_under_no_strain(know: str, noise_
     site = make_pair_site(5, know=know, noise_px=noise_px)
     assert inconsistency(*solved(site)) < 3
     poses = solve_poses(site.views, {}, site.geometries)
-    assert isinstance(poses, Poses) and not poses.strained
+    assert isinstance(poses, Poses) and not poses.issues_of("inconsistent")
 
 
 @pytest.mark.parametrize("degrees", [0.1, 0.5])
@@ -92,7 +92,7 @@ def test_cameras_do_not_follow_look_alikes_that_most_matches_of_neighbours_are(s
     next_ones = [pair for pair in site.geometries if int(pair[1][1]) - int(pair[0][1]) == 1]
     misled = {pair: with_look_alikes(site, pair, 0.3, seed) for pair in next_ones}
     poses = solve_poses(site.views, {}, {**site.geometries, **misled})
-    assert isinstance(poses, Poses) and set(poses.strained) == set(site.cameras)
+    assert isinstance(poses, Poses) and set(poses.issues_of("inconsistent")) == set(site.cameras)
     assert turn_errors_deg(poses.cameras, site.cameras).max() < 0.05
 
 

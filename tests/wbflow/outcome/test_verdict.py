@@ -12,7 +12,7 @@ import pytest
 from wbflow.errors import ExitCode
 from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
-from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, LensSigma, PairFigures, PosesSummary
+from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
 from wbflow.records.findings import FINDINGS, findings_table
 from wbflow.records.record import (
     CameraRecord,
@@ -253,26 +253,35 @@ def test_a_reason_that_names_every_file_is_cut() -> None:
 
 
 def test_a_camera_whose_stated_pose_the_pictures_contradict_has_been_moved() -> None:
-    world = PosesSummary(suspects={"mast": "seems to be turned by 3.1 degrees. Has it been moved?"})
+    world = PosesSummary(issues=(PoseIssue("moved", "mast", text="seems to be turned by 3.1 degrees. Has it been moved?"),))
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject) == ("camera-moved", ("mast",))
 
 
 def test_a_camera_that_all_contradictions_have_in_common_is_named_though_it_stays_in_use() -> None:
-    world = PosesSummary(doubtful={"mast": "2 of its 2 pairs contradict its known pose by up to 33.8 px"})
+    world = PosesSummary(
+        issues=(PoseIssue("unverified", "mast", text="2 of its 2 pairs contradict its known pose by up to 33.8 px"),)
+    )
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject) == ("camera-unverified", ("mast",))
 
 
 def test_poses_that_are_not_known_well_enough_are_one_finding_though_there_is_a_cloud() -> None:
-    world = PosesSummary(uncertain={"mast": 4.07, "gate": 2.9})
+    world = PosesSummary(
+        issues=(
+            PoseIssue("uncertain", "mast", row_px=4.07),
+            PoseIssue("uncertain", "gate", row_px=2.9),
+        )
+    )
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     assert (only(record).kind, only(record).subject, record.exit_code) == ("poses-uncertain", ("mast", "gate"), ExitCode.DEGRADED)
     assert "up to 4.1 px beside the row" in only(record).text
 
 
 def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_know_them() -> None:
-    world = PosesSummary(unsure_lenses={name: LensSigma(0.031, 2.24) for name in ("mast", "gate")})
+    world = PosesSummary(
+        issues=tuple(PoseIssue("lens-undetermined", name, focal=0.031, border_px=2.24) for name in ("mast", "gate"))
+    )
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("lens-undetermined", ("mast", "gate"), ExitCode.DEGRADED)
@@ -281,7 +290,12 @@ def test_lenses_that_the_pictures_do_not_tell_are_one_finding_that_says_how_to_k
 
 
 def test_solved_poses_that_look_alikes_have_a_say_in_are_a_finding() -> None:
-    world = PosesSummary(strained={"gate": 21.7, "mast": 21.7})
+    world = PosesSummary(
+        issues=(
+            PoseIssue("inconsistent", "gate", strain=21.7),
+            PoseIssue("inconsistent", "mast", strain=21.7),
+        )
+    )
     record = judge(replace(night(), poses=world), Facts(), Baseline(), Expected())
     found = only(record)
     assert (found.kind, found.subject, record.exit_code) == ("poses-inconsistent", ("gate", "mast"), ExitCode.DEGRADED)
