@@ -22,7 +22,7 @@ from .cache.owner import claim
 from .cache.room import bytes_of, disk_fault
 from .errors import UsageError
 from .outcome.artifacts import FinishedRun, function, task_named
-from .outcome.through import mend_ledger, run_pipeline
+from .outcome.publish import mend_ledger, run_pipeline
 from .records.events import Event, Listener, Watcher
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh

@@ -153,10 +153,6 @@ class WorkFolder:
         """What the report shows of an artifact, by the name of the product (see `Products.drawings`)."""
         return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
 
-    def published(self, task: Task, key: str) -> Path:
-        """What runs publish of an artifact, besides itself."""
-        return self.artifact(task, key, ".published")
-
     def receipt(self, task: Task, key: str) -> Path:
         """What is known of an artifact; without it there is none."""
         return self.artifact(task, key, ".json")

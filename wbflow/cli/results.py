@@ -62,7 +62,7 @@ def history(site: Path, as_json: bool, work: str | None) -> None:
     wbflow history site.yaml --json
     """
     loaded = load(site, work)
-    from ..outcome.history import history as entries
+    from ..outcome.compare import history as entries
 
     found = entries(loaded.work_folder) if loaded.work_folder.run_ids() else []
     if as_json:
@@ -89,7 +89,7 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     wbflow runs site.yaml --json
     wbflow runs sites/*.yaml
     """
-    from ..outcome.history import places
+    from ..outcome.compare import places
 
     found = [(site, entry) for path in sites for site in [load(path, None)] for entry in places(site.work_folder)]
     if as_json:
@@ -225,7 +225,7 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
         raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
     folder = load(site, work).work_folder
     from ..outcome.artifacts import FinishedRun
-    from ..outcome.export import export as write
+    from ..outcome.artifacts import export as write
     from ..records.run_folder import RunFolder
 
     run = RunFolder.of(folder, run_id or folder.latest_good.name)

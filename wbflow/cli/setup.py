@@ -130,7 +130,7 @@ def calibrate(
     wbflow calibrate gate photographs --board 9x6 --square 0.03
     wbflow calibrate dome board.mp4 --board 8x11 --marker 0.02 --square 0.03 --model fisheye
     """
-    from ..outcome.calibrate import write_calibration
+    from ..outcome.init import write_calibration
 
     columns, cross, rows = board.partition("x")
     if not (cross and columns.isdigit() and rows.isdigit() and 2 < int(columns) < 100 and 2 < int(rows) < 100):

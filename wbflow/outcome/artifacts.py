@@ -1,16 +1,23 @@
-"""What a finished run made, by task: from the run's folder and the cache; nothing is run again."""
+"""What a finished run made, by task and in the forms that other programs read; nothing is run again."""
 
 from __future__ import annotations
 
+import datetime
 import importlib
+import importlib.util
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from pathlib import Path
 from typing import Any
 
+from ..cache.atomic import write_atomic
+from ..cache.codec import result_of
 from ..cache.layout import WorkFolder
+from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
-from ..errors import UsageError, WbflowError
+from ..errors import ExitCode, UsageError, WbflowError
+from ..pipeline.exports import EXPORTS, EXTRAS, Export
+from ..pipeline.stages import CLOUD_TABLE, FRAMES, FUSE, POSES, STAGES, stage_named
 from ..records.events import TaskEvent
 from ..records.record import CloudRecord, RunRecord
 from ..records.run_folder import RunFolder
@@ -64,9 +71,6 @@ class FinishedRun:
         receipt = self.receipt(task)
         if receipt is None:
             return None
-        from ..cache.codec import result_of
-        from ..pipeline.stages import stage_named
-
         cache = self.cache
         return result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
 
@@ -77,8 +81,6 @@ class FinishedRun:
     def of_cameras(self, *stages: str) -> Mapping[str, Any]:
         """What the first of these stages that gave something made of each camera, or of each of its views; read when it is asked
         for."""
-        from ..pipeline.stages import FRAMES
-
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
         for view in (task.subject[0] for task in self.tasks if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
@@ -103,33 +105,10 @@ class FinishedRun:
         path = self.folder.cloud(cloud) if cloud else None
         if path is None or not path.is_file():
             raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
-        from ..cache.ply import read_ply
-        from ..pipeline.stages import CLOUD_TABLE
-
         try:
             return function(CLOUD_TABLE.restore)(read_ply(path))
         except ValueError as error:
             raise Gone(str(error), remedy="run the night again") from None
-
-
-class LoggedTasks(Mapping[Task, TaskEvent]):
-    """How each task of a run ended, read from its log when somebody asks."""
-
-    def __init__(self, folder: RunFolder) -> None:
-        self._folder = folder
-
-    @cached_property
-    def _tasks(self) -> dict[Task, TaskEvent]:
-        return self._folder.tasks()
-
-    def __getitem__(self, task: Task) -> TaskEvent:
-        return self._tasks[task]
-
-    def __iter__(self) -> Iterator[Task]:
-        return iter(self._tasks)
-
-    def __len__(self) -> int:
-        return len(self._tasks)
 
 
 class _OfSubjects(Mapping[str, Any]):
@@ -154,8 +133,6 @@ class _OfSubjects(Mapping[str, Any]):
 
 def task_named(name: str) -> Task:
     """A task as it is written: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
-    from ..pipeline.stages import STAGES
-
     stage, _, subject = name.partition(" ")
     if stage not in {row.name for row in STAGES}:
         remedy = f"stages are {', '.join(row.name for row in STAGES)}; a task is a stage and its subject: 'geometry gate--roof'"
@@ -167,3 +144,56 @@ def function(dotted: str) -> Any:
     """A function by its dotted name, package.module:function."""
     module, _, name = dotted.partition(":")
     return getattr(importlib.import_module(module), name)
+
+
+class MissingExtra(WbflowError):
+    """Packages that an export needs are not installed; the message says how to get them."""
+
+    exit_code = ExitCode.USAGE
+
+
+class NothingToExport(WbflowError):
+    """The run does not hold what was asked for; the message says what is missing."""
+
+
+def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]:
+    """Write a run's results into `out` in the forms asked for (names of `EXPORTS`); yields each file when it is there.
+
+    Raises
+    ------
+    MissingExtra, NothingToExport, Gone
+        Before a file of that form is written.
+    DamagedArtifact
+        The cache's disk has lost something; the next run makes it again.
+    """
+    if run.record.poses is None:
+        raise NothingToExport(f"run {run.folder.id} solved no cameras: {run.record.reason or 'it ended before'}")
+    asked = [row for row in EXPORTS if row.name in forms]
+    for row in asked:
+        require(row, georeferenced=bool(run.record.poses.crs))
+    for row in asked:
+        results = {name: _result(run, stages) for name, stages in row.inputs.items()}
+        day = datetime.date.fromisoformat(run.record.date)
+        try:
+            for name, data in function(row.function)(**results, **({"day": day} if row.dated else {})):
+                write_atomic(out / name, data)
+                yield out / name
+        except ValueError as error:
+            raise NothingToExport(f"run {run.folder.id}: {error}") from error
+
+
+def require(row: Export, *, georeferenced: bool) -> None:
+    """See that the packages that a form needs are installed.  Raises MissingExtra."""
+    extra = row.extra or (row.extra_on_the_map if georeferenced else "")
+    missing = [package for package in EXTRAS.get(extra, ()) if importlib.util.find_spec(package) is None]
+    if missing:
+        what = f"--{row.name}{'' if row.extra else ' of a georeferenced site'}"
+        raise MissingExtra(f"{what} needs {' and '.join(missing)}: pip install 'wbflow[{extra}]'")
+
+
+def _result(run: FinishedRun, stages: tuple[str, ...]) -> Any:
+    if stages == (FUSE,):
+        return run.cloud()
+    if stages == (POSES,):
+        return run.made(POSES)
+    return run.of_pairs(*stages) if stage_named(stages[0]).scope == "pair" else run.of_cameras(*stages)

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
+from itertools import islice
 
 from ..cache.layout import WorkFolder
 from ..pipeline.binding import bind
@@ -14,7 +15,7 @@ from ..pipeline.stages import STAGES
 from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health
 from ..records.record import CameraRecord, RunRecord, Usual
-from ..records.run_folder import NoSuchRun, RunFolder
+from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..site.models import Expected, Measure, Site
 
 FOUND_SHARE = 0.25
@@ -35,11 +36,7 @@ class Baseline:
     def before(work: WorkFolder, run: str, date: str) -> Baseline:
         """The runs before `run`, of nights up to `date`; what cannot be read is passed over."""
         found: dict[str, RunRecord] = {}
-        for name in [name for name in reversed(work.run_ids()) if name < run][:MOST_RUNS]:
-            try:
-                record = RunFolder.of(work, name).record()
-            except NoSuchRun:
-                continue
+        for _, record in islice(newest_runs(work, before=run), MOST_RUNS):
             if record.date <= date and (record.date not in found or not _whole(found[record.date])):
                 found[record.date] = record
         return Baseline(tuple(sorted(found.values(), key=lambda record: (record.date, record.run), reverse=True)))

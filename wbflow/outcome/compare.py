@@ -1,16 +1,17 @@
-"""Two nights side by side, from their run.json: what differs by more than figures differ from night to night."""
+"""Runs beside each other: the history of a site, and two nights compared, from their run.json."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..cache.layout import WorkFolder
-from ..records.record import CameraRecord, PairRecord, RunRecord
-from ..records.run_folder import NoSuchRun, RunFolder
-from .beside import titled
+from ..pipeline.summaries import titled
+from ..records.ledger import Ledger, LedgerRun
+from ..records.record import CameraRecord, PairRecord, RunRecord, Verdict
+from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 
 NOISE = 0.05
 """Figures that differ by less than this share say nothing: keypoints, inliers and points change so much from night to night."""
@@ -91,9 +92,8 @@ def run_named(work: WorkFolder, name: str) -> RunFolder:
     """
     if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", name):
         return RunFolder.of(work, name)
-    for run in reversed(work.run_ids()):
-        folder = RunFolder(work.run(run))
-        if folder.record().date == name:
+    for folder, record in newest_runs(work):
+        if record.date == name:
             return folder
     raise NoSuchRun(f"no run has worked on the night of {name}", remedy="wbflow history SITE.yaml  lists all runs")
 
@@ -107,10 +107,8 @@ def last_two(work: WorkFolder) -> tuple[RunFolder, RunFolder]:
         There is none.
     """
     newest = RunFolder.of(work)
-    for run in reversed(work.run_ids()[:-1]):
-        folder = RunFolder(work.run(run))
-        verdict = folder.record().verdict
-        if folder.is_good() and (verdict is None or verdict.good):
+    for folder, record in newest_runs(work, before=newest.id):
+        if folder.is_good() and (record.verdict is None or record.verdict.good):
             return folder, newest
     raise NoSuchRun(f"there is no good run before {newest.id}", remedy="name two: wbflow compare SITE.yaml RUN_A RUN_B")
 
@@ -160,3 +158,64 @@ def _words(value: Value) -> str:
     if isinstance(value, float):
         return f"{value:,.2f}"
     return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+MOST_WORDS = 80
+"""A line has at most so many characters of a finding."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A run in the history of its site."""
+
+    run: LedgerRun
+    verdict: Verdict | None
+    """None where its record is gone, or of an earlier version."""
+    cleaned: bool
+    """Is its folder gone?"""
+
+    @property
+    def words(self) -> str:
+        """What it came to: the level, and the first finding."""
+        if self.cleaned:
+            return "cleaned"
+        if self.verdict is None:
+            return ""
+        words = f"{self.verdict.level}: {self.verdict.findings[0]}" if self.verdict.findings else self.verdict.level
+        return words if len(words) <= MOST_WORDS else f"{words[: MOST_WORDS - 3]}..."
+
+    def to_json(self) -> dict[str, Any]:
+        verdict = self.verdict.to_json() if self.verdict else None
+        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned}
+
+
+def history(work: WorkFolder) -> list[Entry]:
+    """Every run, oldest first."""
+    with Ledger(work) as ledger:
+        return [_entry(work, run) for run in ledger.runs()]
+
+
+def _entry(work: WorkFolder, run: LedgerRun) -> Entry:
+    folder = RunFolder(work.run(run.run))
+    try:
+        record = folder.record()
+        return Entry(run, record.verdict, cleaned=False)
+    except NoSuchRun:
+        return Entry(run, None, cleaned=not folder.paths.record.exists())
+
+
+def places(work: WorkFolder) -> list[dict[str, Any]]:
+    """Where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
+    return [_place(work, entry) for entry in history(work)] if work.root.exists() else []
+
+
+def _place(work: WorkFolder, entry: Entry) -> dict[str, Any]:
+    run, paths = entry.run, work.run(entry.run.run)
+    level = entry.verdict.level if entry.verdict else None
+    told = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
+    there = {
+        "folder": None if entry.cleaned else paths.folder,
+        "cloud": paths.cloud if paths.cloud.is_file() else None,
+        "report": paths.report if paths.report.is_file() else None,
+    }
+    return told | {name: str(path) if path else None for name, path in there.items()}

@@ -1,46 +1,85 @@
-"""From a night's work to the folder of its run."""
+"""A run from its plan to its published folder: work, records, files beside the cloud, report, ledger, reference."""
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 import traceback
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from html import escape
 from typing import Any
 
 from ..cache import artifact
-from ..cache.layout import cloud_name
-from ..cache.ply import with_comments
-from ..cache.signed import Damaged, read_signed, write_signed
-from ..pipeline.stages import CALIBRATION, FUSE, PLACE_COMMENTS, POSES
+from ..cache.cleanup import clean
+from ..cache.layout import WorkFolder, cloud_name
+from ..cache.ply import ply_bytes, with_comments
+from ..cache.room import in_words
+from ..errors import WbflowError
+from ..pipeline.stages import CALIBRATION, FRAMES, FUSE, PLACE_COMMENTS, POSES
 from ..records.events import TaskEvent
+from ..records.ledger import Ledger
 from ..records.record import RunRecord
 from ..records.run_folder import UnfinishedRun
-from ..runner.context import RunContext
+from ..reference.create import fit_to_pin, pin, prepare
+from ..runner.context import Options, RunContext
 from ..runner.journal import Journal
-from ..runner.loop import Worked
+from ..runner.loop import Worked, work
 from ..runner.planner import Plan
+from ..site.models import Site
 from ..task import Task
 from .artifacts import FinishedRun, function
 from .baseline import Baseline
-from .beside import files_beside
 from .notify import metrics
 from .run_record import run_record
 from .verdict import judge_run
 
 
+def run_pipeline(
+    run: str, context: RunContext, options: Options, journal: Journal, notify: Callable[[FinishedRun], None]
+) -> FinishedRun:
+    """Do the work of a run, and publish it.
+
+    Parameters
+    ----------
+    run : str
+        The run's id.
+    context : RunContext
+        With its plan; the caller holds the lock.
+    options : Options
+        How it is done.
+    journal : Journal
+        Receives everything that happens.
+    notify : callable
+        Called with the finished run, unless it was a part of a night.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
+    for camera, note in context.notes.items():
+        journal.warn(note, task=Task(FRAMES, (camera,)))
+    prepare(context, journal)
+    worked = work(context, options, journal)
+    finished = publish(run, context, worked, journal, own_process=options.backend == "threading")
+    finish(finished, context.site, journal)
+    if not options.until and not worked.interrupted:
+        notify(finished)
+    return finished
+
+
 def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own_process: bool) -> FinishedRun:
-    """Write what a run left into its folder; `latest` leads there.
+    """Write the folder of a run; `latest` leads there.
 
     Parameters
     ----------
     run : str
         The run's id.
     context, worked : RunContext, Worked
-        What was to be done, and what has become of it.
+        The plan with the states of its tasks, and the products.
     journal : Journal
-        What happened and what it cost; it receives a warning where no report can be drawn.
+        What happened and what it cost; what cannot be drawn or written as a file becomes a warning.
     own_process : bool
         Did the tasks run in this process?
 
@@ -49,69 +88,53 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     OSError
         The disk is full, or there is no right to write.
     """
-    plan, work = context.plan, context.plan.cache.work
-    told = _told_of_world(plan, worked.products, journal)
-    unfinished = UnfinishedRun(work, run)
-    for task, cloud in worked.products.items():
+    plan, place = context.plan, context.plan.cache.work
+    unfinished = UnfinishedRun(place, run)
+    poses = artifact.decode(worked.products[Task(POSES)]) if Task(POSES) in worked.products else None
+    cameras: dict[str, Any] = function(CALIBRATION)(poses) if poses else {}
+    comments = tuple(function(PLACE_COMMENTS)(poses)) if poses else ()
+    for task, product in worked.products.items():
         if task.stage == FUSE:
-            comments = tuple(told.comments) if told and not task.subject else ()
-            unfinished.write(cloud_name(task.subject), with_comments(cloud, comments))
-    cameras = told.calibration if told else {}
-    if told:
+            unfinished.write(cloud_name(task.subject), with_comments(product, () if task.subject else comments))
+    if poses:
         unfinished.write_cameras(cameras)
-    beside = files_beside(plan, journal)
-    for name, data in (entry for files in beside.values() for entry in files.items()):
+    files: dict[str, list[str]] = {}
+    for stage, name, data in _files(plan, journal):
         unfinished.write(name, data)
-    record = run_record(run, plan, journal.started, journal.seconds(own_process), journal.peak_rss_mb, beside)
+        files.setdefault(stage, []).append(name)
+    record = run_record(run, plan, journal.started, journal.seconds(own_process), journal.peak_rss_mb, files)
     in_motion = context.captures_in_motion()
     cameras_now = (replace(camera, captures_in_motion=tuple(in_motion.get(camera.id, ()))) for camera in record.cameras)
     record = replace(record, cameras=tuple(cameras_now))
-    record = judge_run(record, plan, Baseline.before(work, run, record.date), worked.interrupted, journal.behind())
+    record = judge_run(record, plan, Baseline.before(place, run, record.date), worked.interrupted, journal.behind())
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
-    with suppress(OSError):  # it costs reading functions again
+    with contextlib.suppress(OSError):  # it costs reading functions again
         context.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
-    return FinishedRun(work, folder, record, tasks, plan.cache)
+    return FinishedRun(place, folder, record, tasks, plan.cache)
 
 
-@dataclass(frozen=True)
-class _World:
-    """What is published of the world: of an artifact that has not changed, it is not made again."""
+def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
+    """Yield the files that stages make of their results: stage, name, content.
 
-    code: list[str]
-    """Fingerprints of the functions that made it."""
-    calibration: dict[str, Any]
-    comments: list[str]
-
-
-def _told_of_world(plan: Plan, products: Mapping[Task, bytes], journal: Journal) -> _World | None:
-    task = Task(POSES)
-    state = plan.states.get(task)
-    if task not in products or state is None or state.receipt is None:
-        return None
-    functions = [CALIBRATION, PLACE_COMMENTS]
-    code = [plan.site.reader.read(dotted).code for dotted in functions]
-    memo = plan.cache.work.published(task, state.receipt.key)
-    try:
-        told = read_signed(memo, plan.cache.work.place(memo))
-        if told and (known := _World(**told)).code == code:
-            return known
-    except Damaged as damage:
-        journal.repaired(f"{damage.what}: made again", task=task)
-    except TypeError:  # by another version
-        pass
-    result = artifact.decode(products[task])  # numpy is imported for this
-    calibration, comments = (function(dotted)(result) for dotted in functions)
-    made = _World(code, calibration, list(comments))
-    write_signed(memo, plan.cache.work.place(memo), asdict(made))
-    plan.site.reader.save()
-    return made
+    What cannot be made (a library is not installed, no map has the place) becomes a warning.
+    """
+    for stage in plan.stages():
+        state = plan.states.get(Task(stage.name))
+        if not (stage.products.files and state and state.usable and state.receipt):
+            continue
+        try:
+            for name, content in function(stage.products.files)(plan.cache.load(Task(stage.name), state.receipt)):
+                data = content if isinstance(content, bytes) else bytes(ply_bytes(content, comments=("made by wbflow",)))
+                yield stage.name, name, data
+        except (WbflowError, ValueError, ImportError) as error:
+            journal.warn(f"not all of its files could be made: {error}", task=Task(stage.name))
 
 
 def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:
-    """The report.  The night's work is done: a report that cannot be drawn must not lose it, but is told of."""
+    """Return the report.  The night's work is done: a report that cannot be drawn is a warning, and loses nothing."""
     try:
         from ..report.page import build_report
 
@@ -120,3 +143,39 @@ def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[st
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())
         return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"
+
+
+def mend_ledger(place: WorkFolder, journal: Journal) -> None:
+    """Make the ledger again where it is damaged, before anybody reads it."""
+    try:
+        with Ledger(place, writes=True) as ledger:
+            for fault in ledger.faults:
+                journal.repaired(fault)
+    except (OSError, sqlite3.Error) as error:
+        journal.warn(f"the ledger cannot be used: {error}", remedy="the night does without; the next run tries again")
+
+
+def finish(run: FinishedRun, site: Site, journal: Journal) -> None:
+    """Index the run, pin the first good one, and remove what need not stay.  The night is published: a fault is a warning."""
+    before = len(journal.events)
+    try:
+        with Ledger(run.work, writes=True, records=run.folder.id) as ledger:
+            fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
+            ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
+            ledger.record_run(run.record, run.tasks.values())
+            for fault in ledger.faults:
+                journal.warn(fault)
+        if site.pin == "auto" and not run.work.reference_record.exists() and fit_to_pin(run.record):
+            pin(run.cache, run.folder, automatic=True)
+        if not site.keep.everything:
+            over = clean(run.work, site.keep, asked=False).over
+            if over:
+                what = f"the cache holds {in_words(over)} more than keep.bytes allows"
+                journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
+    except sqlite3.Error as error:
+        journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
+    except (OSError, WbflowError) as error:
+        journal.warn(f"after the run: {error}", remedy="nothing of the night is lost; the next run tries again")
+    with contextlib.suppress(OSError):  # a full disk: the warning has been given
+        for event in journal.events[before:]:
+            run.folder.add(event)

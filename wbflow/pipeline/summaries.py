@@ -6,7 +6,7 @@ of another version, is None or empty.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Self
 
@@ -342,6 +342,10 @@ class ChangesSummary(SiteSummary):
         return self.changes or {}
 
 
+_MOST_NAMED = 8
+"""So many of a figure's parts are named, the largest first."""
+
+
 @dataclass(frozen=True)
 class Meaning:
     """Of one figure."""
@@ -416,3 +420,43 @@ MEANINGS: Mapping[str, Meaning] = {
 def meaning(figure: str) -> Meaning:
     """Of a figure, known or not."""
     return MEANINGS.get(figure) or Meaning(figure.replace("_", " "), "")
+
+
+def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Figures of a stage for people: name and value."""
+    for name, value in figures.items():
+        title, written = titled(name), _percent if meaning(name).share else spoken
+        if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
+            ordered = sorted(value.items(), key=lambda entry: -entry[1])
+            less = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
+            yield title, ", ".join(f"{key} {written(number)}" for key, number in ordered[:_MOST_NAMED]) + less
+        elif value is not None and not isinstance(value, Mapping | list | tuple | str):
+            yield title, written(value)
+
+
+def titled(name: str) -> str:
+    """What a figure is called."""
+    if name in MEANINGS:
+        return MEANINGS[name].title
+    words, _, unit = name.rpartition("_")
+    return (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if 0 < share < 0.1 else f"{100 * share:.0f} %"
+
+
+def spoken(value: Any) -> str:
+    """A number, yes or no, or a word, as people read it."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return number(value) if isinstance(value, float) else f"{value:,}"
+
+
+def number(value: float) -> str:
+    """As people read it: three digits that count, thousands apart."""
+    if value == 0 or abs(value) >= 100:
+        return f"{value:,.0f}"
+    return f"{value:.3g}"

@@ -6,8 +6,9 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+import statistics
 from collections.abc import Callable, Iterable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, field, fields
 from typing import Any, TypeVar
 
 from ..cache.atomic import clear
@@ -110,7 +111,7 @@ class Ledger:
 
     def runs(self) -> list[LedgerRun]:
         """Every run, oldest first."""
-        columns = ", ".join(field.name for field in fields(LedgerRun))
+        columns = ", ".join(column.name for column in fields(LedgerRun))
         return [LedgerRun(*row) for row in self._rows(f"select {columns} from runs order by run")]
 
     def keys_of_runs(self, runs: Iterable[str]) -> set[str]:
@@ -250,3 +251,53 @@ def _is_damage(error: sqlite3.DatabaseError) -> bool:
     """Is the file itself at fault?  (What no table or column is known by: it is no ledger of ours.)"""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
     return code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_MISMATCH}
+
+
+_MOST = 20_000
+"""Tasks that are looked at, the newest first."""
+
+
+@dataclass(frozen=True)
+class TaskCosts:
+    """By stage and by task."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+    """Seconds by the clock: median of a stage's tasks."""
+    tasks: dict[str, float] = field(default_factory=dict)
+    """Of a task, the last time."""
+    stages_mb: dict[str, float] = field(default_factory=dict)
+    """MB (2^20 bytes) that a stage's tasks held at most."""
+    tasks_mb: dict[str, float] = field(default_factory=dict)
+    """Of a task, the last time."""
+
+    def expected(self, stage: str, task: str) -> float:
+        """What a task will take, as far as one can say."""
+        return self.tasks.get(task, self.stages.get(stage, 0.0))
+
+    def held(self, stage: str, task: str, others: float = 0.0) -> float:
+        """MB that a task will hold, as far as one can say; `others` of its stage held so much in the meantime."""
+        return self.tasks_mb.get(task, max(others, self.stages_mb.get(stage, 0.0)))
+
+
+def read_costs(work: WorkFolder) -> TaskCosts:
+    """The costs that a work folder's ledger knows; reading changes nothing."""
+    if not work.ledger.is_file():
+        return TaskCosts()
+    query = f"select stage, task, wall, peak_mb from artifacts where wall is not null order by finished desc limit {_MOST}"
+    try:
+        database = sqlite3.connect(f"{work.ledger.resolve().as_uri()}?mode=ro", uri=True, timeout=1.0)
+        try:
+            rows = [(str(stage), str(task), float(wall), float(mb or 0)) for stage, task, wall, mb in database.execute(query)]
+        finally:
+            database.close()
+    except (sqlite3.Error, ValueError, TypeError):
+        return TaskCosts()
+    stages: dict[str, list[float]] = {}
+    past = TaskCosts()
+    for stage, task, wall, held in rows:
+        stages.setdefault(stage, []).append(wall)
+        past.tasks.setdefault(task, wall)
+        past.tasks_mb.setdefault(task, held)
+        past.stages_mb[stage] = max(held, past.stages_mb.get(stage, 0.0))
+    past.stages.update({stage: statistics.median(walls) for stage, walls in stages.items()})
+    return past

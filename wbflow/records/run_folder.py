@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 from ..cache.atomic import sync_folder, write_atomic
 from ..cache.layout import RunPaths, WorkFolder, run_id, started_by
 from ..cache.lock import hold
-from ..cache.signed import Unsigned, lines_of, signed, unsigned
+from ..cache.signed import Unsigned, signed, unsigned
 from ..cache.untrusted import open_outside, read_outside
 from ..errors import ExitCode, WbflowError
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json
-from .record import CloudRecord, RunRecord, Verdict
+from .record import CloudRecord, RunRecord
 
 if TYPE_CHECKING:
     from ..remote import Mirror
@@ -34,8 +34,8 @@ _FICLONE = 0x40049409
 _PIECE = 1 << 22
 
 
-def write_product(path: Path, data: bytes, earlier: Path | None = None) -> bool:
-    """Write a file that is not to be changed any more; returns whether it shares the bytes of the earlier one.
+def write_product(path: Path, data: bytes, earlier: Path | None = None) -> None:
+    """Write a file that is not to be changed any more.
 
     Where an earlier file holds the same bytes, they are shared: as a clone, where the file system can make one (then nobody can
     tell), else as a second name of the same file.  Products can be read only, so that no program writes through one name what is
@@ -55,22 +55,8 @@ def write_product(path: Path, data: bytes, earlier: Path | None = None) -> bool:
     OSError
         The disk is full, or there is no right to write.
     """
-    shares = earlier is not None and _holds(earlier, data) and share_product(path, earlier)
-    if not shares:
+    if earlier is None or not _holds(earlier, data) or not _shared(earlier, path):
         write_atomic(path, data)
-        _closed(path)
-    return shares
-
-
-def share_product(path: Path, earlier: Path) -> bool:
-    """Publish the bytes of an earlier product once more, without reading them; False where the file system cannot."""
-    shares = _shared(earlier, path)
-    if shares:
-        _closed(path)
-    return shares
-
-
-def _closed(path: Path) -> None:
     with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
         path.chmod(0o444)
 
@@ -172,7 +158,7 @@ class RunFolder:
     def record(self) -> RunRecord:
         """run.json.  Raises NoSuchRun for one that cannot be read."""
         try:
-            return record_of(read_outside(self.paths.record))
+            return RunRecord.from_json(_entries(read_outside(self.paths.record)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -227,7 +213,7 @@ class RunFolder:
             verdict = self.record().verdict
         except NoSuchRun:
             return False
-        return _may_be_shown(verdict)
+        return verdict is None or verdict.level != "failed"
 
     def add(self, event: Event) -> None:
         """Add to the log of a finished run what has happened after it."""
@@ -273,7 +259,7 @@ class UnfinishedRun:
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
-        """Add what is told of the run and give the folder its name; the links lead there.
+        """Add record, log, report and metrics, and give the folder its name; the links lead there.
 
         Parameters
         ----------
@@ -292,27 +278,13 @@ class UnfinishedRun:
             The disk is full, or there is no right to write.
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
-        return self.tell(log_of(events), signed(_OF, record.to_json(), in_lines=True), metrics, record.verdict)
-
-    def tell(self, log: bytes, record: bytes, metrics: str, verdict: Verdict | None) -> RunFolder:
-        """The same with all that is told of the run in bytes, besides the report, which is there.
-
-        Parameters
-        ----------
-        log, record : bytes
-            What happened; run.json.
-        metrics : str
-            The run for Prometheus.
-        verdict : Verdict or None
-            What the night came to.
-        """
-        write_atomic(self.paths.log, log, settle=False)
-        write_atomic(self.paths.record, record, settle=False)
+        write_atomic(self.paths.log, log_of(events), settle=False)
+        write_atomic(self.paths.record, signed(_OF, record.to_json(), in_lines=True), settle=False)
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
-        turn_links(self.work, {self.name: verdict})
+        turn_links(self.work)
         return RunFolder(final)
 
     @property
@@ -326,16 +298,10 @@ class UnfinishedRun:
         return self.work.newest_runs()
 
 
-def turn_links(work: WorkFolder, verdicts: Mapping[str, Verdict | None] | None = None) -> None:
+def turn_links(work: WorkFolder) -> None:
     """Turn each link to the newest run that it may show: after a run has its name, and before the next one, in case that was
-    killed in between.  verdicts: of runs whose record need not be read.  Raises OSError."""
-
-    def good(run: RunFolder) -> bool:
-        if verdicts is None or run.id not in verdicts:
-            return run.is_good()
-        return run.paths.cloud.is_file() and _may_be_shown(verdicts[run.id])
-
-    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: good}
+    killed in between.  Raises OSError."""
+    may_show: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
     for link, suits in may_show.items():
         shown = work.led_to(link)
@@ -345,6 +311,28 @@ def turn_links(work: WorkFolder, verdicts: Mapping[str, Verdict | None] | None =
             if suits(run):
                 work.turn(link, run.id)
                 break
+
+
+def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator[tuple[RunFolder, RunRecord]]:
+    """Yield runs and their records, newest first, without those that cannot be read.
+
+    Each record is read when it is needed: whoever looks at the past stops as soon as enough is known.
+
+    Parameters
+    ----------
+    work : WorkFolder
+        Whose runs.
+    before, after : str
+        Ids of runs: only those between, if given.
+    """
+    for name in reversed(work.run_ids()):
+        if name > after and (not before or name < before):
+            folder = RunFolder(work.run(name))
+            try:
+                record = folder.record()
+            except NoSuchRun:
+                continue
+            yield folder, record
 
 
 @contextlib.contextmanager
@@ -383,10 +371,6 @@ def refresh(work: WorkFolder) -> None:
         turn_links(work)
 
 
-def _may_be_shown(verdict: Verdict | None) -> bool:
-    return verdict is None or verdict.level != "failed"
-
-
 def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     """An id for a run that starts now, and that moment.
 
@@ -401,15 +385,15 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     return run_id(free), now
 
 
-def _told(data: bytes) -> dict[str, Any]:
-    """What run.json says; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
+def _entries(data: bytes) -> dict[str, Any]:
+    """Return what run.json holds; that of an earlier version carries no checksum.  Raises ValueError, AttributeError."""
     try:
         return unsigned(data, _OF)
     except Unsigned:
-        told: dict[str, Any] = json.loads(data)
-        if told.get("of") == _OF:
+        found: dict[str, Any] = json.loads(data)
+        if found.get("of") == _OF:
             raise
-        return told
+        return found
 
 
 def _sha256(path: Path) -> str | None:
@@ -418,16 +402,6 @@ def _sha256(path: Path) -> str | None:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return None
-
-
-def text_of(record: RunRecord) -> str:
-    """run.json without its checksum."""
-    return lines_of({"of": _OF, **record.to_json()})
-
-
-def record_of(data: bytes) -> RunRecord:
-    """The record in the bytes of a run.json.  Raises ValueError, KeyError, TypeError, AttributeError."""
-    return RunRecord.from_json(_told(data))
 
 
 def log_of(events: Iterable[Event]) -> bytes:

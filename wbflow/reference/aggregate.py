@@ -17,9 +17,8 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import POSES, STAGES, Stage
-from ..records.events import TaskEvent
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
-from ..records.run_folder import NoSuchRun, RunFolder
+from ..records.run_folder import NoSuchRun, newest_runs
 from ..runner.planner import Plan
 from ..runner.spec import Impossible, Waiting, cached_state
 from ..runner.worker import run_chain
@@ -80,20 +79,19 @@ def pool(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
 def _nights(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
     """Keys of what the newest run of each night made of cameras that stood where they did, by date and task."""
     found: dict[str, dict[Task, str]] = {}
-    for run in work.run_ids():
+    for folder, record in newest_runs(work):
+        if reference.run not in {folder.id, record.reference} or record.date in found:
+            continue
+        still = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
         try:
-            folder = RunFolder.of(work, run)
-            record = folder.record()
-            if reference.run not in {run, record.reference}:
-                continue
-            still = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
-            events = folder.events()
+            tasks = folder.tasks()
         except NoSuchRun:  # one night less
             continue
-        told = [event for event in events if isinstance(event, TaskEvent) and event.task.subject and event.usable]
-        made = [event for event in told if {camera_of(camera) for camera in event.task.subject} <= still]
-        found[record.date] = {event.task: event.key for event in made if event.key}
-    return dict(sorted(found.items())[-MOST_NIGHTS:])
+        used = {task: event.key for task, event in tasks.items() if event.usable and event.key and task.subject}
+        found[record.date] = {task: key for task, key in used.items() if set(map(camera_of, task.subject)) <= still}
+        if folder.id == reference.run or len(found) == MOST_NIGHTS:
+            break
+    return dict(sorted(found.items()))
 
 
 def _poor(cache: Cache, reference: Reference, stage: Stage) -> list[Subject]:

@@ -10,7 +10,7 @@ from ..errors import ExitCode, WbflowError
 from ..pipeline.stages import STAGES
 from ..records.record import RunRecord
 from ..records.reference_folder import PinnedArtifact, Reference, mend_record, restore, write_reference
-from ..records.run_folder import NoSuchRun, RunFolder
+from ..records.run_folder import RunFolder, newest_runs
 from ..runner.context import RunContext
 from ..runner.journal import Journal
 
@@ -64,13 +64,9 @@ def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
     """
     if name is not None:
         return RunFolder.of(work, name)
-    for run in reversed(work.run_ids()):
-        folder = RunFolder.of(work, run)
-        try:
-            if fit_to_pin(folder.record()):
-                return folder
-        except NoSuchRun:  # not to be read: an older one may be
-            continue
+    for folder, record in newest_runs(work):
+        if fit_to_pin(record):
+            return folder
     remedy = "name one that is good enough: wbflow pin SITE.yaml RUN; wbflow history SITE.yaml lists them"
     raise CannotPin(f"{work.root} has no good run yet", remedy=remedy)
 

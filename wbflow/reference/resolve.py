@@ -32,7 +32,7 @@ from ..runner.spec import (
     summary_of,
 )
 from ..task import Subject, Task, camera_of
-from .health_history import MOST_NIGHTS, SHIFTS, SHIFTS_TYPE, ShiftHistory
+from .health_history import SHIFTS_TYPE, ShiftHistory
 
 _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
@@ -91,7 +91,7 @@ class Pinned:
         """What earlier nights found of a camera.  Raises Waiting."""
         if self.reference is None or self._own_night(task.subject):
             return Absent()
-        return Value(SHIFTS_TYPE, self.past.figures(camera_of(task.subject[0]), SHIFTS, MOST_NIGHTS))
+        return Value(SHIFTS_TYPE, self.past.of_camera(camera_of(task.subject[0])))
 
     def instead(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What takes the place of working a task out: the reference's result, or another function.

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 from ..cache.store import Receipt
 from ..outcome.baseline import appearance_of, figures_of
-from ..outcome.beside import number, titled
 from ..pipeline.stages import STAGES
-from ..pipeline.summaries import meaning
+from ..pipeline.summaries import meaning, number, titled
 from ..records.record import CameraRecord, RunRecord
 from ..site.models import Measure
 from ..task import Task

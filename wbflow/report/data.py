@@ -16,7 +16,7 @@ from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..records.run_folder import NoSuchRun, RunFolder
+from ..records.run_folder import NoSuchRun, RunFolder, newest_runs
 from ..site.models import Site
 from ..task import Task, view_name
 
@@ -66,11 +66,7 @@ class ReportData:
     def earlier(self) -> list[RunRecord]:
         """The last run of each earlier night, newest first."""
         found: dict[str, RunRecord] = {}
-        for name in reversed([name for name in self.work.run_ids() if name < self.record.run]):
-            try:
-                record = RunFolder.of(self.work, name).record()
-            except NoSuchRun:
-                continue
+        for _, record in newest_runs(self.work, before=self.record.run):
             if record.date != self.record.date:
                 found.setdefault(record.date, record)
             if len(found) >= NIGHTS - 1:

@@ -9,8 +9,7 @@ from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
-from ..outcome.beside import spoken
-from ..pipeline.summaries import meaning
+from ..pipeline.summaries import meaning, spoken
 from ..records.events import Event, WarningEvent
 from ..records.record import RunRecord
 from ..records.run_folder import RunFolder

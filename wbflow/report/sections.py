@@ -11,9 +11,8 @@ from typing import Any
 from ..cache.store import Preimage, Receipt
 from ..errors import counted
 from ..outcome.baseline import figures_of
-from ..outcome.beside import shown, spoken
 from ..pipeline.stages import STAGES, Stage
-from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning
+from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary, meaning, shown, spoken
 from ..records.record import CameraRecord, Finding, PairRecord, RunRecord
 from ..runner.spec import Cause
 from ..site.models import Measure

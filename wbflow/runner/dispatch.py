@@ -19,8 +19,7 @@ from ..cache.layout import WorkFolder
 from ..cache.room import free_bytes, in_words
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
-from ..records.costs import TaskCosts, read_costs
-from ..records.ledger import Ledger
+from ..records.ledger import Ledger, TaskCosts, read_costs
 from ..task import Task
 from .context import Options
 from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory, worker_roots

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..pipeline.stages import ANY_SECONDS, ROUGH_SECONDS, Stage
-from ..records.costs import TaskCosts, read_costs
 from ..records.events import Event, Listener, PlannedEvent, StageOutlook, StartedEvent, TaskEvent, WarningEvent, Watcher, now
 from ..records.findings import Finding
+from ..records.ledger import TaskCosts, read_costs
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
 from .spec import State

@@ -62,7 +62,7 @@ def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_us
         toy.capture("roof").write_text("a view from roof, and more of it")
         return worked
 
-    monkeypatch.setattr("wbflow.outcome.through.work", work_then_replace)
+    monkeypatch.setattr("wbflow.outcome.publish.work", work_then_replace)
     record = toy.run(code=3)
     (finding,) = record["verdict"]["findings"]
     assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])

@@ -1,4 +1,4 @@
-"""What a run publishes beside its cloud: files of site-wide stages, kept in the cache, and figures in run.json and the report."""
+"""What a run publishes beside its cloud: files of site-wide stages, and figures in run.json and the report."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.outcome.beside import shown
 from wbflow.pipeline import stages as pipeline
 from wbflow.pipeline.stages import Products
-from wbflow.pipeline.summaries import SiteSummary
+from wbflow.pipeline.summaries import SiteSummary, shown
 
 STAGE = """
 from wbflow_stages.types import Poses, Scene
@@ -20,9 +19,7 @@ def look(poses: Poses) -> Scene:
     return Scene()
 """
 FILES = """
-calls = []
 def files(result):
-    calls.append(1)
     yield "toy.txt", b"%s"
     if %s:
         raise ValueError("no map has the place")
@@ -46,7 +43,7 @@ def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     (toy.folder / "toylook.py").write_text(STAGE)
     mine = dataclasses.replace(ROW, products=Products(files="toyfiles:files", title="The toy"), summary=ToySummary)
     rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
-    for module in ("wbflow.runner.planner", "wbflow.outcome.beside", "wbflow.report.sections", "wbflow.records.record"):
+    for module in ("wbflow.runner.planner", "wbflow.report.sections", "wbflow.records.record"):
         monkeypatch.setattr(f"{module}.STAGES", rows)
     write(toy, "first")
     return toy
@@ -70,28 +67,6 @@ def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> No
     page = (latest(toy_with_files) / "report.html").read_text()
     assert "<h2>The toy</h2>" in page
     assert "href='toy.txt'" in page
-
-
-def test_they_are_not_made_again_but_by_another_function(toy_with_files: ToySite) -> None:
-    toy_with_files.run()
-    import toyfiles  # type: ignore[import-not-found]
-
-    made = len(toyfiles.calls)
-    toy_with_files.run()
-    assert len(toyfiles.calls) == made
-    assert (latest(toy_with_files) / "toy.txt").read_bytes().startswith(b"first")
-    write(toy_with_files, "second")
-    record = toy_with_files.run()
-    assert record["tasks"]["ran"] == 0
-    assert (latest(toy_with_files) / "toy.txt").read_bytes().startswith(b"second")
-
-
-def test_a_damaged_one_is_made_again(toy_with_files: ToySite) -> None:
-    toy_with_files.run()
-    (kept,) = (toy_with_files.work / "cache").rglob("*.toy.txt.beside")
-    kept.write_bytes(b"rubbish")
-    toy_with_files.run()
-    assert (latest(toy_with_files) / "toy.txt").read_bytes() == b"first"
 
 
 def test_what_cannot_be_made_is_told_and_the_night_is_not_lost(toy_with_files: ToySite) -> None:
