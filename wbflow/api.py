@@ -268,10 +268,13 @@ def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
     """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
     if site.notify is None:
         return
-    from .outcome.notify import NotTold, notify  # here: few sites have a command, and it takes modules that nothing else needs
+    from .outcome.notify import (  # here: few sites have a command, and it takes modules that nothing else needs
+        NotifyFailed,
+        notify,
+    )
 
     try:
         notify(site.notify, site.folder, run.work, run.folder.paths, run.record)
-    except (NotTold, OSError) as error:
+    except (NotifyFailed, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])

@@ -115,7 +115,7 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
     wbflow compare RUN_A RUN_B                         folders of two runs, of whatever sites
     """
     from ..outcome.compare import compare as rows_of
-    from ..outcome.compare import last_two, run_named, told
+    from ..outcome.compare import differing, last_two, run_named
     from ..records.run_folder import RunFolder
 
     if len(nights) == 2:
@@ -131,9 +131,9 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
     if as_json:
         echo_json({"a": a.id, "b": b.id, "rows": [row.to_json() for row in rows]})
         return
-    for row in told(rows):
+    for row in differing(rows):
         echo(row)
-    if len(told(rows)) == 3:
+    if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
 
 

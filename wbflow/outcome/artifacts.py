@@ -79,8 +79,8 @@ class FinishedRun:
         return self.load(Task(stage, subject))
 
     def of_cameras(self, *stages: str) -> Mapping[str, Any]:
-        """What the first of these stages that gave something made of each camera, or of each of its views; read when it is asked
-        for."""
+        """What the first of these stages that gave something made of each camera, or of each of its views; each is
+        read when it is needed."""
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
         for view in (task.subject[0] for task in self.tasks if task.stage == FRAMES):
             views.setdefault(camera_of(view), []).append(view)
@@ -153,11 +153,11 @@ class MissingExtra(WbflowError):
 
 
 class NothingToExport(WbflowError):
-    """The run does not hold what was asked for; the message says what is missing."""
+    """The run does not hold what an export needs; the message says what is missing."""
 
 
 def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]:
-    """Write a run's results into `out` in the forms asked for (names of `EXPORTS`); yields each file when it is there.
+    """Write a run's results into `out` in some forms (names of `EXPORTS`); yields each file when it is there.
 
     Raises
     ------
@@ -168,10 +168,10 @@ def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]
     """
     if run.record.poses is None:
         raise NothingToExport(f"run {run.folder.id} solved no cameras: {run.record.reason or 'it ended before'}")
-    asked = [row for row in EXPORTS if row.name in forms]
-    for row in asked:
+    rows = [row for row in EXPORTS if row.name in forms]
+    for row in rows:
         require(row, georeferenced=bool(run.record.poses.crs))
-    for row in asked:
+    for row in rows:
         results = {name: _result(run, stages) for name, stages in row.inputs.items()}
         day = datetime.date.fromisoformat(run.record.date)
         try:

@@ -139,7 +139,7 @@ def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
     """Return the record with the health of cameras whose pictures do not look as usual.
 
     What most cameras have in common tonight (fog, a lamp that is out) is the night's and not theirs; a camera of which something
-    closer to the pixels has said how it is keeps that.
+    closer to the pixels knows the health keeps that.
     """
     usual = record.usual.cameras if record.usual else {}
     looks, common = appearance_of(record), _common_shares(record)

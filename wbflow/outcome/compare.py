@@ -77,8 +77,8 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
     return rows
 
 
-def told(rows: list[Row]) -> list[Row]:
-    """What is said of them: which runs they are, and what differs."""
+def differing(rows: list[Row]) -> list[Row]:
+    """Return which runs they are, and what differs."""
     return rows[:3] + [row for row in rows[3:] if row.differs]
 
 
@@ -122,7 +122,7 @@ def _by_name(records: tuple[CameraRecord, ...] | tuple[PairRecord, ...]) -> Mapp
 
 
 def _of_site(a: RunRecord, b: RunRecord) -> Iterator[Row]:
-    """What site-wide stages tell of both nights."""
+    """Yield the results of site-wide stages that both nights have."""
     for stage in (stage for stage in a.results if stage in b.results):
         ours, theirs = vars(a.results[stage]), vars(b.results[stage])
         yield from (Row(f"{stage}: {titled(name)}", ours[name], theirs[name]) for name in _shared(ours, theirs))
@@ -212,10 +212,10 @@ def places(work: WorkFolder) -> list[dict[str, Any]]:
 def _place(work: WorkFolder, entry: Entry) -> dict[str, Any]:
     run, paths = entry.run, work.run(entry.run.run)
     level = entry.verdict.level if entry.verdict else None
-    told = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
+    known = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
     there = {
         "folder": None if entry.cleaned else paths.folder,
         "cloud": paths.cloud if paths.cloud.is_file() else None,
         "report": paths.report if paths.report.is_file() else None,
     }
-    return told | {name: str(path) if path else None for name, path in there.items()}
+    return known | {name: str(path) if path else None for name, path in there.items()}

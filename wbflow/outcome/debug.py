@@ -81,7 +81,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     nodes = {name: _write(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
     state = plan.states.get(task)
     receipt = Cache(plan.cache.work).by_key(task, spec.preimage().key())
-    told: dict[str, Any] = {
+    description: dict[str, Any] = {
         "stage": task.stage,
         "subject": list(task.subject),
         "night": str(context.date),
@@ -95,7 +95,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     }
     module, _, name = spec.function.partition(":")
     (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=context.date, module=module, name=name))
-    (out / TASK_FILE).write_text(json.dumps(told, indent=1))
+    (out / TASK_FILE).write_text(json.dumps(description, indent=1))
     return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
 
 
@@ -167,17 +167,17 @@ def parameters(folder: Path) -> dict[str, Any]:
 def keep(folder: Path, result: Any) -> str:
     """Write the result beside the script, and say how it compares with what the cache has."""
     task = _task(folder)
-    told = task["outcome"], task["reason"]
+    before = task["outcome"], task["reason"]
     nothing: Any = function(REJECTED)
     if isinstance(result, nothing):
-        same = told == ("rejected", str(result.reason))
-        return f"rejected, {'as in the cache' if same else f'in the cache: {told[0]}'}"
+        same = before == ("rejected", str(result.reason))
+        return f"rejected, {'as in the cache' if same else f'in the cache: {before[0]}'}"
     table = stage_named(task["stage"]).table
     data = result_bytes(result, table)
     file = folder / f"result{table.suffix if table else '.wbf'}"
     file.write_bytes(data)
     if task["digest"] is None:
-        return f"{file} (the cache has none: {told[0]}{f', {told[1]}' if told[1] else ''})"
+        return f"{file} (the cache has none: {before[0]}{f', {before[1]}' if before[1] else ''})"
     same = artifact.digest(data) == task["digest"]
     return f"{file}: {'the same bytes as the cache has' if same else 'other bytes than the cache has'}"
 

@@ -1,8 +1,8 @@
-"""Telling somebody: the command that the site file names, when the state of the site has changed.
+"""Notification by the command that the site file names, when the state of the site has changed; and metrics of a run.
 
-A night that is degraded or has failed is told once for each state (its level, and what its findings are about), a good night
-after such a one once; with `heartbeat`, every other night too.  A command that fails or hangs costs the night nothing, and what
-it was not told it is told the next night.
+The command is called once for each state of degraded and failed nights (the level, and what the findings are about) and once for
+the first good night after them; with `heartbeat`, after every other night too.  One that fails or hangs costs the night nothing,
+and is called again after the next.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ MOST_WORDS = 300
 
 
 _OF = "notified"
-"""Whose signed file it is that holds what was told last."""
+"""What the file with the last reported state is of."""
 
 
-class NotTold(WbflowError):
+class NotifyFailed(WbflowError):
     """The command could not be started, failed, or took too long."""
 
 
 @dataclass(frozen=True)
-class Known:
-    """The state that was told last."""
+class Reported:
+    """The state of the site that the command has last been called for."""
 
     level: str = "good"
     findings: tuple[str, ...] = ()
     """Kind and subject of each."""
 
     @staticmethod
-    def of(verdict: Verdict) -> Known:
-        """The state of a night."""
+    def from_verdict(verdict: Verdict) -> Reported:
+        """Return the state of a night."""
         if verdict.good:
-            return Known()
-        return Known(verdict.level, tuple(sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})))
+            return Reported()
+        return Reported(verdict.level, tuple(sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})))
 
 
 def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
-    """Tell of a run that is published; returns what for, or None where there was nothing to tell.
+    """Call the command for a published run; returns the occasion, or None where there is none.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
     folder : Path
         Where the command runs: the site file's.
     work : WorkFolder
-        Where it stands what was told last.
+        Which keeps the state that was last reported.
     run : RunPaths
         The run's files.
     record : RunRecord
@@ -72,30 +72,30 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
 
     Raises
     ------
-    NotTold
-        With what the command said last.
+    NotifyFailed
+        With the last line of its output.
     """
     assert record.verdict
-    state = Known.of(record.verdict)
+    state = Reported.from_verdict(record.verdict)
     occasion = _occasion(state, _last(work), how.heartbeat)
     if occasion:
-        _tell(how, folder, occasion, run, record)
+        _call(how, folder, occasion, run, record)
         write_signed(work.notified, _OF, {"level": state.level, "findings": state.findings})
     return occasion
 
 
-def _occasion(state: Known, last: Known, heartbeat: bool) -> Occasion | None:
+def _occasion(state: Reported, last: Reported, heartbeat: bool) -> Occasion | None:
     if state != last:
         return "recovered" if state.level == "good" else "failed" if state.level == "failed" else "degraded"
     return "heartbeat" if heartbeat else None
 
 
-def _last(work: WorkFolder) -> Known:
+def _last(work: WorkFolder) -> Reported:
     try:
         data = read_signed(work.notified, _OF)
-    except Damaged:  # nobody knows what was told: what is wrong is told once more
+    except Damaged:  # nobody knows what was reported: what is wrong is reported once more
         data = None
-    return Known(str(data["level"]), tuple(map(str, data["findings"]))) if data else Known()
+    return Reported(str(data["level"]), tuple(map(str, data["findings"]))) if data else Reported()
 
 
 def summary(record: RunRecord) -> str:
@@ -109,41 +109,41 @@ def summary(record: RunRecord) -> str:
 
 def _message(occasion: Occasion, run: RunPaths, record: RunRecord) -> dict[str, Any]:
     head = {"event": occasion, "site": record.site, "date": record.date, "run": record.run, "summary": summary(record)}
-    told = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
+    came_to = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
     cloud = str(run.folder / record.cloud.path) if record.cloud else None
     points = record.cloud.points if record.cloud else 0
-    return {**head, **told, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
+    return {**head, **came_to, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
 
 
-def _tell(how: Notify, folder: Path, occasion: Occasion, run: RunPaths, record: RunRecord) -> None:
+def _call(how: Notify, folder: Path, occasion: Occasion, run: RunPaths, record: RunRecord) -> None:
     message = _message(occasion, run, record)
     plain = {name: value for name, value in message.items() if isinstance(value, str | int)}
     environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in plain.items()}
-    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as said:  # pipes could be held open by what outlives it
-        told.write(json.dumps(message).encode())
-        told.seek(0)
+    with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # pipes could be held open by what outlives it
+        stdin.write(json.dumps(message).encode())
+        stdin.seek(0)
         try:
             process = subprocess.Popen(
                 how.command,
                 shell=isinstance(how.command, str),
-                stdin=told,
-                stdout=said,
-                stderr=said,
+                stdin=stdin,
+                stdout=output,
+                stderr=output,
                 env=environment,
                 cwd=folder,
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:
-            raise NotTold(f"notify: {_shown(how)} could not be started: {error}") from error
+            raise NotifyFailed(f"notify: {_shown(how)} could not be started: {error}") from error
         try:
             code = process.wait(timeout=how.seconds)
         except subprocess.TimeoutExpired:
-            raise NotTold(f"notify: {_shown(how)} had not ended after {how.seconds:g} s, and was killed") from None
+            raise NotifyFailed(f"notify: {_shown(how)} had not ended after {how.seconds:g} s, and was killed") from None
         finally:
             _end(process)
         if code:
-            said.seek(0)
-            raise NotTold(f"notify: {_shown(how)} ended with {code}: {_last_line(said.read(100_000))}")
+            output.seek(0)
+            raise NotifyFailed(f"notify: {_shown(how)} ended with {code}: {_last_line(output.read(100_000))}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -158,9 +158,9 @@ def _shown(how: Notify) -> str:
     return repr(command if len(command) < 60 else f"{command[:57]}...")
 
 
-def _last_line(said: bytes) -> str:
-    lines = said.decode(errors="replace").strip().splitlines()
-    words = lines[-1] if lines else "it said nothing"
+def _last_line(output: bytes) -> str:
+    lines = output.decode(errors="replace").strip().splitlines()
+    words = lines[-1] if lines else "no output"
     return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]
 
 
@@ -192,8 +192,8 @@ def metrics(record: RunRecord) -> str:
         ("peak_rss_megabytes", "Memory of the largest worker.", [({}, record.peak_rss_mb)]),
     ]
     lines = []
-    for name, told, values in rows:
-        lines += [f"# HELP wbflow_{name} {told}", f"# TYPE wbflow_{name} gauge"]
+    for name, meaning, values in rows:
+        lines += [f"# HELP wbflow_{name} {meaning}", f"# TYPE wbflow_{name} gauge"]
         lines += [f"wbflow_{name}{{{_labels({'site': record.site, **labels})}}} {value:.12g}" for labels, value in values]
     return "\n".join(lines) + "\n"
 

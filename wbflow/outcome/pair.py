@@ -64,18 +64,18 @@ def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
     made, summary = function(PAIR_FILES)(left, right, **results)
-    told = run.record.pairs[0].to_json() | summary
-    made["index.html"] = _page(list(made), told).encode()
-    made["pair.json"] = json.dumps(told, indent=1).encode()
+    figures = run.record.pairs[0].to_json() | summary
+    made["index.html"] = _page(list(made), figures).encode()
+    made["pair.json"] = json.dumps(figures, indent=1).encode()
     for name, data in made.items():
         write_atomic(out / name, data)
     return tuple(out / name for name in made)
 
 
-def _page(names: list[str], told: dict[str, Any]) -> str:
+def _page(names: list[str], figures: dict[str, Any]) -> str:
     """A page of the pictures, as large as they are, with the figures behind them and links to the files."""
     pictures = [(name, name[2:].rpartition(".")[0]) for name in names if guess_type(name)[0] == "image/jpeg"]
-    rows = [(name.replace("_", " "), value) for name, value in told.items() if isinstance(value, str | int | float)]
+    rows = [(name.replace("_", " "), value) for name, value in figures.items() if isinstance(value, str | int | float)]
     return render("pair.html", pictures=pictures, rows=rows, others=sorted({*names} - {name for name, _ in pictures}))
 
 

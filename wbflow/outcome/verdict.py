@@ -57,9 +57,9 @@ class Facts:
     failed: tuple[tuple[Task, State], ...] = ()
     """Tasks that failed."""
     product: bool = True
-    """Was a cloud asked for?"""
+    """Was a cloud wanted?"""
     missing: tuple[str, str] | None = None
-    """The stage that was asked for instead, where it made nothing, and why."""
+    """The stage that the run was to end with, where it made nothing, and why."""
     interrupted: bool = False
     stopped: tuple[State, ...] = ()
     """Of tasks that were not started because the time was over."""
@@ -153,7 +153,7 @@ def _is_tolerated(found: Finding, night: Night) -> bool:
 
 
 def check_end(night: Night) -> Iterator[Finding]:
-    """Did the run come to its end, and is what was asked for there?"""
+    """Did the run come to its end, and is there what was wanted?"""
     facts, record = night.facts, night.record
     if facts.stopped:
         count = len(facts.stopped)

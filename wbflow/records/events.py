@@ -1,4 +1,4 @@
-"""What happens in a run, as typed events: the lines of its log, and what a listener is told."""
+"""What happens in a run, as typed events: the lines of its log, and what listeners receive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def now() -> str:
 
 @dataclass(frozen=True)
 class TaskEvent:
-    """A task has been settled."""
+    """A task has ended."""
 
     task: Task
     outcome: str
@@ -85,8 +85,8 @@ class WarningEvent:
     def to_json(self) -> dict[str, Any]:
         """A line of the log."""
         subject = {"task": str(self.task), "stage": self.task.stage, "subject": list(self.task.subject)} if self.task else {}
-        told = {"what": self.what, "remedy": self.remedy, "trace": self.trace, "repaired": self.repaired}
-        return {"event": "warning", "at": self.at, **subject, **told}
+        rest = {"what": self.what, "remedy": self.remedy, "trace": self.trace, "repaired": self.repaired}
+        return {"event": "warning", "at": self.at, **subject, **rest}
 
 
 @dataclass(frozen=True)
@@ -140,14 +140,14 @@ Event = TaskEvent | WarningEvent
 """What a log keeps."""
 
 Signal = CapturesEvent | PlannedEvent | StartedEvent
-"""What is only told while a run works."""
+"""For whoever watches a run, and in no log."""
 
 Listener = Callable[[Event], None]
-"""Told of every event as it happens."""
+"""Receives every event as it happens."""
 
 
 Watcher = Callable[[Signal], None]
-"""Told of what is planned and begun, too."""
+"""Receives what is planned and begun, too."""
 
 
 def event_from_json(line: Mapping[str, Any]) -> Event | None:

@@ -38,7 +38,7 @@ create index if not exists uses_artifact on uses (artifact);
 _PATIENCE_S = 5.0
 """How long to wait for somebody else who is writing."""
 _RECENT = 200
-"""So many of a stage's newest artifacts tell what the next one will cost."""
+"""So many of a stage's newest artifacts are averaged."""
 _T = TypeVar("_T")
 
 
@@ -188,7 +188,7 @@ class Ledger:
                 record = run.record()
             except NoSuchRun as error:
                 self.faults.append(f"{error.what}: left out of the ledger")
-                self._write(("insert or replace into unreadable values (?)", [(name,)]))  # and said once
+                self._write(("insert or replace into unreadable values (?)", [(name,)]))  # and reported once
                 continue
             try:
                 tasks = list(run.tasks().values())

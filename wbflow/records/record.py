@@ -130,7 +130,7 @@ class PairRecord(Flat):
 
     @property
     def ok(self) -> bool:
-        """Has it been matched densely, as far as was asked for?"""
+        """Has it been matched densely, as far as was wanted?"""
         return self.outcome == "ok"
 
     def __repr__(self) -> str:

@@ -61,7 +61,7 @@ class Reference:
     """The cameras of the site by id, each as the run has solved it (K, R, C, ...: see cameras.json); empty where it has not."""
     artifacts: Mapping[Task, PinnedArtifact] = field(default_factory=dict)
     automatic: bool = False
-    """Nobody has asked for it: the first good run became it."""
+    """The first good run became it by itself."""
 
     @property
     def placed(self) -> frozenset[str]:
@@ -125,8 +125,8 @@ def read_reference(work: WorkFolder) -> Reference | None:
 
 def _read(path: Path) -> Reference | None:
     try:
-        told = read_signed(path, _OF)
-        return Reference.from_json(told) if told else None
+        data = read_signed(path, _OF)
+        return Reference.from_json(data) if data else None
     except Damaged as damage:
         raise BadReference(damage.what, remedy=_ANEW) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -189,9 +189,9 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
             kept.add(copy)
     if work.reference.is_dir():
         sync_all(work.reference)
-    told = signed(_OF, reference.to_json(), in_lines=True)
+    data = signed(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
-        write_atomic(path, told, ours=True)
+        write_atomic(path, data, ours=True)
     if anew:
         _remove_all_but(work.reference, kept)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import fcntl
+import functools
 import hashlib
 import json
 import os
@@ -158,7 +159,8 @@ class RunFolder:
     def record(self) -> RunRecord:
         """run.json.  Raises NoSuchRun for one that cannot be read."""
         try:
-            return RunRecord.from_json(_entries(read_outside(self.paths.record)))
+            status = self.paths.record.stat()
+            return _read(self.paths.record, (status.st_ino, status.st_mtime_ns, status.st_size))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             what = f"{self.paths.folder} is not the folder of a run: {type(error).__name__}: {error}"
             raise NoSuchRun(what) from None
@@ -383,6 +385,12 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     while work.run(run_id(free)).folder.exists():
         free += datetime.timedelta(seconds=1)
     return run_id(free), now
+
+
+@functools.lru_cache(maxsize=32)
+def _read(path: Path, stamp: tuple[int, int, int]) -> RunRecord:
+    """Return a record; verdict, health and report look at the same earlier nights, and read each once."""
+    return RunRecord.from_json(_entries(read_outside(path)))
 
 
 def _entries(data: bytes) -> dict[str, Any]:

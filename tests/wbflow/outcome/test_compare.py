@@ -16,7 +16,7 @@ from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import NAMES, camera, lost, night, without
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
-from wbflow.outcome.compare import Row, compare, told
+from wbflow.outcome.compare import Row, compare, differing
 from wbflow.pipeline.summaries import ChangesSummary, CoverageSummary
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
@@ -43,7 +43,7 @@ def test_noise_is_no_difference(a: Any, b: Any, differs: bool) -> None:
 def test_what_a_lost_camera_takes_along_is_told_with_percentages() -> None:
     good = night("2026-11-19")
     poor = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), points=55_000)
-    lines = [str(row).split(maxsplit=1) for row in told(compare(good, poor))]
+    lines = [str(row).split(maxsplit=1) for row in differing(compare(good, poor))]
     assert [line[0] for line in lines[:5]] == ["run", "night", "verdict", "points", "cameras"]
     assert lines[3][1].split() == ["100,000", "55,000", "-45", "%"]
     names = {name for name, _ in lines[5:]}
@@ -55,12 +55,12 @@ def test_what_site_wide_stages_tell_is_compared_too() -> None:
     changes = ChangesSummary(compared=True, count=2)
     seen = [{"coverage": CoverageSummary(seen_by_two=share), "changes": changes} for share in (0.8, 0.6)]
     a, b = (replace(night("2026-11-19"), results=results) for results in seen)
-    rows = told(compare(a, b))[3:]
+    rows = differing(compare(a, b))[3:]
     assert [(row.what, row.a, row.b) for row in rows] == [("coverage: seen by two", 0.8, 0.6)]
 
 
 def test_two_nights_that_are_alike() -> None:
-    assert len(told(compare(night("2026-11-19"), night(points=99_000)))) == 3
+    assert len(differing(compare(night("2026-11-19"), night(points=99_000)))) == 3
 
 
 @pytest.fixture

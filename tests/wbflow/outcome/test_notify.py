@@ -13,7 +13,7 @@ import pytest
 from tests.helpers.toy_site import ToySite
 from tests.wbflow.outcome.test_verdict import NAMES, PAIRS, camera, lost, night, pair, without
 from wbflow.cache.layout import WorkFolder
-from wbflow.outcome.notify import MOST_WORDS, NotTold, metrics, notify, summary
+from wbflow.outcome.notify import MOST_WORDS, NotifyFailed, metrics, notify, summary
 from wbflow.records.record import Health, RunRecord
 from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError
@@ -116,7 +116,7 @@ def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
 def test_what_could_not_be_told_is_told_the_next_night(tmp_path: Path, command: str | list[str], said: str) -> None:
     site = Site(tmp_path)
     how, site.how = site.how, Notify(command=command, seconds=0.2 if said.startswith("had") else 30)
-    with pytest.raises(NotTold, match=said):
+    with pytest.raises(NotifyFailed, match=said):
         site.tell(down("roof"))
     site.how = how
     assert site.tell(down("roof")) == "degraded"
@@ -149,7 +149,7 @@ def test_a_failing_command_costs_the_night_nothing_and_stands_in_the_log(toy: To
     assert told["findings"] == record["verdict"]["findings"]
     assert Path(told["cloud"]).is_file()
     last = json.loads((toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()[-1])
-    assert "ended with 1: it said nothing" in last["what"]
+    assert "ended with 1: no output" in last["what"]
 
 
 @pytest.mark.parametrize("command", ["5", "[]", "[a, 5]", "''"])
