@@ -408,10 +408,13 @@ def test_the_guide_lists_every_finding_with_its_meaning_and_remedy() -> None:
     assert listed == [f"| `{code}` | {meaning} | {remedy} |" for code, meaning, remedy in findings_table()]
 
 
+CONTRADICTED = tuple(PoseIssue("contradicted", name, "by 5.0 degrees") for name in ("gate", "mast"))
+
+
 @pytest.mark.parametrize(
     ("figures", "kind", "subject", "words"),
     [
-        ({"contradicting": {"gate": "by 5.0 degrees", "mast": "by 5.0 degrees"}}, "poses-contradicted", ("gate", "mast"), "5.0"),
+        ({"issues": CONTRADICTED}, "poses-contradicted", ("gate", "mast"), "5.0"),
         ({"distances_off": {"gate--mast": (120.0, 12.0)}}, "distances-contradicted", ("gate", "mast"), "120 m apart"),
         ({"points_off": {"control point 2": (2.0, 0.4)}}, "control-contradicted", (), "control point 2"),
         ({"units_off": {"nearest": (8200.0, 1000.0)}}, "units-implausible", (), "millimetres"),
