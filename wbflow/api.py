@@ -203,17 +203,20 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    try:
-        most = bytes_of(memory) if memory else None
-    except ValueError as error:
-        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
     workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
-    options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, most, time_limit, stop_at)
+    options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, _bytes(memory), time_limit, stop_at)
     options.check(site)
     try:
         return _run(site, options, listen or (lambda event: None), watch)
     except OSError as error:
         raise disk_fault(error, site.work) from error
+
+
+def _bytes(memory: str | None) -> int | None:
+    try:
+        return bytes_of(memory) if memory else None
+    except ValueError as error:
+        raise UsageError(f"--memory: {error}", remedy="for example: --memory 4GB") from None
 
 
 def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:

@@ -61,7 +61,19 @@ def check_K(K: Matrix, name: str, location: Location) -> None:
 
 
 def lens_of(K: Matrix, width: int, height: int, distortion: list[float], model: str) -> Lens:
-    """A lens; coefficients that a short list of "brown" leaves out are 0."""
+    """Return a lens.
+
+    Parameters
+    ----------
+    K : matrix
+        3x3, pixels.
+    width, height : int
+        Pixels.
+    distortion : list of float
+        Coefficients of the model; those that a short list of "brown" leaves out are 0.
+    model : str
+        Name of the lens model.
+    """
     if model == "brown" or not distortion:
         distortion = distortion + [0.0] * (5 - len(distortion))
     return Lens(K=K, distortion=distortion, width=width, height=height, model=model)
