@@ -324,11 +324,14 @@ def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
 def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:
     """Captures that were replaced, or grew, since their digests were taken: their names, by camera.
 
+    One that is gone was complete, as far as anybody knows: recorders tidy up.
+
     replaced: files of which that is known.
     """
 
     def moved(files: list[CaptureFile]) -> list[str]:
-        return [f.name for f in files if f.digest and (f.path in replaced or as_now(f, digests).digest != f.digest)]
+        now = {f.name: as_now(f, digests).digest or f.digest for f in files if f.digest}
+        return [f.name for f in files if f.digest and (f.path in replaced or now[f.name] != f.digest)]
 
     found, seconds = {}, ANSWER_SECONDS
     for camera, files in captures.items():

@@ -11,7 +11,7 @@ import pytest
 
 from wbflow.cache.digests import Digests
 from wbflow.errors import UsageError
-from wbflow.site.captures import backlog, find_captures, night
+from wbflow.site.captures import backlog, find_captures, in_motion, night
 from wbflow.site.load import Site, load_site
 
 
@@ -124,3 +124,14 @@ def test_the_memo_does_not_grow_for_ever(tmp_path: Path, monkeypatch: pytest.Mon
         digests.of(file)
         digests.save()
     assert len(json.loads((tmp_path / "memo.json").read_bytes())["files"]) == 6
+
+
+def test_what_grows_during_the_run_is_in_motion_and_what_is_tidied_up_is_not(tmp_path: Path) -> None:
+    s, digests = site(tmp_path, "{camera}.jpg", ["gate.jpg", "roof.jpg"]), Digests(None)
+    found = find_captures(s, night(s, None), digests)
+    assert in_motion(found, set(), digests) == {}
+    with (tmp_path / "in" / "gate.jpg").open("a") as file:
+        file.write("more of it")
+    (tmp_path / "in" / "roof.jpg").unlink()
+    assert in_motion(found, set(), digests) == {"gate": ["gate.jpg"]}
+    assert in_motion(found, {tmp_path / "in" / "roof.jpg"}, digests)["roof"] == ["roof.jpg"], "it was replaced before"
