@@ -35,5 +35,5 @@ def was_offered(file: str) -> bool:
 def load(dotted: str) -> Callable[..., Any]:
     """The function, or class, "package.module:name"."""
     module, _, name = dotted.partition(":")
-    function: Callable[..., Any] = getattr(sys.modules.get(module) or importlib.import_module(module), name)
+    function: Callable[..., Any] = getattr(importlib.import_module(module), name)  # waits for another thread that imports it
     return function
