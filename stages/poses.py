@@ -112,7 +112,7 @@ def solve_poses(
         return found
     uncertain = (PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain(adjusted, geometries).items())
     found = replace(found, issues=(*found.issues, *uncertain), calibration=calibration)
-    found = replace(found, **check_survey(found, views, placements, survey))
+    found = check_survey(found, views, placements, survey)
     return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
 
 
@@ -358,4 +358,4 @@ def _as_stated(
     metric = all(placements[name].metric for name in stated)
     scale = "calibration" if metric else "calibration, not metric"
     found = Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)
-    return replace(found, **check_survey(found, views, placements, survey))
+    return check_survey(found, views, placements, survey)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -22,10 +23,8 @@ NEAREST_M = (0.005, 1000.0)
 """Metres from a camera to the nearest other one, median over a site: less or more than any site of local coordinates has."""
 
 
-def check_survey(
-    poses: Poses, views: Mapping[str, View], placements: Mapping[str, Placement], survey: Survey
-) -> dict[str, dict[str, tuple[float, float]]]:
-    """Fields of `Poses`: what the site states, and the cameras contradict.
+def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[str, Placement], survey: Survey) -> Poses:
+    """Return the poses with what the site states, and the cameras contradict.
 
     Parameters
     ----------
@@ -36,7 +35,7 @@ def check_survey(
     """
     cameras = {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
     if not poses.metric or len(cameras) < 2:
-        return {}
+        return poses
     sigma = 3 * max((placements[name].sigma_m for name in cameras if name in placements), default=0.0)
     centres = {camera_id(name, camera): camera.C for name, camera in cameras.items()}
     distances: dict[str, tuple[float, float]] = {}
@@ -55,7 +54,7 @@ def check_survey(
             points[mark.name] = off, tolerated
     if not survey.crs and len(centres) > 1 and not NEAREST_M[0] <= (nearest := _nearest(centres)) <= NEAREST_M[1]:
         units["nearest"] = nearest, NEAREST_M[nearest > 1]
-    return {"distances_off": distances, "points_off": points, "units_off": units}
+    return replace(poses, distances_off=distances, points_off=points, units_off=units)
 
 
 def _landmarks(cameras: Mapping[str, Camera], views: Mapping[str, View], survey: Survey) -> list[Landmark]:

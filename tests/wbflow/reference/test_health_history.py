@@ -39,7 +39,12 @@ def test_shifts_are_those_of_the_last_nights_and_few_records_are_read(tmp_path: 
     work = work_with(tmp_path, [*(night(k, float(k)) for k in range(19)), other, night(20, 99.0)])
     read: list[RunPaths] = []
     record = RunFolder.record
-    monkeypatch.setattr(run_folder.RunFolder, "record", lambda run: read.append(run.paths) or record(run))
+
+    def counted(run: RunFolder) -> RunRecord:
+        read.append(run.paths)
+        return record(run)
+
+    monkeypatch.setattr(run_folder.RunFolder, "record", counted)
     past = ShiftHistory(work, night=night(20, 0.0).date, reference=REFERENCE)
     shifts = past.of_camera("gate")["shift_x_px"]
     assert shifts == [float(k) for k in range(19 - MOST_NIGHTS, 19)], "oldest first; neither tonight's nor another reference's"
