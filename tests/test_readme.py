@@ -60,6 +60,8 @@ def test_a_site_file_that_init_writes_makes_one_too(folder: Path, tmp_path: Path
         place.parent.mkdir(exist_ok=True)
         place.write_bytes(photograph.read_bytes())
     wbflow_says("init", tmp_path)
+    written = (tmp_path / "site.yaml").read_text()
+    (tmp_path / "site.yaml").write_text(re.sub(r"^site: .*", "site: yard", written, flags=re.MULTILINE))
     wbflow_says("run", tmp_path, "--jobs", "1", "--work", work(folder))  # what is the same comes from the cache
     run = wbflow.open_run(wbflow.load_site(tmp_path, work(folder)))
     assert len(run.cloud.points) > 20_000
