@@ -17,9 +17,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .cache.atomic import bytes_of, disk_fault
 from .cache.layout import WorkFolder
 from .cache.owner import claim
-from .cache.room import bytes_of, disk_fault
 from .errors import UsageError
 from .outcome.artifacts import FinishedRun, function, task_named
 from .outcome.publish import mend_ledger, run_pipeline

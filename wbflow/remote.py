@@ -29,9 +29,9 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from .cache.atomic import FULL
 from .cache.layout import RunPaths, WorkFolder
 from .cache.lock import Locked, hold
-from .cache.room import FULL
 from .cache.signed import Damaged, read_signed, write_signed
 from .errors import ExitCode, WbflowError, counted, printable
 from .records.events import Event, Listener, TaskEvent
@@ -307,7 +307,7 @@ class Mirror:
 
     def _save(self) -> None:
         files = {name: [mark, *stamp] for name, (mark, stamp) in self._agreed.items()}
-        write_signed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files}, lasts=False)
+        write_signed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
 
     def _files(self) -> Iterator[Path]:
         """Every file that belongs into the store: not what is of this machine alone, or can be made again from the rest."""
@@ -386,7 +386,7 @@ def list_captures(root: Path, url: str) -> None:
     for name in known.keys() - files.keys():
         (root / name).unlink(missing_ok=True)
     if files != known:
-        write_signed(memo, "captures", {"files": files}, lasts=False)
+        write_signed(memo, "captures", {"files": files})
 
 
 def fetch_captures(root: Path, url: str, paths: Iterable[Path]) -> None:

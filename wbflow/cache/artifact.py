@@ -13,23 +13,33 @@ import importlib
 import json
 import math
 import os
-import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
+from ..pipeline.stages import PointTable
+from .plugins import load
+from .ply import columns_of, ply_bytes
 from .untrusted import open_outside
 
 MAGIC = b"WBF1"
 _SCALARS = (bool, int, float, str)  # `bool | int` would be made anew at each look
-_MINE = threading.local()
-"""Compressor and decompressor of each thread: making one takes ten times as long as a small array."""
 
 
 class ArtifactError(WbflowError, ValueError):
     """The bytes are not an intact artifact."""
+
+
+def result_bytes(result: Any, table: PointTable | None) -> bytes | bytearray:
+    """A result of a stage as the cache keeps it: a PLY file where there is a table for it, else an artifact."""
+    return ply_bytes(load(table.columns)(result), comments=("made by wbflow",)) if table else encode(result)
+
+
+def result_of(data: bytes, table: PointTable | None) -> Any:
+    """The result that bytes of the cache hold.  Raises ArtifactError, ValueError."""
+    return load(table.restore)(columns_of(data)) if table else decode(data)
 
 
 def encode(value: Any) -> bytes:
@@ -40,9 +50,10 @@ def encode(value: Any) -> bytes:
     TypeError
         A field holds something else, and is not marked `transient` (such fields are left out).
     """
+    import zstandard
+
     frames: list[bytes] = []
-    tree = _tree(value, frames)
-    header = json.dumps(tree, separators=(",", ":"), sort_keys=False).encode()
+    header = json.dumps(_tree(value, frames, zstandard.ZstdCompressor(level=1).compress), separators=(",", ":")).encode()
     return b"".join([MAGIC, len(header).to_bytes(4, "little"), header, *frames])
 
 
@@ -54,58 +65,14 @@ def decode(data: bytes) -> Any:
     ArtifactError
         The bytes are cut short or not an artifact.
     """
-    tree, end = _header(data)
-    return _untree(tree, _Frames(memoryview(data), end))
-
-
-@dataclass
-class Opened:
-    """The bytes of an artifact of which parts are wanted, again and again: each is rebuilt on its own, for its caller."""
-
-    data: bytes
-    _places: dict[tuple[str, str | None], tuple[Any, int]] = dataclasses.field(default_factory=dict)
-    """Header and first frame of each field, and of each entry of a field that is a mapping."""
-
-    def __post_init__(self) -> None:
-        tree, end = _header(self.data)
-        position = end
-        for name, node in tree["fields"].items():
-            self._places[name, None] = node, position
-            start = position
-            for key, entry in node["map"] if isinstance(node, dict) and "map" in node else ():
-                if isinstance(key, str):
-                    self._places[name, key] = entry, start
-                start += _frame_bytes(entry)
-            position += _frame_bytes(node)
-
-    def part(self, field: str, entry: str | None) -> Any:
-        """A field, or an entry of one that is a mapping.  Raises ArtifactError, KeyError."""
-        node, position = self._places[field, entry]
-        return _untree(node, _Frames(memoryview(self.data), position))
-
-
-def _frame_bytes(node: Any) -> int:
-    """Bytes of all array frames below a node of the header."""
-    if isinstance(node, list):
-        return sum(map(_frame_bytes, node))
-    if not isinstance(node, dict):
-        return 0
-    if "array" in node:
-        return int(node["bytes"])
-    if "map" in node:
-        return sum(_frame_bytes(entry) for _, entry in node["map"])
-    return _frame_bytes(node["tuple"]) if "tuple" in node else sum(map(_frame_bytes, node["fields"].values()))
-
-
-def _header(data: bytes) -> tuple[Any, int]:
-    """The header of an artifact, and where its frames begin.  Raises ArtifactError."""
     if data[:4] != MAGIC or len(data) < 8:
         raise ArtifactError("not a wbflow artifact")
     end = 8 + int.from_bytes(data[4:8], "little")
     try:
-        return json.loads(data[8:end]), end
+        tree = json.loads(data[8:end])
     except ValueError as error:
         raise ArtifactError(f"unreadable header: {error}") from error
+    return _untree(tree, _Frames(memoryview(data), end))
 
 
 def digest(data: bytes | bytearray | memoryview) -> str:
@@ -168,11 +135,6 @@ def _kept_of(kind: Any) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(kind) if not f.metadata.get("transient"))
 
 
-@functools.lru_cache
-def _names_of(kind: Any) -> frozenset[str]:
-    return frozenset(f.name for f in dataclasses.fields(kind))
-
-
 def _is_small(value: Any) -> bool:
     """A dataclass of nothing but scalars and words."""
     fields = [getattr(value, f.name) for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else [()]
@@ -187,19 +149,19 @@ def _is_plain(value: Any) -> bool:
     return value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value))
 
 
-def _tree(value: Any, frames: list[bytes]) -> Any:
+def _tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
     if value is None or isinstance(value, _SCALARS):
         return value
     if hasattr(value, "dtype"):
-        return _array_tree(value, frames)
+        return _array_tree(value, frames, compress)
     if dataclasses.is_dataclass(value):
         kind = type(value)
-        fields = {name: _tree(getattr(value, name), frames) for name in _kept(value)}
+        fields = {name: _tree(getattr(value, name), frames, compress) for name in _kept(value)}
         return {"type": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
-        return {"map": [[_key(key), _tree(entry, frames)] for key, entry in value.items()]}
+        return {"map": [[_key(key), _tree(entry, frames, compress)] for key, entry in value.items()]}
     if isinstance(value, tuple | list):
-        return {"tuple": [_tree(item, frames) for item in value]}
+        return {"tuple": [_tree(item, frames, compress) for item in value]}
     raise TypeError(f"{type(value).__name__} cannot be kept in an artifact")
 
 
@@ -207,7 +169,7 @@ def _key(key: Any) -> Any:
     return list(key) if isinstance(key, tuple) else key
 
 
-def _array_tree(array: Any, frames: list[bytes]) -> Any:
+def _array_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
     import numpy as np
 
     shape = list(array.shape)
@@ -216,24 +178,8 @@ def _array_tree(array: Any, frames: list[bytes]) -> Any:
         array = array.astype(array.dtype.newbyteorder("<"))
     if array.dtype.hasobject:
         raise TypeError("an array of Python objects cannot be kept in an artifact")
-    frames.append(_compressor().compress(array.tobytes()))
+    frames.append(compress(array.tobytes()))
     return {"array": array.dtype.str, "shape": shape, "bytes": len(frames[-1])}
-
-
-def _compressor() -> Any:
-    if not hasattr(_MINE, "compressor"):
-        import zstandard
-
-        _MINE.compressor = zstandard.ZstdCompressor(level=1)
-    return _MINE.compressor
-
-
-def _decompressor() -> Any:
-    if not hasattr(_MINE, "decompressor"):
-        import zstandard
-
-        _MINE.decompressor = zstandard.ZstdDecompressor()
-    return _MINE.decompressor
 
 
 @dataclass
@@ -243,10 +189,24 @@ class _Frames:
     data: memoryview
     position: int
 
-    def next(self, size: int) -> memoryview:
-        """The frame of an array."""
-        self.position += size
-        return self.data[self.position - size : self.position]
+    @functools.cached_property
+    def _decompressor(self) -> Any:
+        import zstandard  # here: an object without arrays needs neither this nor numpy
+
+        return zstandard.ZstdDecompressor()
+
+    def next(self, node: Mapping[str, Any]) -> Any:
+        """The array that a node of the header describes."""
+        import numpy as np
+        import zstandard
+
+        frame = self.data[self.position : self.position + node["bytes"]]
+        self.position += node["bytes"]
+        try:
+            raw = bytearray(self._decompressor.decompress(frame))
+            return np.frombuffer(raw, dtype=np.dtype(node["array"])).reshape(node["shape"])
+        except (zstandard.ZstdError, ValueError) as error:
+            raise ArtifactError(f"damaged array: {error}") from error
 
 
 def _untree(node: Any, frames: _Frames) -> Any:
@@ -254,26 +214,15 @@ def _untree(node: Any, frames: _Frames) -> Any:
     if not isinstance(node, dict):
         return node
     if "array" in node:
-        return _array(node, frames.next(node["bytes"]))
+        return frames.next(node)
     if "tuple" in node:
         return tuple(_untree(item, frames) for item in node["tuple"])
     if "map" in node:
         return {tuple(key) if isinstance(key, list) else key: _untree(entry, frames) for key, entry in node["map"]}
     kind = _dataclass(node["type"])
     fields = {name: _untree(tree, frames) for name, tree in node["fields"].items()}
-    known = _names_of(kind)
+    known = {field.name for field in dataclasses.fields(kind)}
     return kind(**{name: value for name, value in fields.items() if name in known})
-
-
-def _array(node: dict[str, Any], frame: memoryview) -> Any:
-    import numpy as np
-    import zstandard
-
-    try:
-        raw = _decompressor().decompress(frame)
-        return np.frombuffer(bytearray(raw), dtype=np.dtype(node["array"])).reshape(node["shape"])
-    except (zstandard.ZstdError, ValueError) as error:
-        raise ArtifactError(f"damaged array: {error}") from error
 
 
 def _dataclass(name: str) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections import defaultdict
 from collections.abc import Iterable
@@ -70,22 +69,25 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
-        doomed, keys, over = _artifacts(work, keep, nights, ledger)
+        unused = nights.without_artifacts(keep)
+        doomed, keys, over = _artifacts(work, keep, nights, unused, ledger)
         doomed += _quarantined(work, 0 if asked else _QUARANTINED)
-        folders = nights.beyond(keep.clouds) & nights.beyond(keep.reports)
-        for run in sorted(nights.beyond(keep.clouds) - folders):
-            doomed += work.run(run).clouds()
-        for run in sorted(nights.beyond(keep.reports) - folders):
-            doomed += [path for path in (work.run(run).report, work.run(run).log) if path.is_file()]
+        clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
+        folders = clouds & reports
+        doomed += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
+        pages = [path for run in sorted(reports - folders) for path in (work.run(run).report, work.run(run).log)]
+        doomed += [path for path in pages if path.is_file()]
         inside = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
         size = _size([*doomed, *inside])
         if not dry_run:
             for path in doomed:
                 path.unlink(missing_ok=True)
-            for run in sorted(folders):
-                _remove_run(work, run)
+            for run in sorted(folders):  # with one rename it is no run any more; the next run removes what a kill leaves of it
+                out = work.unfinished_run(run).folder
+                work.run(run).folder.rename(out)
+                shutil.rmtree(out)
             if keys or folders:
-                ledger.forget(sorted(folders | nights.artifacts_gone), keys)
+                ledger.forget(sorted(folders | unused), keys)
             _remove_empty(work, doomed)
     return Cleaning(len(doomed) + len(inside), size, tuple(sorted(folders)), over)
 
@@ -98,8 +100,6 @@ class _Nights:
         """Oldest first."""
         self.shown = {run for link in work.links() if (run := work.led_to(link))} | set(self.runs[-1:])
         """Runs that stay whatever is said."""
-        self.artifacts_gone: set[str] = set()
-        """Runs whose artifacts go."""
         dates = {run.run: run.date for run in ledger.runs()}
         self._dates = {run: dates.get(run, run) for run in self.runs}  # what the ledger can't read is a night of its own
 
@@ -110,24 +110,23 @@ class _Nights:
         newest = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
         return {run for run in self.runs if self._dates[run] not in newest} - self.shown
 
-    def using(self, keep: Keep) -> set[str]:
-        """Runs whose artifacts stay."""
-        gone = self.beyond(keep.nights)
-        if keep.runs is not None:
-            gone |= set(self.runs[: len(self.runs) - keep.runs]) - self.shown
-        self.artifacts_gone = gone
-        return set(self.runs) - gone
+    def without_artifacts(self, keep: Keep) -> set[str]:
+        """Runs whose artifacts go."""
+        older = self.runs[: len(self.runs) - keep.runs] if keep.runs is not None else []
+        return self.beyond(keep.nights) | set(older) - self.shown
 
 
-def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) -> tuple[list[Path], set[str], int]:
-    """Files of the cache that go, their keys, and how many bytes too many stay."""
+def _artifacts(
+    work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str], ledger: Ledger
+) -> tuple[list[Path], set[str], int]:
+    """Files of the cache that go, their keys, and how many bytes too many stay.  unused: runs whose artifacts go."""
     if keep.runs is keep.nights is keep.bytes is None:
         return [], set(), 0
     files: dict[str, list[Path]] = defaultdict(list)
     for path in work.cached():
         files[path.name.partition(".")[0]].append(path)
-    used = {run: _keys(work, ledger, run) for run in sorted(nights.using(keep))}
-    newest = {key: run for run in sorted(used) for key in used[run]}
+    used = {run: _keys(work, ledger, run) for run in nights.runs if run not in unused}
+    newest = {key: run for run in used for key in used[run]}
     pinned = _pinned_keys(work)
     gone = files.keys() - newest.keys() - pinned
     over = 0
@@ -135,9 +134,7 @@ def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, ledger: Ledger) ->
         sizes = {key: _size(files[key]) for key in files.keys() & newest.keys() - pinned}
         over = sum(sizes.values()) - keep.bytes
         for key in sorted(sizes, key=lambda key: (newest[key], -sizes[key])):
-            if over <= 0:
-                break
-            if not any(key in used.get(run, ()) for run in nights.shown):
+            if over > 0 and not any(key in used.get(run, ()) for run in nights.shown):
                 over -= sizes[key]
                 gone.add(key)
     # the receipt goes first: what is left without one is not believed
@@ -165,16 +162,9 @@ def _keys(work: WorkFolder, ledger: Ledger, run: str) -> set[str]:
 
 
 def _quarantined(work: WorkFolder, count: int) -> list[Path]:
+    """All but the newest so many damaged files."""
     found = [path for path in work.quarantine.glob("*") if path.is_file()]
-    found.sort(key=lambda path: path.stat().st_ctime_ns, reverse=True)
-    return found[count:]
-
-
-def _remove_run(work: WorkFolder, run: str) -> None:
-    """With one rename it is no run any more; what is left of it when this is killed, the next run clears away."""
-    out = work.unfinished_run(run).folder
-    work.run(run).folder.rename(out)
-    shutil.rmtree(out)
+    return sorted(found, key=lambda path: path.stat().st_ctime_ns, reverse=True)[count:]
 
 
 def _remove_empty(work: WorkFolder, removed: Iterable[Path]) -> None:
@@ -191,7 +181,7 @@ def _size(paths: Iterable[Path]) -> int:
     seen: dict[tuple[int, int], int] = defaultdict(int)
     for path in paths:
         with contextlib.suppress(OSError):
-            status = os.stat(path)  # noqa: PTH116 (many)
+            status = path.stat()
             seen[status.st_dev, status.st_ino] += 1
             if seen[status.st_dev, status.st_ino] == status.st_nlink:
                 total += status.st_size

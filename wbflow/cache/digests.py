@@ -5,18 +5,19 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 from ..errors import WbflowError
 from .artifact import file_digest
 from .signed import Damaged, read_signed, write_signed
 
-_SETTLED_NS = 2_000_000_000  # a file younger than this may change again within its time stamp's resolution
-_OF = "digests of captures"
+_SETTLED_NS = 2_000_000_000
+"""A file younger than this may change again within its time stamp's resolution."""
 _FORMER = 2000
-"""So many files that were not asked for this time are remembered besides those that were."""
+"""So many files that were not looked up this time are remembered besides those that were."""
+NIGHTS = 60
+"""So many nights of captures are remembered."""
 
 
 class ChangedFile(WbflowError):
@@ -30,121 +31,84 @@ class ChangedFile(WbflowError):
         return type(self), (self.path,)
 
 
-class Stamp(NamedTuple):
-    """What tells that a file has been touched."""
+class _Memo:
+    """A signed file of one mapping, kept between runs."""
 
-    size: int
-    mtime_ns: int
-    """Last change of its content."""
-    ctime_ns: int
-    """Last change of anything."""
-    inode: int
-
-
-@dataclass
-class Digests:
-    """Digests of files by path, size, time stamps and inode, kept in a signed file between runs."""
-
-    memo: Path | None
-    damage: str | None = None
-    """What was wrong with the memo, if anything was: then every file is read again."""
-    _known: dict[str, list[int | str]] = field(default_factory=dict)
-    _asked: dict[str, None] = field(default_factory=dict)
-    _changed: bool = False
-
-    def __post_init__(self) -> None:
+    def __init__(self, path: Path | None, of: str, entry: str, cost: str) -> None:
+        """path: None keeps nothing.  cost: what it means, in words, when the file is damaged."""
+        self._path, self._of, self._entry = path, of, entry
+        self.damage: str | None = None
+        """What was wrong with the file, if anything was."""
+        known = None
         try:
-            known = read_signed(self.memo, _OF) if self.memo else None
+            known = read_signed(path, of) if path else None
         except Damaged as damage:
-            self.damage = f"{damage.what}: captures are read again"
-            self._changed = True
-            known = None
-        self._known = dict(known.get("files", {})) if known else {}
+            self.damage = f"{damage.what}: {cost}"
+        self._content: dict[str, Any] = dict(known.get(entry, {})) if known else {}
+        self._changed = self.damage is not None
+
+    def save(self) -> None:
+        """Keep what was learnt.  Raises OSError."""
+        if self._path and self._changed:
+            write_signed(self._path, self._of, {self._entry: self._content})
+            self._changed = False
+
+
+class Digests(_Memo):
+    """Digests of files by path, size, time stamps and inode."""
+
+    def __init__(self, memo: Path | None) -> None:
+        super().__init__(memo, "digests of captures", "files", "captures are read again")
+        self._used: dict[str, None] = {}
 
     def of(self, path: Path) -> str:
         """The content digest of a file.  Raises OSError."""
-        name = str(path)
-        self._asked[name] = None
-        status = os.stat(name)  # noqa: PTH116 (hot path)
-        stamp = list(stamp_of(status))
-        known = self._known.get(name)
-        settled = is_settled(status.st_mtime_ns, status.st_ctime_ns)
+        name, status = str(path), path.stat()
+        self._used[name] = None
+        stamp, known = _stamp(status), self._content.get(name)
+        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS
         if known and known[:-1] == stamp and settled:
             return str(known[-1])
         digest = file_digest(path)
-        # remembered only if the file is the one that was looked at before it was read
-        if settled and list(stamp_of(path.stat())) == stamp:
-            self._known[name] = [*stamp, digest]
+        if settled and _stamp(path.stat()) == stamp:  # the file is the one that was looked at before it was read
+            self._content[name] = [*stamp, digest]
             self._changed = True
         return digest
 
     def forget(self, path: Path) -> None:
         """What is remembered of a file is wrong: it is read again."""
-        self._changed |= self._known.pop(str(path), None) is not None
+        self._changed |= self._content.pop(str(path), None) is not None
 
     def save(self) -> None:
         """Keep what was learnt.  Raises OSError."""
-        if self.memo and self._changed:
-            former = [name for name in self._known if name not in self._asked][-_FORMER:]
-            kept = [*former, *(name for name in self._asked if name in self._known)]
-            write_signed(self.memo, _OF, {"files": {name: self._known[name] for name in kept}})
-            self._changed = False
+        former = [name for name in self._content if name not in self._used][-_FORMER:]
+        kept = [*former, *(name for name in self._used if name in self._content)]
+        self._content = {name: self._content[name] for name in kept}
+        super().save()
 
 
-def stamp_of(status: os.stat_result) -> Stamp:
-    """What of a file's status tells that it has been touched."""
-    return Stamp(status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
+def _stamp(status: os.stat_result) -> list[int]:
+    """What tells that a file has been touched: size, last change of its content and of anything, inode."""
+    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
 
 
-def stamp_at(path: str | Path) -> Stamp | None:
-    """The stamp of what lies under a path; None where nothing does."""
-    try:
-        return stamp_of(os.stat(path))  # noqa: PTH116 (hot path)
-    except (OSError, ValueError):
-        return None
-
-
-def is_settled(*times_ns: int) -> bool:
-    """Do these times lie so far back that another change would show in them?"""
-    return time.time_ns() - max(times_ns) > _SETTLED_NS
-
-
-_OF = "captures of earlier nights"
-NIGHTS = 60
-"""So many are remembered."""
-
-
-class Seen:
-    """Digests of captures by camera and night (ISO 8601), kept in a signed file between runs."""
+class Seen(_Memo):
+    """Digests of captures by camera and night (ISO 8601)."""
 
     def __init__(self, memo: Path) -> None:
-        self._memo = memo
-        self.damage: str | None = None
-        """What was wrong with the memo, if anything was."""
-        try:
-            known = read_signed(memo, _OF)
-        except Damaged as damage:
-            self.damage = f"{damage.what}: what cameras have delivered before tonight is forgotten"
-            known = None
-        self._nights: dict[str, dict[str, list[str]]] = dict(known.get("cameras", {})) if known else {}
-        self._changed = self.damage is not None
+        cost = "what cameras have delivered before tonight is forgotten"
+        super().__init__(memo, "captures of earlier nights", "cameras", cost)
 
     def before(self, camera: str, night: str) -> dict[str, str]:
         """The newest earlier night of each digest that a camera has delivered."""
-        earlier = sorted((date, found) for date, found in self._nights.get(camera, {}).items() if date < night)
+        earlier = sorted((date, found) for date, found in self._content.get(camera, {}).items() if date < night)
         return {digest: date for date, found in earlier for digest in found}
 
     def note(self, camera: str, night: str, digests: Iterable[str]) -> None:
         """Remember what a camera delivers tonight.  A night that is run again is remembered as it is now."""
-        nights = self._nights.setdefault(camera, {})
+        nights = self._content.setdefault(camera, {})
         found = sorted({digest for digest in digests if digest})
         if found and nights.get(night) != found:
             nights[night] = found
-            self._nights[camera] = {date: nights[date] for date in sorted(nights)[-NIGHTS:]}
+            self._content[camera] = {date: nights[date] for date in sorted(nights)[-NIGHTS:]}
             self._changed = True
-
-    def save(self) -> None:
-        """Keep what was learnt.  Raises OSError."""
-        if self._changed:
-            write_signed(self._memo, _OF, {"cameras": self._nights})
-            self._changed = False

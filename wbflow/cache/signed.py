@@ -1,4 +1,4 @@
-"""What is remembered carries a checksum of its own content, and says what it is of.
+"""JSON files with a checksum of their own content, which also say what they are of.
 
 A receipt or memo is one JSON object whose first entry is the checksum of all bytes that follow it: it is checked without being
 written anew, and people and programs read it as what it is.  The checksum finds chance and mistakes (a failing disk, an editor,
@@ -15,11 +15,11 @@ from typing import Any
 
 from ..errors import WbflowError
 from .artifact import digest
-from .atomic import write_atomic
+from .atomic import Fsync, write_atomic
 from .untrusted import Unreadable, read_outside
 
-_HEAD, _TAIL, _LENGTH = b'{"signed":"', b'",', 32
-_BODY = len(_HEAD) + _LENGTH + len(_TAIL)
+_HEAD, _TAIL = b'{"signed":"', b'",'
+_BODY = len(_HEAD) + 32 + len(_TAIL)
 
 
 class Damaged(WbflowError, ValueError):
@@ -27,7 +27,7 @@ class Damaged(WbflowError, ValueError):
 
 
 class Unsigned(Damaged):
-    """Bytes of an earlier version, which signed nothing: they are not believed."""
+    """Bytes without a checksum, as earlier versions wrote them: they are not believed."""
 
 
 def signed(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes:
@@ -42,12 +42,13 @@ def signed(of: str, content: Mapping[str, Any], in_lines: bool = False) -> bytes
     in_lines : bool
         For files that people read.
     """
-    told = {"of": of, **content}
-    return sign((lines_of(told) if in_lines else json.dumps(told, separators=(",", ":"))).encode())
+    entries = {"of": of, **content}
+    body = (lines_of(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
+    return _HEAD + digest(body).encode() + _TAIL + body
 
 
 def lines_of(content: Mapping[str, Any]) -> str:
-    """A JSON object for people: an entry a line, and of one that holds many an item a line.  (`json` indents twenty times as
+    """A JSON object for people: one entry in a line, and of an entry that holds many one item.  (`json` indents twenty times as
     slowly as it writes.)"""
     return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_items(entry)}" for name, entry in content.items()) + "\n}"
 
@@ -58,11 +59,6 @@ def _items(entry: Any) -> str:
     if isinstance(entry, list | tuple) and entry:
         return "[\n  " + ",\n  ".join(map(json.dumps, entry)) + "\n ]"
     return json.dumps(entry)
-
-
-def sign(body: bytes) -> bytes:
-    """The same of a JSON object that is text already, and says what it is of."""
-    return b"".join([_HEAD, digest(body[1:]).encode(), _TAIL, body[1:]])
 
 
 def unsigned(data: bytes, of: str) -> dict[str, Any]:
@@ -76,7 +72,7 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
         The checksum is wrong, or it belongs to something else.
     """
     body = data[_BODY:]
-    if data[: len(_HEAD)] != _HEAD:
+    if not data.startswith(_HEAD):
         raise Unsigned("carries no checksum")
     if data[len(_HEAD) : _BODY] != digest(body).encode() + _TAIL:
         raise Damaged("is damaged")
@@ -86,29 +82,12 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
     return content
 
 
-def write_signed(path: Path | str, of: str, content: Mapping[str, Any], *, settle: bool = True, lasts: bool = True) -> None:
-    """Put a signed file into its place.
-
-    Parameters
-    ----------
-    path : Path or str
-        Where.
-    of : str
-        What it belongs to.
-    content : mapping
-        Its entries (see `signed`).
-    settle, lasts : bool
-        See `write_atomic`.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
-    """
-    write_atomic(path, signed(of, content), settle=settle, lasts=lasts, ours=True)
+def write_signed(path: Path, of: str, content: Mapping[str, Any], *, fsync: Fsync = "folder") -> None:
+    """Put a signed file of the work folder into its place (see `signed`, `write_atomic`).  Raises OSError."""
+    write_atomic(path, signed(of, content), fsync=fsync, ours=True)
 
 
-def read_signed(path: Path | str, of: str) -> dict[str, Any] | None:
+def read_signed(path: Path, of: str) -> dict[str, Any] | None:
     """The entries of a signed file; None where there is none, or one of an earlier version.
 
     Raises

@@ -7,7 +7,6 @@ that runs again and gives the same bytes stops there.
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -16,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import WbflowError
+from ..pipeline.stages import stage_named
 from ..task import Task
 from . import artifact
 from .atomic import clear, write_atomic
-from .digests import Stamp, stamp_at
 from .layout import WorkFolder
 from .signed import Damaged, read_signed, write_signed
 from .untrusted import read_outside
@@ -116,37 +115,31 @@ class Cache:
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
-    _known: dict[str, tuple[Stamp, Receipt]] = field(default_factory=dict, compare=False, repr=False)
-    """Receipts that were read or written, by the file that they stand in, and how that was then."""
+    _known: dict[str, tuple[tuple[int, ...], Receipt]] = field(default_factory=dict, compare=False, repr=False)
+    """Receipts by their file, with its stamp when it was read: a night looks up each receipt three times."""
 
-    def __reduce__(self) -> tuple[Any, ...]:  # what is known here is not sent to worker processes
+    def __reduce__(self) -> tuple[Any, ...]:  # what was read and found damaged here is not sent to worker processes
         return type(self), (self.work,)
 
-    def find(self, preimage: Preimage, key: str) -> Receipt | None:
-        """The receipt of a finished task, or None.  Checks the file's presence and size; who reads it checks its digest."""
-        return self.by_key(preimage.task, key)
-
     def by_key(self, task: Task, key: str) -> Receipt | None:
-        """The receipt of a task under a key that is known."""
-        return self._receipt(task, self.work.receipt_name(task, key))
+        """The receipt of a finished task, or None.  Checks the artifact's presence and size; who reads it checks its digest."""
+        return self._receipt(task, self.work.receipt(task, key))
 
     def newest(self, task: Task) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""
-        receipts = [r for name in self.work.receipt_names(task) if (r := self._receipt(task, name))]
-        return max(receipts, key=lambda r: r.finished, default=None)
+        receipts = [receipt for path in self.work.receipts(task) if (receipt := self._receipt(task, path))]
+        return max(receipts, key=lambda receipt: receipt.finished, default=None)
 
     def receipts(self) -> Iterator[Receipt]:
         """Every intact receipt."""
-        for path in self.work.receipts():
-            if receipt := self._receipt(None, str(path)):
-                yield receipt
+        return (receipt for path in self.work.receipts() if (receipt := self._receipt(None, path)))
 
     def note(self, what: str, task: Task | None = None) -> None:
-        """Note damage that was found, for whoever tells of it."""
+        """Note damage that was found, to be reported (see `damages`)."""
         self._damages.append(Damage(what, task))
 
     def damages(self) -> list[Damage]:
-        """What was found damaged since the last time that somebody asked."""
+        """What was found damaged since the last call."""
         found = self._damages[:]
         del self._damages[: len(found)]
         return found
@@ -155,9 +148,9 @@ class Cache:
         """The artifact's file.  Raises ValueError for a rejected task, which has none."""
         if receipt.file is None:
             raise ValueError(f"{receipt.task} left no artifact")
-        return Path(self._name(receipt, receipt.file))
+        return self.work.task(receipt.preimage.task) / receipt.file
 
-    def read(self, task: Task, path: Path | str, digest: str) -> bytes:
+    def read(self, task: Task, path: Path, digest: str) -> bytes:
         """The bytes of an artifact.
 
         Raises
@@ -172,13 +165,13 @@ class Cache:
                 data = b""
             if artifact.digest(data) == digest:
                 return data
-        gone = not os.path.exists(path)  # noqa: PTH110
-        self.quarantine(Path(path))
-        raise DamagedArtifact(task, Path(path), gone)
+        gone = not path.exists()
+        self._quarantine(path)
+        raise DamagedArtifact(task, path, gone)
 
     def load(self, task: Task, receipt: Receipt) -> Any:
-        """The object that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
-        return artifact.decode(self.read(task, self.path(receipt), receipt.digest))
+        """The result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
+        return artifact.result_of(self.read(task, self.path(receipt), receipt.digest), stage_named(task.stage).table)
 
     def drawing(self, task: Task, key: str, name: str) -> bytes | None:
         """What was drawn of a result; None where that is not there, or not as it was drawn."""
@@ -195,10 +188,11 @@ class Cache:
         """Keep an artifact and what was drawn of it: the bytes first, the receipt last.  Raises OSError."""
         task = receipt.preimage.task
         for name, drawing in (drawings or {}).items():
-            write_atomic(self.work.drawing(task, receipt.key, name), drawing, settle=False, ours=True)
-        if data is not None and receipt.file:
-            write_atomic(self._name(receipt, receipt.file), data, settle=False, ours=True)
-        write_signed(*self._told(receipt))
+            write_atomic(self.work.drawing(task, receipt.key, name), drawing, fsync="none", ours=True)
+        if data is not None:
+            write_atomic(self.path(receipt), data, fsync="file", ours=True)
+        path = self.work.receipt(task, receipt.key)
+        write_signed(path, self.work.place(path), {**vars(receipt), "preimage": vars(receipt.preimage)})
 
     def tidy(self, task: Task) -> None:
         """Clear away what a worker that is gone has left half-written of a task."""
@@ -206,12 +200,7 @@ class Cache:
             with suppress(OSError):
                 left.unlink()
 
-    def _told(self, receipt: Receipt) -> tuple[str, str, dict[str, Any]]:
-        """A receipt's file, what it is of, and what it says."""
-        place = self.work.receipt_name(receipt.preimage.task, receipt.key)
-        return place, self.work.place(place), {**vars(receipt), "preimage": vars(receipt.preimage)}
-
-    def quarantine(self, path: Path) -> None:
+    def _quarantine(self, path: Path) -> None:
         """Take an artifact out of use: the receipt goes first, the file is kept for whoever wants to know why."""
         clear(self.work.receipt_beside(path))
         if path.exists():
@@ -219,56 +208,49 @@ class Cache:
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
 
-    def _name(self, receipt: Receipt, name: str) -> str:
-        """A file beside a receipt."""
-        return self.work.artifact_name(receipt.preimage.task, name)
-
-    def learn(self, receipt: Receipt) -> None:
-        """Somebody else has kept an artifact, and says with which receipt: it need not be read."""
-        name = self.work.receipt_name(receipt.preimage.task, receipt.key)
-        if (stamp := stamp_at(name)) is not None:
-            self._known[name] = stamp, receipt
-
-    def copies(self, task: Task, key: str, known: Receipt | None = None) -> list[str]:
-        """Where the reference keeps the receipt and the artifact of a key that is known here.  known: a receipt of the task."""
-        receipt, name = known if known and known.key == key else self.by_key(task, key), self.work.pinned_name(task, key)
-        return [name, *([f"{name[: name.rindex('/')]}/{receipt.file}"] if receipt and receipt.file else [])]
-
-    def _receipt(self, task: Task | None, name: str) -> Receipt | None:
+    def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
-        stamp = stamp_at(name)
-        if stamp is None and not os.path.lexists(name):
+        stamp = _stamp(path)
+        before, receipt = self._known.get(str(path), (None, None))
+        try:
+            if stamp is None or stamp != before:
+                receipt = self._read(path)
+        except Damaged as damage:
+            self.note(damage.what, task)
             return None
-        known = self._known.get(name)
-        if known is not None and known[0] == stamp:
-            receipt: Receipt | None = known[1]
-        else:
-            receipt = self._read(task, name)
-            if receipt is not None and stamp is not None:
-                self._known[name] = stamp, receipt
-        if receipt and receipt.file and (wrong := _wrong_size(f"{name[: name.rindex('/')]}/{receipt.file}", receipt.bytes)):
+        if receipt and stamp:
+            self._known[str(path)] = stamp, receipt
+        if receipt and receipt.file and (wrong := _wrong_size(path.with_name(receipt.file), receipt.bytes)):
             self.note(wrong, task)
             return None
         return receipt
 
-    def _read(self, task: Task | None, name: str) -> Receipt | None:
+    def _read(self, path: Path) -> Receipt | None:
+        """None for one that is not there, or of another version.  Raises Damaged."""
+        fields = read_signed(path, self.work.place(path))
+        if fields is None:
+            return None
         try:
-            fields = read_signed(name, self.work.place(name))
-            if fields is None:
-                return None
-            fields["preimage"]["subject"] = tuple(fields["preimage"]["subject"])
-            return Receipt(**{**fields, "preimage": Preimage(**fields["preimage"])})
-        except Damaged as damage:
-            self.note(damage.what, task)
-            return None
-        except (TypeError, KeyError):  # of another version
+            preimage = fields["preimage"]
+            preimage["subject"] = tuple(preimage["subject"])
+            return Receipt(**fields | {"preimage": Preimage(**preimage)})
+        except (TypeError, KeyError):
             return None
 
 
-def _wrong_size(path: str, expected: int) -> str | None:
+def _stamp(path: Path) -> tuple[int, ...] | None:
+    """What tells that a file has been replaced; None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+
+
+def _wrong_size(path: Path, expected: int) -> str | None:
     """What is wrong with an artifact at first sight."""
     try:
-        size = os.stat(path).st_size  # noqa: PTH116 (hot path)
+        size = path.stat().st_size
     except OSError:
         return f"{path} is gone"
     return None if size == expected else f"{path} has {size:,} of {expected:,} bytes"

@@ -44,19 +44,14 @@ def read_outside(path: Path | str, most: int = MOST_CAPTURE_BYTES) -> bytes:
     Unreadable
         It is not there, no regular file, too large, or the disk fails.
     """
-    descriptor = open_outside(path, most)
-    try:  # (without a file object, which takes four more calls of the kernel)
-        size = min(os.fstat(descriptor).st_size, most)
-        data = os.read(descriptor, size + 1)  # room for `most` bytes is not asked for where there are few
-        if len(data) != size:  # of 2 GB and more, or it has changed
-            with os.fdopen(os.dup(descriptor), "rb") as rest:
-                data += rest.read(most + 1 - len(data))
-    except OSError as error:
-        raise Unreadable(f"cannot be read: {error.strerror or error}") from None
-    finally:
-        os.close(descriptor)
-    if len(data) > most:
-        raise Unreadable(_too_large(len(data), most))
+    with os.fdopen(open_outside(path, most), "rb") as file:
+        try:
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(size + 1)
+        except OSError as error:
+            raise Unreadable(f"cannot be read: {error.strerror or error}") from None
+    if len(data) > size:
+        raise Unreadable("grows while it is read")
     return data
 
 
@@ -175,8 +170,4 @@ def _check(status: os.stat_result, most: int) -> None:
     if not stat.S_ISREG(status.st_mode):
         raise Unreadable(f"is {_KINDS.get(stat.S_IFMT(status.st_mode), 'no file')}, not a file")
     if status.st_size > most:
-        raise Unreadable(_too_large(status.st_size, most))
-
-
-def _too_large(size: int, most: int) -> str:
-    return f"has {size:,} bytes, {most:,} are the most that such a file may have"
+        raise Unreadable(f"has {status.st_size:,} bytes, {most:,} are the most that such a file may have")

@@ -10,7 +10,7 @@ import traceback
 import click
 
 from .. import __version__
-from ..cache.room import FULL, disk_fault
+from ..cache.atomic import FULL, disk_fault
 from ..errors import ExitCode, WbflowError
 from . import results, run, setup
 from .common import stop

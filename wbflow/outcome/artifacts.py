@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
-from ..cache.codec import result_of
 from ..cache.layout import WorkFolder
 from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
@@ -69,10 +68,7 @@ class FinishedRun:
             The cache does not hold it any more, or its disk has lost something.
         """
         receipt = self.receipt(task)
-        if receipt is None:
-            return None
-        cache = self.cache
-        return result_of(cache.read(task, cache.path(receipt), receipt.digest), stage_named(task.stage).table)
+        return self.cache.load(task, receipt) if receipt else None
 
     def made(self, stage: str, subject: Subject = ()) -> Any:
         """What a stage made of a subject, or None."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache import artifact
-from ..cache.codec import result_bytes
+from ..cache.artifact import result_bytes
 from ..cache.plugins import load, offer
 from ..cache.ply import columns_of
 from ..cache.store import Cache
@@ -135,7 +135,7 @@ def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any
     """Write an input; one that the cache keeps as a file that people can open is copied."""
     if isinstance(how, Stored) and not how.part and how.file and (table := stage_named(how.task.stage).table):
         file = f"{name}{table.suffix}"
-        shutil.copyfile(cache.work.artifact_name(how.task, how.file), folder / file)
+        shutil.copyfile(cache.work.task(how.task) / how.file, folder / file)
         return {"table": file, "restore": table.restore}
     return function(PLAIN_FILES)(value, folder, name)
 

@@ -11,10 +11,10 @@ from html import escape
 from typing import Any
 
 from ..cache import artifact
+from ..cache.atomic import in_words
 from ..cache.cleanup import clean
 from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import ply_bytes, with_comments
-from ..cache.room import in_words
 from ..errors import WbflowError
 from ..pipeline.stages import CALIBRATION, FRAMES, FUSE, PLACE_COMMENTS, POSES
 from ..records.events import TaskEvent

@@ -8,6 +8,7 @@ No night changes what is pinned.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections.abc import Iterable, Mapping
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.artifact import file_digest
-from ..cache.atomic import clear, copy_atomic, copy_new, sync_all, write_atomic
+from ..cache.atomic import clear, copy_atomic, write_atomic
 from ..cache.layout import WorkFolder
 from ..cache.signed import Damaged, read_signed, signed
 from ..cache.store import Cache, Receipt
@@ -181,14 +182,12 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
         The disk is full, or there is no right to write.
     """
     work = cache.work
-    kept, anew = {str(work.reference_record), str(work.reference_twin)}, work.reference.exists()
+    kept, anew = {work.reference_record, work.reference_twin}, work.reference.exists()
     for receipt in receipts:
-        for name in _names(cache, receipt):
-            copy = work.pinned_beside(name)
-            copy_new(name, copy)  # nothing is looked for there before the record names it
-            kept.add(copy)
-    if work.reference.is_dir():
-        sync_all(work.reference)
+        for path in _files(cache, receipt):
+            copy_atomic(path, work.pinned(path), fsync="none")
+            kept.add(work.pinned(path))
+    os.sync()  # all of them at once: the record is the last to be there
     data = signed(_OF, reference.to_json(), in_lines=True)
     for path in (work.reference_twin, work.reference_record):
         write_atomic(path, data, ours=True)
@@ -196,13 +195,14 @@ def write_reference(cache: Cache, reference: Reference, receipts: Iterable[Recei
         _remove_all_but(work.reference, kept)
 
 
-def _remove_all_but(reference: Path, kept: set[str]) -> None:
+def _remove_all_but(reference: Path, kept: set[Path]) -> None:
     """What was there for an earlier reference goes."""
-    for folder, _, names in os.walk(reference):
-        for name in names:
-            if (old := f"{folder}/{name}") not in kept and os.path.isfile(old):  # noqa: PTH113 (hot path)
-                os.unlink(old)  # noqa: PTH108
-    _remove_empty(reference)
+    for path in sorted(reference.rglob("*"), reverse=True):  # what is in a folder before the folder
+        if path.is_dir() and not path.is_symlink():
+            with contextlib.suppress(OSError):  # not empty
+                path.rmdir()
+        elif path not in kept:
+            path.unlink()
 
 
 def drop_reference(work: WorkFolder) -> bool:
@@ -293,17 +293,5 @@ def _differ(path: Path, copy: Path) -> bool:
 
 def _files(cache: Cache, receipt: Receipt) -> list[Path]:
     """An artifact, if there is one, and its receipt."""
-    return [Path(name) for name in _names(cache, receipt)]
-
-
-def _names(cache: Cache, receipt: Receipt) -> list[str]:
-    """The same as text."""
-    task = receipt.preimage.task
-    artifact = [cache.work.artifact_name(task, receipt.file)] if receipt.file else []
-    return [*artifact, cache.work.receipt_name(task, receipt.key)]
-
-
-def _remove_empty(folder: Path) -> None:
-    for inner, _, names in os.walk(folder, topdown=False):
-        if not names and inner != str(folder) and not os.listdir(inner):  # noqa: PTH208 (hot path)
-            os.rmdir(inner)  # noqa: PTH106
+    artifact = [cache.path(receipt)] if receipt.file else []
+    return [*artifact, cache.work.receipt(receipt.preimage.task, receipt.key)]

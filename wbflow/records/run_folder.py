@@ -280,8 +280,8 @@ class UnfinishedRun:
             The disk is full, or there is no right to write.
         """
         write_atomic(self.paths.report, report.encode(errors="backslashreplace"))
-        write_atomic(self.paths.log, log_of(events), settle=False)
-        write_atomic(self.paths.record, signed(_OF, record.to_json(), in_lines=True), settle=False)
+        write_atomic(self.paths.log, log_of(events))
+        write_atomic(self.paths.record, signed(_OF, record.to_json(), in_lines=True))
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import importlib
 from collections.abc import Mapping
 from typing import Any
 
 from ..cache import artifact
 from ..cache.layout import WorkFolder
+from ..cache.plugins import load
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import POSES, STAGES, Stage
@@ -158,7 +158,7 @@ def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Recei
     if known := cache.by_key(task, key):
         return known
     try:
-        result = _function(function.dotted)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
+        result = load(function.dotted)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
     except DamagedArtifact:
         return None
     data = artifact.encode(result)
@@ -168,8 +168,3 @@ def _pooled(cache: Cache, stage: Stage, task: Task, receipts: Mapping[str, Recei
     receipt = Receipt(str(task), key, "ran", preimage, digest, file=file, bytes=len(data), **facts)
     cache.write(receipt, data)
     return receipt
-
-
-def _function(dotted: str) -> Any:
-    module, _, name = dotted.partition(":")
-    return getattr(importlib.import_module(module), name)

@@ -38,7 +38,6 @@ _STILL, _TURNED, _LOST = "still", "turned", "lost"
 """A camera's pose is that of the reference, is known from it, or is not known."""
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
-_HEALTH = HEALTH
 FEWEST = 2
 """So many cameras must stand where they did, for the reference to tell where the others are."""
 
@@ -184,7 +183,7 @@ class Pinned:
 
     def ended(self, task: Task) -> None:
         """A task has ended: that may have been the health of a camera."""
-        if task.stage == _HEALTH:
+        if task.stage == HEALTH:
             self._useless = None
 
     def note_frame(self, subject: Subject, key: str) -> None:
@@ -244,8 +243,7 @@ class Pinned:
         """Are the frames of these cameras those of the reference itself?"""
         if self.reference is None:
             return False
-        frame = FRAMES
-        keys = [(self.frame_keys.get((c,)), self.reference.artifacts.get(Task(frame, (c,)))) for c in cameras]
+        keys = [(self.frame_keys.get((c,)), self.reference.artifacts.get(Task(FRAMES, (c,)))) for c in cameras]
         return all(pinned is not None and key == pinned.key for key, pinned in keys)
 
     def _receipt(self, task: Task) -> Receipt | None:

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from ..cache.atomic import free_bytes, in_words
 from ..cache.layout import WorkFolder
-from ..cache.room import free_bytes, in_words
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
 from ..records.ledger import Ledger, TaskCosts, read_costs

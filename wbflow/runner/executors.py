@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..cache.atomic import in_words
 from ..cache.fingerprint import FunctionError
-from ..cache.room import in_words
 from ..errors import UsageError, WbflowError
 from ..pipeline.binding import bind
 from ..pipeline.functions import FunctionReader

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..cache.room import REMEDY
+from ..cache.atomic import REMEDY
 from ..cache.store import DamagedArtifact
 from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
 from ..task import Task

@@ -222,7 +222,7 @@ class Plan:
         key = preimage.key()
         if stage.name == FRAMES:
             self._pinned.note_frame(task.subject, key)
-        if not spec.force and (receipt := self.cache.find(preimage, key)):
+        if not spec.force and (receipt := self.cache.by_key(task, key)):
             self.commit(task, cached_state(receipt))
         else:
             self.ready[task] = spec

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import dataclasses
 import datetime
@@ -21,10 +22,10 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ..cache import artifact
-from ..cache.codec import result_bytes, result_of
+from ..cache.artifact import result_bytes, result_of
+from ..cache.atomic import FULL, REMEDY
 from ..cache.digests import ChangedFile
 from ..cache.plugins import load, offer
-from ..cache.room import FULL, REMEDY
 from ..cache.store import Cache, Damage, DamagedArtifact, Preimage, Receipt
 from ..cache.untrusted import read_outside
 from ..errors import LONGEST_TRACE, printable
@@ -160,7 +161,7 @@ def _attempt(spec: TaskSpec, chain: _Chain) -> Done:
         resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
         preimage = resolved.preimage()
         key = preimage.key()
-        if not spec.force and (receipt := chain.cache.find(preimage, key)):
+        if not spec.force and (receipt := chain.cache.by_key(spec.task, key)):
             return Done(spec.task, cached_state(receipt))
         return _do(resolved, preimage, key, chain)
     except DamagedArtifact as damage:
@@ -276,24 +277,21 @@ def _load(value: Input, chain: _Chain, keep: bool = True) -> Any:
         captures = [_capture(value.kind, file) for file in value.files]
         return captures[0] if value.single else captures
     result = chain.results.get(value.file_digest)
-    if result is None and value.part and not value.task.subject:
-        opened = _opened(chain.cache, value.task, value.file, value.file_digest)
-        return opened.part(value.part.field, value.part.entry)
+    if result is None and value.part and not value.task.subject:  # the tasks of many chains need a part each
+        return copy.deepcopy(value.part.of(_decoded(chain.cache, value.task, value.file, value.file_digest)))
     if result is None:
-        result = result_of(_bytes_of(chain.cache, value.task, value.file, value.file_digest), stage_named(value.task.stage).table)
+        result = _read(chain.cache, value.task, value.file, value.file_digest)
         if keep:
             chain.results[value.file_digest] = result
     return value.part.of(result) if value.part else result
 
 
-def _bytes_of(cache: Cache, task: Task, file: str, digest: str) -> bytes:
-    return cache.read(task, cache.work.artifact_name(task, file), digest)
+def _read(cache: Cache, task: Task, file: str, digest: str) -> Any:
+    data = cache.read(task, cache.work.task(task) / file, digest)
+    return result_of(data, stage_named(task.stage).table)
 
 
-@functools.lru_cache(4)
-def _opened(cache: Cache, task: Task, file: str, digest: str) -> artifact.Opened:
-    """An artifact of the whole site, of which the tasks of many chains need a part each."""
-    return artifact.Opened(_bytes_of(cache, task, file, digest))
+_decoded = functools.lru_cache(4)(_read)
 
 
 def _from_plain(value: Value) -> Any:

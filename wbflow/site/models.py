@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..cache.atomic import bytes_of
 from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
-from ..cache.room import bytes_of
 from ..task import camera_of
 from .locations import Document, Location, SiteProblem
 from .rotations import look_at, rotation_fault, yaw_pitch_roll

@@ -16,7 +16,7 @@ def test_the_error_says_how_much_is_needed_and_how_much_is_free(tmp_path: Path, 
     def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("wbflow.cache.room.free_bytes", lambda folder: 12_000)
+    monkeypatch.setattr("wbflow.cache.atomic.free_bytes", lambda folder: 12_000)
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match=r"the disk is full: 3.4 MB needed, 12 kB free") as raised:
         write_atomic(tmp_path / "a", b"x" * 3_400_000)

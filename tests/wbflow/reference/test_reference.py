@@ -275,7 +275,7 @@ def test_pooling_in_any_order_of_nights_twice_or_after_a_kill_makes_the_same_ref
     for date in (THIRD, SECOND, THIRD, FIRST):
         toy.run("--date", date)
     functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_signed"): signed.write_signed}
-    functions |= {(reference, "copy_new"): atomic.copy_new, (reference, "write_atomic"): atomic.write_atomic}
+    functions |= {(reference, "copy_atomic"): atomic.copy_atomic, (reference, "write_atomic"): atomic.write_atomic}
     for last in (1, 2, 4, 6, 7, 30, 1000):  # the last is never reached
         steps = iter(range(1000))
         for (module, name), function in functions.items():
