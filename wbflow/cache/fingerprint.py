@@ -52,6 +52,7 @@ class Modules:
     _tops: dict[str, ModuleSpec | None] = field(default_factory=dict)
     """What Python finds by the first word of a module's name."""
     _codes: dict[Path, _ModuleCode] = field(default_factory=dict)
+    _trees: dict[Path, ast.Module] = field(default_factory=dict)
 
     def code(self, module: str, path: Path) -> _ModuleCode:
         """Return the code of a module, read once."""
@@ -73,9 +74,15 @@ class Modules:
         path = self.file(name) if self.folder else None
         return bool(path and self.folder and path.is_relative_to(self.folder))
 
+    def tree(self, path: Path) -> ast.Module:
+        """Return the syntax tree of a source file, read once: nobody may change it.  Raises FunctionError."""
+        if path not in self._trees:
+            self._trees[path] = self.parsed(path)
+        return self._trees[path]
+
     @staticmethod
-    def tree(path: Path) -> ast.Module:
-        """Return the syntax tree of a source file.  Raises FunctionError where the file is not Python."""
+    def parsed(path: Path) -> ast.Module:
+        """Return a new syntax tree of a source file.  Raises FunctionError where the file is not Python."""
         try:
             return ast.parse(path.read_bytes(), filename=str(path))
         except SyntaxError as error:
@@ -190,7 +197,7 @@ class _ModuleCode:
 
 def _module_code(modules: Modules, module: str, path: Path, function: str = "", table: str = "") -> _ModuleCode:
     """Read a module, without the name of one of its functions and without a table."""
-    tree = modules.tree(path)
+    tree = modules.parsed(path)
     bare = _Bare(modules, module, path)
     bare.visit(tree)
     tree.body = [node for node in tree.body if not table or table not in assigned(node)]

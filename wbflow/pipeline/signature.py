@@ -162,11 +162,11 @@ class _Scope:
     """The files that were looked at."""
     depth: int = 0
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The syntax tree of the module."""
         self.read.add(self.path)
-        object.__setattr__(self, "tree", self.modules.tree(self.path))
-
-    tree: ast.Module = field(init=False)
+        return self.modules.tree(self.path)
 
     @cached_property
     def defined(self) -> dict[str, ast.expr]:
