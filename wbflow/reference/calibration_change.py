@@ -21,7 +21,8 @@ Pinned = Mapping[str, Mapping[str, Any]]
 def calibration_change(pinned: Pinned, site: Site) -> str:
     """Return in words what is different, "" where nothing is.
 
-    Poses are compared with each other, so that the frame and the scale of the pinned world do not matter.
+    Poses are compared with each other, so that the frame and the scale of the pinned world do not matter; those with standard
+    deviations were refined by the run that was pinned, and are not compared.
 
     Parameters
     ----------
@@ -41,7 +42,8 @@ def calibration_change(pinned: Pinned, site: Site) -> str:
     if borders:
         out = " (there is none any more)" if not any(any(lenses[name][0].distortion) for name in borders) else ""
         found.append(f"distortion of {_named(borders, site)} by up to {100 * max(borders.values()):.1f} % of the width{out}")
-    posed = {c.id: c.placement for c in site.cameras if c.placement.R and c.placement.C and pinned.get(c.id, {}).get("R")}
+    exact = {c.id: c.placement for c in site.cameras if max(c.placement.sigma_m, c.placement.sigma_deg) == 0}
+    posed = {name: place for name, place in exact.items() if place.R and place.C and pinned.get(name, {}).get("R")}
     before = {name: (pinned[name]["R"], pinned[name]["C"]) for name in posed}
     turned, moved = _poses_apart(before, {name: (place.R, place.C) for name, place in posed.items()})
     if turned > LEAST_DEG or moved > LEAST_DISTANCE:
