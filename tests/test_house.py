@@ -44,7 +44,7 @@ PATHS = r"""(?x)^(
     cache | runs | latest | latest-good | reference\.json | quarantine | lock | \.writing | \.wbflow
     | run\.json | metrics\.prom | notified\.json
     | log\.jsonl | cameras\.json | report\.html | ledger\.sqlite.* | captures\.json | functions\.json
-    | cloud.*\.ply | .*\.tmp | \.?jpg | \.published)$"""
+    | cloud.*\.ply | .*\.tmp | \.?jpg)$"""
 LAYOUT = ENGINE / "cache" / "layout.py"
 OTHERS = {
     ENGINE / "outcome" / "demo.py": {"cameras.json"},  # of the demo's own folder

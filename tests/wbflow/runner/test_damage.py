@@ -142,16 +142,6 @@ def test_a_default_changed_in_the_memo_of_functions_is_found(toy: ToySite) -> No
     assert repaired(toy) == []
 
 
-def test_what_is_published_of_the_world_is_made_again_when_it_was_changed(toy: ToySite) -> None:
-    toy.run()
-    cameras = toy.work / "runs" / "latest" / "cameras.json"
-    before = cameras.read_bytes()
-    (memo,) = (toy.work / "cache" / "poses").rglob("*.published")
-    damaged(memo, b"1.0", b"7.0")
-    assert any(".published is damaged" in what for what in repaired(toy))
-    assert cameras.read_bytes() == before
-
-
 def test_a_flipped_byte_that_four_tasks_read_counts_once(toy: ToySite) -> None:
     toy.run()
     cloud = toy.cloud
