@@ -1,19 +1,17 @@
 """Work folders and captures in an object store (s3://bucket/prefix, gs://..., file:///...), through fsspec.
 
-A work folder in a store is worked on as an ordinary folder of this machine, file for file under the same names.  Before a run or
-a command `pull` brings what other machines have done; results go up while the run works, and `push` sends the rest at its end.
-The store's listing is the index: size and ETag of each file, compared with what both sides had when they last agreed
-(`mirror.json`).  Where the store has changed since, the store wins; what differs otherwise was done here, and goes up.  An
-artifact goes before its receipt, and a run's files before its run.json: nothing in the store promises what is not there.  A
-machine that joins downloads the folder once; `keep:` and `wbflow clean` limit how large that is.
+A work folder in a store is worked on as an ordinary folder of this machine, file for file under the same names: `pull` brings
+what other machines have done, `push` sends what was done here, while the run works and at its end.  The store's listing is the
+index: size and ETag of each file, compared with what both sides had when they last agreed (`mirror.json`).  Where the store has
+changed since, the store wins; what differs otherwise was done here, and goes up.  An artifact goes before its receipt, a run's
+files before its run.json: nothing in the store promises what is not there.
 
 One machine writes at a time: `held.json` in the store names it.  It is made with a conditional put where the store knows one,
 renewed while results go up, and counts as abandoned after an hour; what a killed run has left is taken over at once by the next
 run on the same machine.  The clocks of the machines have to agree to within a few minutes.
 
-Captures in a store are listed, and those of the night are fetched; each comes once, until its ETag changes.
-
-Credentials and endpoints are those of the store's own library (AWS_PROFILE, AWS_ENDPOINT_URL, ...): no site file holds any.
+Captures in a store are listed, and those of the night are fetched; each comes once, until its ETag changes.  Credentials and
+endpoints are those of the store's own library (AWS_PROFILE, AWS_ENDPOINT_URL, ...): no site file holds any.
 """
 
 from __future__ import annotations
@@ -25,6 +23,7 @@ import os
 import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -90,7 +89,7 @@ class ObjectStore:
         """Return an object's bytes; None where there is none."""
         with self._errors(name):
             try:
-                return bytes(self._system.cat_file(self._path(name)))
+                return bytes(self._opened[0].cat_file(self._path(name)))
             except FileNotFoundError:
                 return None
 
@@ -98,51 +97,43 @@ class ObjectStore:
         """Write an object.  new: only where there is none; returns False where there is one."""
         with self._errors(name):
             try:
-                self._system.pipe_file(self._path(name), data, **({"mode": "create"} if new else {}))
-            except FileExistsError:
-                return False
+                self._opened[0].pipe_file(self._path(name), data, **({"mode": "create"} if new else {}))
             except OSError as error:  # S3: PreconditionFailed, or ConditionalRequestConflict where two come at once
-                if new and "condition" in f"{error} {error.__cause__}".lower():
+                if new and (isinstance(error, FileExistsError) or "condition" in f"{error} {error.__cause__}".lower()):
                     return False
                 raise
             return True
 
     def fetch(self, names: Sequence[str], root: Path) -> None:
         """Copy objects to files of the same names, each by rename; one that is gone is left out."""
-        temporary = [WorkFolder.unfinished(root / name) for name in names]
-        for path in temporary:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        with self._errors("download"):
-            try:
-                self._system.get([self._path(name) for name in names], [str(path) for path in temporary], batch_size=_AT_ONCE)
-            except FileNotFoundError:  # of one: the others are asked for by themselves
-                for name, path in zip(names, temporary, strict=True):
-                    with contextlib.suppress(FileNotFoundError):
-                        self._system.get_file(self._path(name), str(path))
-        for name, path in zip(names, temporary, strict=True):
+
+        def one(name: str) -> None:
+            temporary = WorkFolder.unfinished(root / name)
+            temporary.parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
-                path.replace(root / name)
+                self._opened[0].get_file(self._path(name), str(temporary))
+                temporary.replace(root / name)
+
+        with self._errors("download"), ThreadPoolExecutor(_AT_ONCE) as threads:
+            list(threads.map(one, names))
 
     def put(self, names: Sequence[str], root: Path) -> None:
         """Copy files to objects of the same names.  After an error some are there, and others are not."""
         with self._errors("upload"):
-            self._system.put([str(root / name) for name in names], [self._path(name) for name in names], batch_size=_AT_ONCE)
+            self._opened[0].put([str(root / name) for name in names], [self._path(name) for name in names], batch_size=_AT_ONCE)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove objects; one that is gone already is no error."""
         for name in names:
             with self._errors(name), contextlib.suppress(FileNotFoundError):
-                self._system.rm_file(self._path(name))
+                self._opened[0].rm_file(self._path(name))
 
     def _path(self, name: str) -> str:
         return f"{self._opened[1]}/{name}"
 
-    @property
-    def _system(self) -> Any:
-        return self._opened[0]
-
     @cached_property
     def _opened(self) -> tuple[Any, str]:
+        """The file system of fsspec, and the path in it."""
         try:
             from fsspec.core import url_to_fs  # an extra
 
@@ -310,14 +301,12 @@ class Mirror:
         write_signed(self.work.mirror_memo, "mirror", {"url": self.store.url, "token": self._token, "files": files})
 
     def _files(self) -> Iterator[Path]:
-        """Every file that belongs into the store: not what is of this machine alone, or can be made again from the rest."""
-        work = self.work
-        yield from (work.seen_memo, work.notified, work.owner, *work.cached(), *work.reference.rglob("*"))
-        for run in work.run_ids():
-            yield from work.run(run).folder.iterdir()
+        """Every file here that belongs into the store."""
+        start = len(f"{self.work.root}/")
+        return (path for path in self.work.root.rglob("*") if self._belongs(str(path)[start:]))
 
     def _belongs(self, name: str) -> bool:
-        """Return whether an object is one of these files."""
+        """Return whether a file belongs into the store: not what is of this machine alone, or can be made again from the rest."""
         work, parts = self.work, PurePosixPath(name).parts
         fewest = {work.cache.name: 4, work.reference.name: 2, work.runs.name: 3}
         fewest |= {path.name: 1 for path in (work.seen_memo, work.notified, work.owner)}
