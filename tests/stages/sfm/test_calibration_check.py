@@ -121,6 +121,19 @@ def test_look_alikes_of_one_pair_contradict_nothing(site: PairSite) -> None:
     assert not check.contradicted
 
 
+def test_a_part_of_the_matches_elsewhere_contradicts_nothing(site: PairSite) -> None:
+    names = list(site.cameras)[:3]
+    geometries = {}
+    for pair, geometry in site.geometries.items():
+        if set(pair) <= set(names):
+            x1, x2 = geometry.x1.copy(), geometry.x2.copy()
+            few = np.arange(len(x1)) % 5 == 0
+            x2[few] += [6.0, 25.0]
+            geometries[pair] = replace(geometry, x1=x1, x2=x2)
+    check = check_calibration({name: site.cameras[name] for name in names}, geometries, tuple(names))
+    assert check is not None and not check.contradicted
+
+
 def test_without_matches_nothing_is_said(site: PairSite) -> None:
     assert check_calibration(site.cameras, {}, tuple(site.cameras)) is None
 
