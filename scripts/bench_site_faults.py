@@ -497,8 +497,8 @@ VARIATIONS = (
     _fault("frames of one upside down", pictures(lambda p: p[::-1, ::-1], (1,)), "upside-down", "turned", "camera-moved"),
     _fault("captures of two exchanged", exchanged_captures(lambda n: [n[1], n[0], *n[2:]]), "exchanged", on=ALL),
     _fault("captures of all rotated", exchanged_captures(lambda n: [*n[1:], n[0]]), "exchanged"),
-    _fault("the same picture twice", same_picture_twice(True), "same-picture"),
-    _fault("the same picture twice, poses solved", same_picture_twice(False), "same-picture"),
+    _fault("the same picture twice", same_picture_twice(True), "cameras-alike"),
+    _fault("the same picture twice, poses solved", same_picture_twice(False), "cameras-alike"),
     _fault("one shows another scene", other_scene, "camera-no-usable-pair", "camera-foreign"),
     # second nights
     _fault("second night: focal +10 %", focal(1.1), *FOCAL, night=2),
