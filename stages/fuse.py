@@ -1,9 +1,9 @@
 """Depths of all views become one coloured point cloud.
 
 Three passes over the views, few of them in memory at a time: each subsampled (`fusion.planning`), from which follow what can be
-compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.visibility`); points that
-survive, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the pixel's footprint and the depth's
-propagated error, so a desk and a quarry are treated alike.
+compared with what, exposures and the voxels' size; what other views say about each depth (`fusion.visibility`), and how probable
+it is (`fusion.posterior`); probable points, merged on a grid (`fusion.voxels`).  No threshold is a length: all follow from the
+pixel's footprint and the depth's propagated error, so a desk and a quarry are treated alike.
 """
 
 from __future__ import annotations
@@ -21,26 +21,17 @@ from .core.parallel import parallel_map
 from .core.residual_distortion import straight_frames
 from .fusion.pair_depth import world_normals
 from .fusion.planning import exposure_gains, natural_voxel, nearest_views, subsample
+from .fusion.posterior import own_logit, posterior
 from .fusion.surface_support import surface_support
 from .fusion.uncertainty import along_nearest_rays, depth_variance
-from .fusion.visibility import CrossCheck, cross_check
+from .fusion.visibility import CrossCheck, TrustedDepth, cross_check
 from .fusion.voxels import Samples, VoxelGrid
 from .reasons import Reason, Rejected
-from .types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame
+from .types import Camera, Cloud, DepthMap, Float64s, Frame
 
-_AMONG_ACCEPTED = 0.1
-"""A depth without support of its own is accepted if this share of its surroundings is accepted and lies on its surface."""
-
-_LEAST_SUPPORT = 0.4
-"""What a single pair shows must lie on one surface with so much of its surroundings."""
-
-_GOOD_SUPPORT, _SHALLOW = 0.4, 0.4
-"""Where pixels lie further apart on a slanted surface than voxels look for others, a point is kept that has so much of its
-surroundings on its plane, and a standard deviation below this share of the way to the next pixel (chosen on the demo yard)."""
-
-_OUTVOTED = 1.5
-"""Where two views or more agree with a depth, but put the surface so many pixels' widths before or behind it (the median of all,
-and of itself), it is left out: they have their own points there (chosen on the fountain and the demo yard)."""
+_CONTINUED, _ALONE = 0.1, 0.4
+"""What a single pair shows must have this share of its surroundings on its surface: of the believed ones where refinement is not
+sure of it, of the accepted ones everywhere."""
 
 _GRAZING = 0.05
 """Cosine of the lowest angle at which the way to the next pixel is still reckoned with."""
@@ -58,6 +49,7 @@ def fuse(
     component: int = 0,
     min_consistent_pairs: int = 1,
     voxel_m: float | None = None,
+    confidence: float = 0.5,
     neighbours: int = 5,
     check_views: int = 16,
 ) -> Cloud | Rejected:
@@ -71,8 +63,8 @@ def fuse(
     component : only cameras of this component: those that share a world.
     min_consistent_pairs : a point needs so many pairs that agree on it and, from 2 on, so many other views whose depth is the
         same: 2 trades completeness for accuracy.
-    voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers, or one and a half sigmas of
-        depth.
+    voxel_m : edge of the voxels in which points are merged, in metres; None: what a pixel covers.
+    confidence : a point is right with this probability at least: more trades completeness for accuracy.
     neighbours : a point needs so many others within three voxels, or many in the picture where these lie further apart.
     check_views : each view is compared with so many others that see most of the same.
     """
@@ -82,14 +74,19 @@ def fuse(
 
     largest = max((camera.width * camera.height for camera in cameras.values()), default=1)
     kept = max(_IN_MEMORY, _IN_MEMORY_PX // largest)
-    loaded = lru_cache(kept)(lambda name: better[name] if name in better else depths[name])
+
+    @lru_cache(kept)
+    def loaded(name: str) -> TrustedDepth:
+        depth = better[name] if name in better else depths[name]
+        return TrustedDepth(depth, own_logit(depth, frames[name].mask))
+
     loading = Lock()  # or two threads that want the same one would both load it
 
-    def depth_of(name: str) -> DepthMap:
+    def view_of(name: str) -> TrustedDepth:
         with loading:
             return loaded(name)
 
-    small = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], depth_of(name)), cameras), strict=True))
+    small = dict(zip(cameras, parallel_map(lambda name: subsample(frames[name], view_of(name).depth), cameras), strict=True))
     if not any(np.isfinite(view.depth).any() for view in small.values()):
         return Rejected(Reason.NO_DEPTH, {"cameras": float(len(cameras))})
     near = {name: nearest_views(name, cameras, small, check_views) for name in cameras}
@@ -99,9 +96,10 @@ def fuse(
     grid = VoxelGrid(edge, edge * np.round(centre / edge))  # a multiple: the same cells whichever cameras took part
 
     def accepted_of(name: str, grid: VoxelGrid) -> Samples:
-        check = cross_check(name, near[name], cameras, depth_of)
+        check = cross_check(name, near[name], cameras, view_of)
         others = np.array([cameras[other].C for other in near[name]]).reshape(-1, 3)
-        return _samples(frames[name], cameras[name], depth_of(name), check, others, gains[name], min_consistent_pairs, grid)
+        limits = (min_consistent_pairs, confidence)
+        return _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits, grid)
 
     given = _collected(grid, list(cameras), accepted_of)
     loaded.cache_clear()
@@ -126,42 +124,37 @@ def _collected(grid: VoxelGrid, names: Sequence[str], accepted_of: Callable[[str
 
 
 def _samples(
-    frame: Frame, camera: Camera, depth: DepthMap, check: CrossCheck, others: Float64s, gains: Float64s, min_pairs: int,
-    grid: VoxelGrid,
+    frame: Frame, camera: Camera, view: TrustedDepth, check: CrossCheck, others: Float64s, gains: Float64s,
+    limits: tuple[int, float], grid: VoxelGrid,
 ) -> Samples:  # fmt: skip
-    """The points of one view that its own and the other views' evidence supports.
+    """The points of one view that are probable enough.  limits: `min_consistent_pairs` and `confidence` of `fuse`.
 
-    A quarter of the views that could see a point, this one included, must have it; and twice as many as look through it.  What
-    several views put elsewhere, though near, is left to them.  What refinement put there by a single pair counts only
-    where it continues an accepted surface: where one pattern repeats, both views agree on a wrong depth.
+    Where one pattern repeats, both views of a pair agree on a wrong depth: what one pair shows, and refinement is not sure of,
+    counts only where it continues a surface that more evidence supports.
     """
-    accepted = depth.sure | ((check.agreeing > 0) & (check.pairs > 1))
-    accepted |= surface_support(depth, frame.mask & ~accepted, frame.mask & accepted) >= _AMONG_ACCEPTED
-    supported = frame.mask & accepted
+    depth, (min_pairs, confidence) = view.depth, limits
+    right = posterior(depth, frame.mask, view.own, check)
+    believed = frame.mask & (depth.sure | ((check.agreeing > 0) & (check.pairs > 1)))
+    continued = surface_support(depth, frame.mask, believed.astype(np.float32))
+    accepted = (right >= confidence) & (check.pairs >= min_pairs) & (believed | (continued >= _CONTINUED))
+    accepted &= (right > 0) & ((check.pairs > 1) | (surface_support(depth, accepted) >= _ALONE))
     if min_pairs > 1:
-        supported &= check.agreeing >= min_pairs
-    supported &= (check.pairs >= min_pairs) & (4 * (check.agreeing + 1.0) >= check.visible + 1.0)
-    supported &= np.isfinite(depth.depth) & (2 * check.violating <= check.agreeing)
-    supported &= (check.agreeing < 2) | (np.abs(check.shift) * camera.K[0, 0] <= _OUTVOTED)
-    share = surface_support(depth, supported)
-    supported &= (check.pairs > 1) | (share >= _LEAST_SUPPORT)
-    y, x = np.nonzero(supported)
+        accepted &= check.agreeing >= min_pairs
+    y, x = np.nonzero(accepted)
     z, sigma = depth.depth[y, x].astype(np.float64), depth.sigma[y, x].astype(np.float64)
     points, normals = backproject(camera, np.column_stack([x, y]).astype(np.float64), z), world_normals(camera, depth, y, x)
     pixel, variance = (z / camera.K[0, 0]).astype(np.float32), depth_variance(depth, check, y, x)
-    footprint = np.maximum(pixel, sigma).astype(np.float32)
     spacing = pixel / np.maximum(_cosines(camera, points, normals), _GRAZING)
-    self_supported = (spacing >= grid.reach(footprint)) & (variance < (_SHALLOW * spacing) ** 2) & (share[y, x] >= _GOOD_SUPPORT)
     return Samples(
         points,
         normals.astype(np.float32),
         (frame.image[y, x] * gains).clip(0, 255).astype(np.float32),
         (1.0 / sigma**2).astype(np.float32),
-        _confidence(check, depth, y, x),
+        right[y, x],
         check.cameras[y, x].astype(np.float32),
-        footprint,
+        pixel,
         along_nearest_rays(variance, camera, others, check.nearest[y, x], points, normals).astype(np.float32),
-        self_supported,
+        spacing >= grid.reach(pixel),
     )
 
 
@@ -169,12 +162,6 @@ def _cosines(camera: Camera, points: Float64s, normals: Float64s) -> Float64s:
     """(n,) of the angles between surfaces' normals and the rays on which they are seen."""
     rays = camera.C - points
     return np.asarray(np.abs(np.sum(rays * normals, axis=1)) / np.linalg.norm(rays, axis=1), dtype=np.float64)
-
-
-def _confidence(check: CrossCheck, depth: DepthMap, y: np.ndarray, x: np.ndarray) -> Float32s:
-    """0 to 1: each further pair halves the doubt; views that look through the point add to it."""
-    confidence = (1.0 - 0.5 ** check.pairs[y, x]) * 0.6 ** check.violating[y, x]
-    return np.asarray(confidence, dtype=np.float32)
 
 
 def _joined(parts: Sequence[Cloud], given: dict[str, int]) -> Cloud:

@@ -21,7 +21,6 @@ class Subsampled:
     colors: Uint8s
     """(h / 4, w / 4, 3) uint8, means over blocks, which pixel noise and small errors of depth don't reach."""
     depth: Float32s
-    sigma: Float32s
     """(h / 4, w / 4) float32, of the pixel beside each block's centre."""
 
     def points(self, step: int) -> tuple[Float64s, Float64s]:
@@ -37,7 +36,7 @@ def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
     h, w = frame.image.shape[:2]
     colors = cv2.resize(frame.image, (max(1, w // STEP), max(1, h // STEP)), interpolation=cv2.INTER_AREA)
     cells = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
-    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy(), depth.sigma[cells].copy())
+    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[cells].copy())
 
 
 def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
@@ -67,11 +66,11 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, 
 
 
 def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]) -> float:
-    """What a pixel covers, or one and a half sigmas if that is more, in the median over all views: finer voxels hold only noise.
+    """What a pixel covers, in the median over all views.
 
     Rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to night.
     """
-    edges = [np.fmax(g.depth / cameras[name].K[0, 0], 1.5 * g.sigma)[1::2, 1::2].ravel() for name, g in small.items()]
+    edges = [(g.depth / cameras[name].K[0, 0])[1::2, 1::2].ravel() for name, g in small.items()]
     median = float(np.nanmedian(np.concatenate(edges)))
     decade = 10.0 ** np.floor(np.log10(median))
     return float(decade * max(step for step in _PREFERRED if step <= max(median / decade, 1.0)))

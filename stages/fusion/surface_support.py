@@ -11,24 +11,24 @@ _REACH, _STRIDE = 6, 2
 """How far away, in pixels of an image 768 wide, and how densely neighbours are asked; as far in larger ones."""
 
 
-def surface_support(depth: DepthMap, usable: Bools, among: Bools | None = None) -> Float32s:
-    """(h, w) share of the neighbours of each usable pixel that are `among` those asked (None: usable, too), and lie on its plane;
-    0 elsewhere.
+def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = None) -> Float32s:
+    """(h, w) share of the neighbours of each usable pixel that are usable and lie on its plane, each counted by its weight (h, w)
+    from 0 to 1 if there is one; 0 elsewhere.
 
     On it is what differs by no more than three sigmas and 0.2 % of the depth: as when views are compared.
     """
     spacing = max(1, round(max(usable.shape) / 768))
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
-    asked = inverse if among is None else np.where(among, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
     share = np.zeros(usable.shape, np.float32)
-    _count(inverse, asked, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
+    counted = usable.astype(np.float32) if weight is None else weight
+    _count(inverse, counted, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
     return share
 
 
 @kernel
 def _count(
-    inverse: Float32s, others: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int,
+    inverse: Float32s, weight: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int,
     share: Float32s,
 ) -> None:  # fmt: skip
     h, w = inverse.shape
@@ -41,13 +41,13 @@ def _count(
                 if dx == 0 and dy == 0:
                     continue
                 first, last = max(0, -dx), min(w, w - dx)
-                there = others[y + dy, first + dx :]
+                there, counts = inverse[y + dy, first + dx :], weight[y + dy, first + dx :]
                 here, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
                 sigma, count = relative[y, first:], share[y, first:]
                 fx, fy = np.float32(dx), np.float32(dy)
                 for x in range(last - first):
                     tolerance = min(np.float32(3.0) * sigma[x] + np.float32(0.002), np.float32(0.016)) * here[x]
                     near = abs(there[x] - here[x] - a[x] * fx - b[x] * fy) <= tolerance  # never where one is unknown
-                    count[x] += np.float32(1.0) if near else np.float32(0.0)
+                    count[x] += counts[x] if near else np.float32(0.0)
         for x in range(w):
             share[y, x] /= asked

@@ -1,11 +1,11 @@
 """Points of many views merged on a grid that grows coarser where the cameras see coarser, and lonely ones dropped.
 
-A voxel's level doubles its edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges, or
-whose depth has a standard deviation of more, goes to level 1, 2, ...  Sites in which near and far things are seen at once keep
-both, and what is known roughly is averaged over as much as it is rough.
+A voxel's level doubles its edge: level 0 has the basic edge, and a point whose pixel covers more than two, four, ... edges goes
+to level 1, 2, ...  Sites in which near and far things are seen at once keep both.  A rough depth weighs less, it does not
+coarsen.
 
 A lonely voxel is one with few others near it.  Pixels of a surface seen at a low angle lie further apart than that along one
-direction, however right they are: such samples bring the word of their neighbours in the picture with them.
+direction, however right they are: such samples are kept without neighbours.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _IN_COMMON = 0.25
 @dataclass(frozen=True)
 class Samples:
     """Points before or after merging, (n, ...): position, unit normal, colour 0 to 255, weight 1 / sigma^2, confidence 0 to 1,
-    number of cameras, edge in world lengths of what it stands for (its pixel's footprint, or its sigma if that is more), squared
-    standard deviation along the nearest camera's ray as images show it (the weight is what it was expected to be), and whether a
-    sample need not be near others (see `VoxelGrid.reach`)."""
+    number of cameras, edge in world lengths of what its pixel covers, squared standard deviation along the nearest camera's ray
+    as images show it (the weight is what it was expected to be), and whether a sample need not be near others (see
+    `VoxelGrid.reach`)."""
 
     points: Float64s
     normals: Float32s

@@ -17,7 +17,7 @@ from wbflow_stages.depth import view_depth
 from wbflow_stages.fuse import fuse
 from wbflow_stages.fusion.pair_depth import inverse_depth_slopes
 from wbflow_stages.fusion.planning import natural_voxel, subsample
-from wbflow_stages.fusion.visibility import cross_check
+from wbflow_stages.fusion.visibility import TrustedDepth, cross_check
 from wbflow_stages.types import INVALID, Cloud, DepthMap, Float32s, Frame, Rejected
 
 
@@ -95,10 +95,11 @@ def test_more_than_64_pairs_around_a_view_are_counted() -> None:
     level, sure = np.zeros_like(flat), np.ones(flat.shape, bool)
     names = [f"v{k}" for k in range(13)]
     maps = {name: DepthMap(flat, 0.01 * flat, level, level, bits, tuple(f"{name}-{k}" for k in range(8)), sure) for name in names}
-    check = cross_check(names[0], names[1:], dict.fromkeys(names, camera), maps.__getitem__)
+    trusted = {name: TrustedDepth(depth, flat) for name, depth in maps.items()}
+    check = cross_check(names[0], names[1:], dict.fromkeys(names, camera), trusted.__getitem__)
     assert (check.pairs == 13 * 8).all()
     assert (check.cameras == 13 * 9).all()
-    few = cross_check(names[0], names[1:8], dict.fromkeys(names, camera), maps.__getitem__)
+    few = cross_check(names[0], names[1:8], dict.fromkeys(names, camera), trusted.__getitem__)
     assert (few.pairs == 64).all()
 
 
@@ -233,16 +234,25 @@ def test_what_refinement_adds_on_the_word_of_one_pair_is_not_believed() -> None:
     assert isinstance(fuse(three.frames, three.cameras, three.depths(), exactly_refined(three, 0b11, sure=False)), Cloud)
 
 
-def test_what_is_known_roughly_is_averaged_over_as_much_as_it_is_rough() -> None:
+def test_what_is_known_roughly_stays_as_dense_as_pixels_lie() -> None:
     yard, points = make_yard(), []
-    for sigma in (0.001, 0.03):
-        refined = exactly_refined(yard, 0b01, sure=True)
+    for sigma in (0.001, 0.008):
+        refined = exactly_refined(yard, 0b11, sure=True)
         for view in refined.values():
             view.sigma[:] = sigma * view.depth
         cloud = fuse(yard.frames, yard.cameras, yard.depths(), refined, voxel_m=0.05)
         assert isinstance(cloud, Cloud)
         points.append(len(cloud.points))
-    assert 1000 < points[1] < 0.3 * points[0]
+    assert points[1] > 0.95 * points[0]
+
+
+def test_more_confidence_leaves_fewer_points_that_are_more_often_right() -> None:
+    yard = make_yard((-30, -15, 0, 15, 30), noise_px=0.3, wrong=0.15)
+    all_of_them, sure = fused(yard), fused(yard, confidence=0.9)
+    assert 0.3 * len(all_of_them.points) < len(sure.points) < len(all_of_them.points)
+    wrong = [(yard.distance(cloud.points) > 0.15).mean() for cloud in (all_of_them, sure)]
+    assert wrong[1] < 0.5 * wrong[0]
+    assert sure.confidence.min() >= 0.9
 
 
 def test_what_refinement_adds_is_believed_where_it_continues_what_is_vouched_for() -> None:

@@ -40,12 +40,13 @@ def test_sparse_specks_have_as_much_company_as_there_are_of_them(kept: float) ->
     assert (share[~known] == 0).all()
 
 
-def test_who_asks_others_is_in_their_company_only() -> None:
-    """A pixel in the middle of a hole has none, one at its rim has some, and those that are asked are no matter of the answer."""
-    asked = np.ones(slope().shape, np.bool_)
-    asked[20:60, 40:80] = False
-    share = surface_support(depth_map(slope()), ~asked, asked)
-    assert share[40, 60] == 0 and share[40, 40] > 0.3 and (share[asked] == 0).all()
+def test_neighbours_count_by_their_weight() -> None:
+    """In the middle of a patch that weighs nothing a pixel has no support, at its rim some."""
+    weight = np.ones(slope().shape, np.float32)
+    weight[20:60, 40:80] = 0
+    known = np.ones(slope().shape, np.bool_)
+    share = surface_support(depth_map(slope()), known, weight)
+    assert share[40, 60] == 0 and share[40, 40] > 0.3 and share[10, 20] > 0.95
     off = slope()
-    off[~asked] *= 1.05
-    assert (surface_support(depth_map(off), ~asked, asked) == 0).all()
+    off[weight > 0] *= 1.05
+    assert (surface_support(depth_map(off), known, weight)[25:55, 45:75] == 0).all()

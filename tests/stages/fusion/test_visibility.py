@@ -1,13 +1,12 @@
-"""Several views of one wall say where it is, and whose depth is off."""
+"""Several views of one wall say how probable a depth is."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from wbflow_stages.fuse import fuse
-from wbflow_stages.fusion.visibility import cross_check
-from wbflow_stages.types import Camera, Cloud, DepthMap, Float32s, Float64s, Frame, View
+from wbflow_stages.fusion.visibility import CrossCheck, TrustedDepth, cross_check
+from wbflow_stages.types import Camera, DepthMap, Float32s
 
 SIDE, FOCAL, WALL = 80, 200.0, 10.0
 """Pixels of a frame and of the focal length; metres to the wall, on which a pixel covers five centimetres."""
@@ -43,21 +42,30 @@ def views(count: int, lean: float, off: float) -> tuple[dict[str, Camera], dict[
     return found, maps
 
 
+def check_of(found: dict[str, Camera], maps: dict[str, DepthMap], own: float) -> CrossCheck:
+    """What the others say of the first view, each with these log-odds of being right itself."""
+    trusted = {name: TrustedDepth(depth, np.full(depth.depth.shape, own, np.float32)) for name, depth in maps.items()}
+    return cross_check("c0", ["c1", "c2", "c3"], found, trusted.__getitem__)
+
+
 @pytest.mark.parametrize("lean", [0.0, 0.7])
-def test_the_median_of_the_views_is_the_wall(lean: float) -> None:
-    found, maps = views(4, lean, off=0.08)
-    check = cross_check("c0", ["c1", "c2", "c3"], found, maps.__getitem__)
-    there: Float64s = maps["c0"].depth * (1.0 + check.shift)
-    assert np.abs(there - leaning(found["c0"], lean)[0])[PATCH].max() < 0.002
+def test_views_of_the_same_wall_speak_for_it(lean: float) -> None:
+    check = check_of(*views(4, lean, off=0.0), own=3.0)
+    middle = slice(20, 60), slice(40, 60)
+    assert (check.agreeing[middle] == 3).all() and (check.supporting[middle] > 9).all() and (check.opposing[middle] == 0).all()
 
 
-@pytest.mark.parametrize(("off", "left_out"), [(0.05, False), (0.12, True)])
-def test_who_is_off_by_more_than_a_pixel_covers_is_left_to_the_others(off: float, left_out: bool) -> None:
-    found, maps = views(4, 0.0, off)
-    maps["c0"].sigma[...] = 0.1  # so that the others still agree
-    image = np.full((SIDE, SIDE, 3), 128, np.uint8)
-    frames = {name: Frame(image, np.ones((SIDE, SIDE), np.bool_), View(SIDE, SIDE)) for name in found}
-    cloud = fuse(frames, found, maps)
-    assert isinstance(cloud, Cloud)
-    assert cloud.given["c1"] == SIDE * SIDE
-    assert cloud.given["c0"] == SIDE * SIDE - (20 * 20 if left_out else 0)
+@pytest.mark.parametrize(("own", "against"), [(5.0, 10.0), (-2.0, 0.5)])
+def test_views_look_through_a_depth_as_surely_as_their_own_is_right(own: float, against: float) -> None:
+    """A patch half a metre before the wall: sure views rule it out, unsure ones hardly speak against it."""
+    check = check_of(*views(4, 0.0, off=-0.5), own=own)
+    seen = -check.opposing[PATCH]
+    assert (seen > against).all() if own > 0 else (seen < against).all()
+
+
+def test_a_rough_depth_says_less_than_a_sharp_one() -> None:
+    found, maps = views(4, 0.0, off=0.0)
+    sharp = check_of(found, maps, own=3.0).supporting[40, 50]
+    for depth in maps.values():
+        depth.sigma[...] = 0.5
+    assert 0 < check_of(found, maps, own=3.0).supporting[40, 50] < sharp - 3

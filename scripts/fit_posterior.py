@@ -1,0 +1,180 @@
+#!/usr/bin/env python3
+"""Fits the coefficients of `stages/fusion/posterior.py`, or says how right its probabilities are.
+
+    scripts/fit_posterior.py FOLDER ... [--judge]
+
+Each FOLDER is a rendered site with its truth (`wbflow demo`, `scripts/render_scene.py`) that was run: depths of its newest good
+run, refined and of pairs alone, are compared with `truth/depth/`.  With --judge nothing is fitted: for each folder the share of
+right depths in ten bins of their probability is shown, and the area under the ROC curve.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import wbflow
+from wbflow_stages.core.cameras import backproject, project
+from wbflow_stages.core.residual_distortion import straight_frames
+from wbflow_stages.fusion import posterior as P
+from wbflow_stages.fusion.planning import nearest_views, subsample
+from wbflow_stages.fusion.surface_support import surface_support
+from wbflow_stages.fusion.visibility import TrustedDepth, cross_check, probability
+from wbflow_stages.types import Bools, Camera, DepthMap, Float32s, Float64s
+
+RIGHT_PX = 3.0
+"""A depth is right if its point lies within so many pixels' widths of the truth."""
+
+MOST = 12_000
+"""Pixels of each view."""
+
+HOLD = 2e-5
+"""Weight of the coefficients' squares, which keeps them finite."""
+
+
+@dataclass
+class View:
+    """A view with what is known of its depths, and which of them are right."""
+
+    depth: DepthMap
+    known: Bools
+    right: Bools
+    judged: Bools
+    """Where the truth is known."""
+    evidence: list[Float32s]
+    logit: Float32s
+
+
+class Scene:
+    """The views of a run."""
+
+    def __init__(self, folder: Path, refined: bool) -> None:
+        run = wbflow.open_run(folder, "latest-good")
+        found: dict[str, dict[str, object]] = {"frames": {}, "depth": {}, "refine": {}}
+        for task in run.tasks:
+            if task.stage in found:
+                found[task.stage][task.subject[0]] = run.artifact(task)
+        depths = {**found["depth"], **(found["refine"] if refined else {})}
+        self.cameras = {name: camera for name, camera in run.artifact("poses").cameras.items() if name in depths}
+        frames = straight_frames(found["frames"], self.cameras)
+        small = {name: subsample(frames[name], depths[name]) for name in self.cameras}
+        self.near = {name: nearest_views(name, self.cameras, small, 16) for name in self.cameras}
+        self.views = {}
+        for name, camera in self.cameras.items():
+            depth, known = depths[name], frames[name].mask & np.isfinite(depths[name].depth)
+            off = off_truth(folder / "truth", name, camera, depth)
+            right = off <= RIGHT_PX * depth.depth / camera.K[0, 0]
+            evidence = P.evidence_of_itself(depth, frames[name].mask)
+            self.views[name] = View(depth, known, right, known & np.isfinite(off), evidence, np.zeros(0, np.float32))
+
+    def apply(self, coefficients: Float64s) -> None:
+        """Log-odds of the evidence that is at hand."""
+        for view in self.views.values():
+            view.logit = P._logit(coefficients, view.evidence, view.known)
+
+    def hear_others(self) -> None:
+        trusted = {name: TrustedDepth(view.depth, view.logit) for name, view in self.views.items()}
+        for name, view in self.views.items():
+            check = cross_check(name, self.near[name], self.cameras, trusted.__getitem__)
+            view.evidence = [view.logit, *P.evidence_of_others(check)]
+
+    def look_around(self) -> None:
+        for view in self.views.values():
+            view.evidence = [view.logit, surface_support(view.depth, view.known, probability(view.logit))]
+
+
+def off_truth(truth: Path, name: str, camera: Camera, depth: DepthMap) -> Float64s:
+    """(h, w) how far each point is from the surface that is seen there, or beside it; nan where nothing is known."""
+    entry = json.loads((truth / "cameras.json").read_text())[name]
+    z = np.load(truth / "depth" / f"{name}.npz")["depth"].astype(np.float64)
+    z[z <= 0] = np.nan
+    h, w = z.shape
+    K, R, C = (np.array(entry[key], dtype=np.float64) for key in ("K", "R", "C"))
+    y, x = np.nonzero(np.isfinite(depth.depth))
+    X = backproject(camera, np.column_stack([x, y]).astype(np.float64), depth.depth[y, x].astype(np.float64))
+    at, there = project(Camera(K, R, C, w, h), X)
+    i, j = np.rint(at).astype(int).T
+    inside = (there > 0) & (i > 0) & (j > 0) & (i < w - 1) & (j < h - 1)
+    i, j = i.clip(1, w - 2), j.clip(1, h - 2)
+    slope_y, slope_x = np.gradient(1 / z)
+    nearest = np.full(len(X), np.inf)
+    for dj, di in np.ndindex(3, 3):
+        row, column = j + dj - 1, i + di - 1
+        plane = np.column_stack([slope_x[row, column], slope_y[row, column], 1 / z[row, column]])
+        plane[:, 2] -= plane[:, 0] * column + plane[:, 1] * row
+        normal = plane @ K
+        away = np.abs(z[row, column] - there)
+        across = np.abs(((X - C) @ R.T * normal).sum(axis=1) - 1) / np.linalg.norm(normal, axis=1)
+        nearest = np.fmin(nearest, np.where(across < away, across, away))
+    off = np.full(depth.depth.shape, np.nan)
+    off[y, x] = np.where(inside & np.isfinite(nearest), nearest, np.nan)
+    return off
+
+
+def samples(scenes: list[Scene]) -> tuple[Float64s, Float64s, Float64s, Float64s]:
+    """Evidence with a leading one, whether it is right, weights, and log-odds, of some pixels of each view."""
+    rng = np.random.default_rng(0)
+    parts = [part for scene in scenes for part in _parts(scene, rng)]
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]
+
+
+def _parts(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Float64s, Float64s, Float64s, Float64s]]:
+    for view in scene.views.values():
+        at = np.flatnonzero(view.judged)
+        at = rng.choice(at, min(len(at), MOST), replace=False)
+        rows = np.column_stack([np.ones(len(at)), *(values.ravel()[at] for values in view.evidence)])
+        logit = view.logit.ravel()[at] if len(view.logit) else np.zeros(len(at))
+        yield rows, view.right.ravel()[at].astype(float), np.full(len(at), 1 / max(len(at), 1) / len(scene.views)), logit
+
+
+def fitted(scenes: list[Scene]) -> Float64s:
+    """Coefficients by iterated least squares."""
+    X, right, weight, _ = samples(scenes)
+    weight, b = weight / weight.sum(), np.zeros(X.shape[1])
+    for _ in range(40):
+        p = 1 / (1 + np.exp(-X @ b))
+        H = (X * (weight * p * (1 - p))[:, None]).T @ X + HOLD * np.eye(len(b))
+        b -= np.linalg.solve(H, X.T @ (weight * (p - right)) + HOLD * b)
+    return b.round(2)
+
+
+def reliability(scenes: list[Scene]) -> str:
+    """Share of right depths and of all, in ten bins of the probability; area under the ROC curve."""
+    _, right, weight, logit = samples(scenes)
+    p, weight = 1 / (1 + np.exp(-logit)), weight / weight.sum()
+    order = np.argsort(p)
+    wrong = np.cumsum((weight * (1 - right))[order])
+    area = float(((weight * right)[order] * wrong).sum() / ((weight * right).sum() * wrong[-1]))
+    cells = []
+    for k in range(10):
+        some = (p >= k / 10) & (p < (k + 1) / 10 if k < 9 else p <= 1)
+        cells.append(f"{np.average(right[some], weights=weight[some]):.2f} ({weight[some].sum():.2f})" if some.any() else "-")
+    return f"right {(weight * right).sum():.3f}  area {area:.4f}  bins {'  '.join(cells)}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--judge", action="store_true")
+    given = parser.parse_args()
+    scenes = [Scene(folder, refined) for folder in given.folders for refined in (True, False)]
+    steps = {"_OWN": lambda scene: None, "_OTHERS": Scene.hear_others, "_AROUND": Scene.look_around}
+    for name, step in steps.items():
+        for scene in scenes:
+            step(scene)
+        coefficients = getattr(P, name) if given.judge else fitted(scenes)
+        for scene in scenes:
+            scene.apply(coefficients)
+        print(f"{name} = np.array({coefficients.tolist()})")
+    for k, folder in enumerate(given.folders):
+        for refined, scene in zip(("refined", "of pairs"), scenes[2 * k : 2 * k + 2], strict=True):
+            print(f"{folder.name}, {refined}: {reliability([scene])}")
+
+
+if __name__ == "__main__":
+    main()
