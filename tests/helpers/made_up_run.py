@@ -15,7 +15,8 @@ from wbflow.api import load_site
 from wbflow.cache.artifact import digest
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache, Preimage, Receipt
-from wbflow.pipeline.stages import FUSE, GEOMETRY, STAGES
+from wbflow.pipeline.names import FUSE, GEOMETRY
+from wbflow.pipeline.stages import STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.record import (

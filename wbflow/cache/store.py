@@ -7,6 +7,7 @@ that runs again and gives the same bytes stops there.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -115,15 +116,25 @@ class Cache:
 
     work: WorkFolder
     _damages: list[Damage] = field(default_factory=list, compare=False, repr=False)
-    _known: dict[str, tuple[tuple[int, ...], Receipt]] = field(default_factory=dict, compare=False, repr=False)
-    """Receipts by their file, with its stamp when it was read: a night looks up each receipt three times."""
+    _known: dict[tuple[Task, str], tuple[str, str, tuple[int, ...], Receipt]] = field(
+        default_factory=dict, compare=False, repr=False
+    )
+    """By task and key: the receipt's file, the artifact's ("": none), the former's stamp when it was read, and the receipt.  A
+    night looks up each receipt three times."""
 
     def __reduce__(self) -> tuple[Any, ...]:  # what was read and found damaged here is not sent to worker processes
         return type(self), (self.work,)
 
     def by_key(self, task: Task, key: str) -> Receipt | None:
         """The receipt of a finished task, or None.  Checks the artifact's presence and size; who reads it checks its digest."""
-        return self._receipt(task, self.work.receipt(task, key))
+        receipt_file, artifact_file, stamp, receipt = self._known.get((task, key), ("", "", (), None))
+        if receipt and _stamp(receipt_file) == stamp and not (artifact_file and _wrong_size(artifact_file, receipt.bytes)):
+            return receipt
+        path = self.work.receipt(task, key)
+        found = _stamp(path)
+        if (receipt := self._receipt(task, path)) and found:
+            self._known[task, key] = str(path), str(path.with_name(receipt.file)) if receipt.file else "", found, receipt
+        return receipt
 
     def newest(self, task: Task) -> Receipt | None:
         """The most recently finished receipt of a task, under whatever key."""
@@ -210,16 +221,11 @@ class Cache:
 
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """None for one that is not there, or cannot be believed: then the damage is noted, and the task done again."""
-        stamp = _stamp(path)
-        before, receipt = self._known.get(str(path), (None, None))
         try:
-            if stamp is None or stamp != before:
-                receipt = self._read(path)
+            receipt = self._read(path)
         except Damaged as damage:
             self.note(damage.what, task)
             return None
-        if receipt and stamp:
-            self._known[str(path)] = stamp, receipt
         if receipt and receipt.file and (wrong := _wrong_size(path.with_name(receipt.file), receipt.bytes)):
             self.note(wrong, task)
             return None
@@ -238,19 +244,19 @@ class Cache:
             return None
 
 
-def _stamp(path: Path) -> tuple[int, ...] | None:
+def _stamp(path: Path | str) -> tuple[int, ...] | None:
     """What tells that a file has been replaced; None where there is none."""
     try:
-        status = path.stat()
+        status = os.stat(path)  # noqa: PTH116 (a string where many are looked at)
     except OSError:
         return None
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
-def _wrong_size(path: Path, expected: int) -> str | None:
+def _wrong_size(path: Path | str, expected: int) -> str | None:
     """What is wrong with an artifact at first sight."""
     try:
-        size = path.stat().st_size
+        size = os.stat(path).st_size  # noqa: PTH116
     except OSError:
         return f"{path} is gone"
     return None if size == expected else f"{path} has {size:,} of {expected:,} bytes"

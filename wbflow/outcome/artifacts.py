@@ -16,7 +16,8 @@ from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
 from ..pipeline.exports import EXPORTS, EXTRAS, Export
-from ..pipeline.stages import CLOUD_TABLE, FRAMES, FUSE, POSES, STAGES, stage_named
+from ..pipeline.names import FRAMES, FUSE, POSES
+from ..pipeline.stages import CLOUD_TABLE, STAGES, stage_named
 from ..records.events import TaskEvent
 from ..records.record import CloudRecord, RunRecord
 from ..records.run_folder import RunFolder

@@ -17,7 +17,8 @@ from ..cache.ply import columns_of
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.exports import FROM_PLAIN_FILES, PLAIN_FILES
-from ..pipeline.stages import DENSE_PAIRS, PAIRS, REJECTED, stage_named
+from ..pipeline.names import DENSE_PAIRS, PAIRS
+from ..pipeline.stages import REJECTED, stage_named
 from ..runner.context import plan_run
 from ..runner.executors import THREADS
 from ..runner.planner import Plan

@@ -10,7 +10,7 @@ from typing import Any
 from ..cache.atomic import write_atomic
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
-from ..pipeline.stages import DISPARITY, FRAMES, POSES
+from ..pipeline.names import DISPARITY, FRAMES, POSES
 from ..report.page import render
 from ..site.load import load_site
 from ..site.models import Site

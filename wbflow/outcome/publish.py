@@ -16,7 +16,8 @@ from ..cache.cleanup import clean
 from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import WbflowError
-from ..pipeline.stages import CALIBRATION, FRAMES, FUSE, PLACE_COMMENTS, POSES
+from ..pipeline.names import FRAMES, FUSE, POSES
+from ..pipeline.stages import CALIBRATION, PLACE_COMMENTS
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger
 from ..records.record import RunRecord

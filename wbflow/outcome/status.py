@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..cache.store import Preimage, Receipt
-from ..pipeline.stages import PAIRS, stage_named
+from ..pipeline.names import PAIRS
+from ..pipeline.stages import stage_named
 from ..runner.planner import Plan
 from ..runner.spec import TaskSpec
 from ..task import Task

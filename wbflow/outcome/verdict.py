@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from ..errors import ExitCode, counted
-from ..pipeline.stages import FUSE, STAGES, stage_named
+from ..pipeline.names import FUSE
+from ..pipeline.stages import STAGES, stage_named
 from ..pipeline.summaries import CalibrationCheck, PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Finding, Level, Verdict, finding
 from ..records.record import CameraRecord, Down, PairRecord, RunRecord, Usual

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .stages import DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, MATCHES, POSES, RECTIFY, REFINE
+from .names import DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, MATCHES, POSES, RECTIFY, REFINE
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from ..cache.layout import WorkFolder
 from ..cache.plugins import load
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.functions import FunctionReader
-from ..pipeline.stages import POSES, STAGES, Stage
+from ..pipeline.names import POSES
+from ..pipeline.stages import STAGES, Stage
 from ..records.reference_folder import PinnedArtifact, Reference, write_reference
 from ..records.run_folder import NoSuchRun, newest_runs
 from ..runner.planner import Plan

@@ -8,7 +8,8 @@ from typing import Any
 
 from ..cache.store import Cache, Receipt
 from ..pipeline.binding import Binding, is_file
-from ..pipeline.stages import FRAMES, Adapt, Reuse, Stage
+from ..pipeline.names import FRAMES
+from ..pipeline.stages import Adapt, Reuse, Stage
 from ..records.reference_folder import Reference
 from ..runner.spec import Files, Value, input_digests, stated, stated_of_site
 from ..site.captures import CaptureFile, file_of_stage

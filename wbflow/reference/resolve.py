@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..cache.store import Cache, Receipt
-from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
+from ..pipeline.names import FRAMES, HEALTH
+from ..pipeline.stages import STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.record import Health
 from ..records.reference_folder import Reference, put_back

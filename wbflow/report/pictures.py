@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.untrusted import read_outside
-from ..pipeline.stages import FRAMES, FUSE, STAGES, stage_named
+from ..pipeline.names import FRAMES, FUSE
+from ..pipeline.stages import STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task, camera_of
 from .data import ReportData

@@ -13,7 +13,8 @@ from ..cache.untrusted import is_file as is_file_on_disk
 from ..errors import printable
 from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file
 from ..pipeline.functions import FunctionReader
-from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
+from ..pipeline.names import FUSE
+from ..pipeline.stages import COMPONENT, STAGES, Stage
 from .locations import Document, Location, Problems, SiteProblem, beside, did_you_mean, similar
 from .models import StageSettings
 

@@ -11,7 +11,8 @@ from click.testing import CliRunner
 from wbflow.cli.main import main
 from wbflow.pipeline.describe import describe
 from wbflow.pipeline.functions import FunctionReader
-from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_named
+from wbflow.pipeline.names import DISPARITY, MATCHES
+from wbflow.pipeline.stages import STAGES, Stage, stage_named
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
