@@ -83,7 +83,24 @@ def unsigned(data: bytes, of: str) -> dict[str, Any]:
 
 
 def write_signed(path: Path, of: str, content: Mapping[str, Any], *, fsync: Fsync = "folder") -> None:
-    """Put a signed file of the work folder into its place (see `signed`, `write_atomic`).  Raises OSError."""
+    """Put a signed file of the work folder into its place (see `signed`).
+
+    Parameters
+    ----------
+    path : Path
+        Where.
+    of : str
+        What it is of.
+    content : mapping
+        Its entries.
+    fsync : str
+        How it lasts: see `write_atomic`.
+
+    Raises
+    ------
+    OSError
+        The disk is full, or there is no right to write.
+    """
     write_atomic(path, signed(of, content), fsync=fsync, ours=True)
 
 
