@@ -15,6 +15,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class Scene:
 
     def __init__(self, folder: Path, refined: bool) -> None:
         run = wbflow.open_run(folder, "latest-good")
-        found: dict[str, dict[str, object]] = {"frames": {}, "depth": {}, "refine": {}}
+        found: dict[str, dict[str, Any]] = {"frames": {}, "depth": {}, "refine": {}}
         for task in run.tasks:
             if task.stage in found:
                 found[task.stage][task.subject[0]] = run.artifact(task)
@@ -123,7 +124,7 @@ def samples(scenes: list[Scene]) -> tuple[Float64s, Float64s, Float64s, Float64s
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]
 
 
-def _parts(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Float64s, Float64s, Float64s, Float64s]]:
+def _parts(scene: Scene, rng: np.random.Generator) -> Iterator[tuple[Any, ...]]:
     for view in scene.views.values():
         at = np.flatnonzero(view.judged)
         at = rng.choice(at, min(len(at), MOST), replace=False)

@@ -104,12 +104,10 @@ def cross_check(
         theirs = numbers.of(other, seen)
         if numbers.words > len(pairs):
             pairs = np.concatenate([pairs, np.zeros((numbers.words - len(pairs), h, w), np.uint64)])
-        _compare(
-            *(own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support),
-            *(probability(view.own), theirs, numbers.of_pair(name, other)),
-            *(visible, agreeing, hiding, supporting, opposing, pairs),
-            *(min(place, ITSELF), _farther_by(cameras[name], cameras[other]), apart, nearest, reach),
-        )
+        pair, farther, rank = numbers.of_pair(name, other), _farther_by(cameras[name], cameras[other]), min(place, ITSELF)
+        surface = own.depth, own.sigma, M, b, seen.depth, seen.slope_x, seen.slope_y, seen.sigma, seen.support
+        found = visible, agreeing, hiding, supporting, opposing, pairs
+        _compare(*surface, probability(view.own), theirs, pair, *found, rank, farther, apart, nearest, reach)
     count, seen_by = np.zeros((h, w), np.uint8), np.zeros((h, w), np.uint16)
     _count(pairs, numbers.cameras_of_pairs[: numbers.met], count, seen_by)
     return CrossCheck(count, seen_by, visible, agreeing, supporting, opposing, hiding, apart, nearest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -56,12 +57,17 @@ def build_report(
 
 def render(template: str, **content: Any) -> str:
     """Return the page of a template in `assets`; all that is put in is escaped, but for the assets."""
-    from jinja2 import Environment, StrictUndefined  # here: only pages need it
+    from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined  # here: only pages need it
     from markupsafe import Markup
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    compiled = None
+    with contextlib.suppress(RuntimeError, OSError):  # a machine without a folder for it compiles the template each time
+        compiled = FileSystemBytecodeCache()
+    environment = Environment(
+        loader=FunctionLoader(_asset), autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True
+    )
     environment.globals["asset"] = lambda name: Markup(_asset(name))
-    return environment.from_string(_asset(template)).render(content)
+    return environment.get_template(template).render(content)
 
 
 def _asset(name: str) -> str:
