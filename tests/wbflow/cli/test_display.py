@@ -45,7 +45,7 @@ def on_a_terminal(toy: ToySite, *arguments: str, **environment: str) -> tuple[st
 
 
 def test_a_terminal_shows_stages_totals_and_the_time_left_before_the_first_task_has_ended(toy: ToySite) -> None:
-    toy.fault("slow", "0.3")
+    toy.fault("slow", "0.8")
     toy.capture("roof").write_text("broken")
     written, pieces = on_a_terminal(toy)
     early = ESCAPES.sub("", "".join(piece for piece, some_done in pieces if not some_done))
