@@ -249,7 +249,7 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
     with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
         warning = claim(place, site.name, site.file)
         name, started = new_run(place)
-        journal = Journal(mirror.listening(listen) if mirror else listen, watch, options.jobs, started)
+        journal = Journal(mirror.listening(listen) if mirror else listen, watch, started)
         if mirror:
             journal.behind = mirror.behind
         if warning:
@@ -257,7 +257,7 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
         for note in site.notes:
             journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
         mend_ledger(place, journal)
-        context = plan_run(site, options.date, options.until, options.force, watch)
+        context = plan_run(site, options.date, options.until, options.force)
         for damage in filter(None, (context.digests.damage, context.seen.damage, site.reader.damage)):
             journal.repaired(damage)
         finished = run_pipeline(name, context, options, journal, lambda run: _notify(site, run, journal))

@@ -521,17 +521,6 @@ STAGES: tuple[Stage, ...] = (
     ),
 )
 
-ROUGH_SECONDS = {
-    "frames": (0.2, 0.1), "health": (0.1, 0.1), "features": (0.4, 0.95, 1.0), "overlap": (0.1, 0.0), "pairs": (0.2, 0.0),
-    "matches": (0.5, 0.0, 21.0), "geometry": (0.5, 0.0, 1.3), "poses": (0.5, 0.0), "scene": (5.0, 0.0, 6.0),
-    "shared": (0.2, 0.0), "dense_pairs": (0.2, 0.0),
-    "rectify": (0.1, 0.0, 4.3), "disparity": (0.5, 2.5, 20.0), "depth": (0.1, 0.3, 3.6), "refine": (0.4, 6.0, 11.0),
-    "fuse": (0.3, 1.2, 6.0), "coverage": (0.5, 0.1, 1.0), "changes": (0.5, 0.1),
-}  # fmt: skip
-"""Seconds: of a task on one core, roughly; for each million pixels (site-wide: of each camera); to compile its kernels, once."""
-ANY_SECONDS = (0.5, 0.1)
-"""The same of a stage of which nothing is known yet."""
-
 _BY_NAME = {stage.name: stage for stage in STAGES}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from ..task import Task
@@ -43,21 +43,8 @@ class TaskEvent:
         return self.outcome in {"cached", "ran"} and self.key is not None
 
     def to_json(self) -> dict[str, Any]:
-        """A line of the log."""
-        return {
-            "event": "task",
-            "at": self.at,
-            "task": str(self.task),
-            "stage": self.task.stage,
-            "subject": list(self.task.subject),
-            "outcome": self.outcome,
-            "fresh": self.fresh,
-            "reason": self.reason,
-            "code": self.code,
-            "key": self.key,
-            "cpu": self.cpu,
-            "trace": self.trace,
-        }
+        """Return a line of the log."""
+        return {"event": "task", **vars(self), **_task(self.task)}
 
 
 @dataclass(frozen=True)
@@ -83,63 +70,29 @@ class WarningEvent:
         return f"{head}; {self.remedy}" if self.remedy else head
 
     def to_json(self) -> dict[str, Any]:
-        """A line of the log."""
-        subject = {"task": str(self.task), "stage": self.task.stage, "subject": list(self.task.subject)} if self.task else {}
-        rest = {"what": self.what, "remedy": self.remedy, "trace": self.trace, "repaired": self.repaired}
-        return {"event": "warning", "at": self.at, **subject, **rest}
-
-
-@dataclass(frozen=True)
-class StageOutlook:
-    """What is to be done of a stage, as far as is known."""
-
-    stage: str
-    tasks: int
-    """In all: those that are known of, or, before the pair graph is there, about so many."""
-    settled: int
-    seconds: float
-    """What one of the tasks to come takes by the clock: by the last runs, else roughly."""
-    known: bool
-    """Is that what the last runs took?"""
-    compiles: float = 0.0
-    """What its first task may take on top, where nobody has timed the stage: its kernels may have to be compiled."""
+        """Return a line of the log."""
+        return {"event": "warning", **vars(self), **_task(self.task)}
 
 
 @dataclass(frozen=True)
 class PlannedEvent:
-    """What is to be done was looked at anew; for whoever watches, and in no log."""
+    """What is to be done was looked at again; for whoever watches, and in no log."""
 
-    stages: tuple[StageOutlook, ...]
-    """In the order of the pipeline."""
-    workers: int
-    """Tasks that are done at once."""
-    at: str
-    """When, ISO 8601, UTC."""
+    tasks: Mapping[str, int]
+    """How many tasks each stage has, as far as they are known, in the order of the pipeline."""
 
 
 @dataclass(frozen=True)
 class StartedEvent:
-    """A worker has a task in hand; for whoever watches, and in no log."""
+    """A worker has begun a task; for whoever watches, and in no log."""
 
     task: Task
-    at: str
-    """When, ISO 8601, UTC."""
-
-
-@dataclass(frozen=True)
-class CapturesEvent:
-    """Captures were looked at; for whoever watches, and in no log."""
-
-    cameras: int
-    """So many have been done."""
-    of: int
-    """All."""
 
 
 Event = TaskEvent | WarningEvent
 """What a log keeps."""
 
-Signal = CapturesEvent | PlannedEvent | StartedEvent
+Signal = PlannedEvent | StartedEvent
 """For whoever watches a run, and in no log."""
 
 Listener = Callable[[Event], None]
@@ -150,12 +103,14 @@ Watcher = Callable[[Signal], None]
 """Receives what is planned and begun, too."""
 
 
+def _task(task: Task | None) -> dict[str, Any]:
+    return {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
+
+
 def event_from_json(line: Mapping[str, Any]) -> Event | None:
-    """An event as the log has it; None for a kind of a later version.  Raises KeyError."""
-    task = Task(line["stage"], tuple(line["subject"])) if "stage" in line else None
-    if line.get("event") == "warning":
-        return WarningEvent(line["what"], line["at"], task, line.get("remedy", ""), line.get("trace"), bool(line.get("repaired")))
-    if line.get("event") != "task" or task is None:
+    """Return an event as the log has it; None for a kind of a later version.  Raises KeyError, TypeError."""
+    kinds: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent}
+    if (kind := kinds.get(line["event"])) is None:
         return None
-    optional = {name: line.get(name) for name in ("reason", "code", "key", "cpu", "trace")}
-    return TaskEvent(task, line["outcome"], line["at"], bool(line.get("fresh")), **optional)
+    known = {field.name: line[field.name] for field in fields(kind) if field.name in line}
+    return kind(**known | {"task": Task(line["stage"], tuple(line["subject"])) if "stage" in line else None})

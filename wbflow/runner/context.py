@@ -14,7 +14,6 @@ from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.stages import STAGES, stage_named
-from ..records.events import CapturesEvent, Watcher
 from ..records.reference_folder import BadReference, Reference, read_reference
 from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night
 from ..site.models import Site
@@ -135,7 +134,6 @@ def plan_run(
     date: datetime.date | None = None,
     until: str | None = None,
     force: tuple[str, ...] = (),
-    watch: Watcher | None = None,
 ) -> RunContext:
     """Find a night's captures and plan its work; nothing is written.
 
@@ -149,15 +147,12 @@ def plan_run(
         Stop after this stage.
     force : tuple of str
         Stages or tasks to be done again.
-    watch : callable, optional
-        Receives how many cameras have been looked at.
     """
-    work, all_cameras = site.work_folder, len(site.cameras)
+    work = site.work_folder
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
     look_again(site)
     found_date = night(site, date)
-    report = (lambda cameras: watch(CapturesEvent(cameras, all_cameras))) if watch else None
-    delivered = look_at(site, found_date, find_captures(site, found_date, digests, report), digests, seen)
+    delivered = look_at(site, found_date, find_captures(site, found_date, digests), digests, seen)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
     reference, misfit = _reference(site, work)
     plan = Plan(

@@ -8,19 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..pipeline.stages import ANY_SECONDS, ROUGH_SECONDS, Stage
-from ..records.events import Event, Listener, PlannedEvent, StageOutlook, StartedEvent, TaskEvent, WarningEvent, Watcher, now
+from ..records.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
 from ..records.findings import Finding
-from ..records.ledger import TaskCosts, read_costs
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
 from .spec import State
 
 if TYPE_CHECKING:
     from .planner import Plan
-
-_ACROSS, _ASPECT = 1600, 0.6
-"""Pixels along a picture's longer side where nothing is stated, and the shorter side's share of it."""
 
 
 @dataclass
@@ -30,7 +25,6 @@ class Journal:
     listen: Listener
     watch: Watcher | None = None
     """Receives also what is planned and begun."""
-    workers: int = 1
     started: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
@@ -42,7 +36,6 @@ class Journal:
     _stages: dict[str, StageSeconds] = field(default_factory=dict)
     _wall: float = field(default_factory=time.perf_counter)
     _cpu: float = field(default_factory=time.process_time)
-    _past: TaskCosts | None = None
 
     def report(self, plan: Plan) -> None:
         """Add an event for each task that has ended since the last time, and for damage that was found in the cache."""
@@ -59,13 +52,12 @@ class Journal:
     def planned(self, plan: Plan) -> None:
         """Tell the watcher how much there is to do."""
         if self.watch:
-            self._past = self._past or read_costs(plan.cache.work)
-            self.watch(PlannedEvent(tuple(_outlook(plan, stage, self._past) for stage in plan.stages()), self.workers, now()))
+            self.watch(PlannedEvent(plan.counts()))
 
     def begun(self, task: Task) -> None:
         """Tell the watcher that a worker has begun a task."""
         if self.watch:
-            self.watch(StartedEvent(task, now()))
+            self.watch(StartedEvent(task))
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
         """Add a warning of something that went wrong and that the run has survived.
@@ -114,16 +106,3 @@ def _event(task: Task, state: State) -> TaskEvent:
         cpu=round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None,
         trace=state.trace,
     )
-
-
-def _outlook(plan: Plan, stage: Stage, past: TaskCosts) -> StageOutlook:
-    """How much there is of a stage, how much of it has ended, and what a task of it takes by the last runs, else roughly."""
-    tasks, ended = plan.counts(stage)
-    tasks = (plan.likely_pairs(stage.dense) if stage.scope == "pair" else None) or tasks
-    if stage.name in past.stages:
-        return StageOutlook(stage.name, tasks, ended, past.stages[stage.name], known=True)
-    fixed, each, *compiling = ROUGH_SECONDS.get(stage.name, ANY_SECONDS)
-    stated = sorted(camera.lens.width for camera in plan.site.cameras if camera.lens.width)
-    across = min(plan.site.resolution or _ACROSS, stated[len(stated) // 2] if stated else _ACROSS)
-    seconds = fixed + each * _ASPECT * across**2 / 1e6 * (len(plan.site.cameras) if stage.scope == "site" else 1)
-    return StageOutlook(stage.name, tasks, ended, seconds, known=False, compiles=sum(compiling))

@@ -72,7 +72,6 @@ class Plan:
     _news: dict[Task, None] = field(default_factory=dict)
     """Tasks that have ended since `news` was called."""
     _listed: Counter[str] = field(default_factory=Counter)
-    _ended: Counter[str] = field(default_factory=Counter)
     """Tasks by stage: all, and those that have ended."""
     _bindings: dict[str, Binding] = field(default_factory=dict)
     """By stage, or by the function in its place."""
@@ -108,7 +107,6 @@ class Plan:
 
     def commit(self, task: Task, state: State) -> None:
         """Record how a task has ended; those that wait for it are looked at again."""
-        self._ended[task.stage] += task not in self.states
         self.states[task] = state
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
@@ -120,7 +118,6 @@ class Plan:
 
     def forget(self, task: Task) -> None:
         """Take back that a task has ended (its artifact turned out damaged)."""
-        self._ended[task.stage] -= task in self.states
         self.states.pop(task, None)
         self._pinned.lose(task)
         self._anew = True
@@ -151,11 +148,11 @@ class Plan:
         """Ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
         return [self._chain(spec) for spec in self.ready.values()]
 
-    def counts(self, stage: Stage) -> tuple[int, int]:
-        """How many tasks of a stage are listed so far, and how many of them have ended."""
+    def counts(self) -> dict[str, int]:
+        """How many tasks of each stage are listed so far."""
         if self._anew:
             self._list()
-        return self._listed[stage.name], self._ended[stage.name]
+        return {stage.name: self._listed[stage.name] for stage in self.stages()}
 
     def pairs_known(self, stage: Stage | None = None) -> bool:
         """Is it known which pairs a stage works on (so that its tasks are listed), or each stage?"""
@@ -172,17 +169,6 @@ class Plan:
         stage = stage_named(task.stage)
         instead = self._pinned.instead(stage, task)
         return self._with_drawings(self._spec(stage, task, adapt=None if isinstance(instead, Receipt) else instead), set())
-
-    def likely_pairs(self, dense: bool = False) -> int | None:
-        """About how many pairs will be matched, or made dense; None where that is known."""
-        if self._subjects.pairs(dense) is not None:
-            return None
-        if (matched := self._subjects.pairs()) is not None:
-            return len(matched)
-        stage, count = stage_named(PAIRS), len(self.site.views)
-        wanted = self._parameters(stage, Task(PAIRS), None).get("degree")
-        most = count * (count - 1) // 2
-        return min(most, count * wanted // 2) if isinstance(wanted, int) else most
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""

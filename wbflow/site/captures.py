@@ -231,21 +231,10 @@ def backlog(site: Site, since: datetime.date) -> list[datetime.date]:
     return found
 
 
-def find_captures(
-    site: Site, date: datetime.date, digests: Digests, tell: Callable[[int], None] | None = None
-) -> dict[str, list[CaptureFile]]:
-    """Tonight's files of each camera, in the order of their times or names; an empty list where there are none.
+def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str, list[CaptureFile]]:
+    """Return a night's files of each camera, in the order of their times or names; an empty list where there are none.
 
-    Parameters
-    ----------
-    site : Site
-        Whose.
-    date : date
-        The night.
-    digests : Digests
-        Of their bytes.
-    tell : callable, optional
-        Receives how many cameras have been looked at, after each.
+    digests: remembered ones, by file.
     """
     found, seconds = {}, ANSWER_SECONDS
     for camera in site.cameras:
@@ -255,8 +244,6 @@ def find_captures(
             name = expected(site, camera, date)
             found[camera.id] = [CaptureFile(printable(name), Path(name), "", str(error))]
             seconds = LATER_SECONDS
-        if tell:
-            tell(len(found))
     return found
 
 
