@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from ..core.cameras import camera_id
@@ -17,15 +18,9 @@ def calibration(poses: Poses) -> dict[str, Any]:
     return found
 
 
-def place_comments(poses: Poses) -> tuple[str, ...]:
-    """Where on Earth the coordinates begin: the coordinate system as PROJ reads it, its origin in words; () for a local one."""
-    if not poses.crs:
-        return ()
-    named = dict(word.lstrip("+").split("=", 1) for word in poses.crs.split() if "=" in word)
-    if not {"lat_0", "lon_0", "h_0"} <= set(named):
-        return (f"crs {poses.crs}",)
-    origin = f"latitude {named['lat_0']} longitude {named['lon_0']} height {named['h_0']}"
-    return f"crs {poses.crs}", f"x y z are metres east, north and up of {origin} (WGS 84)"
+def calibration_file(poses: Poses) -> bytes:
+    """The same as a file's bytes."""
+    return json.dumps(calibration(poses)).encode()
 
 
 def _entry(camera: Camera, metric: bool) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sqlite3
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +18,8 @@ from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import WbflowError
 from ..pipeline.names import FRAMES, FUSE, POSES
-from ..pipeline.stages import CALIBRATION, PLACE_COMMENTS
+from ..pipeline.stages import stage_named
+from ..pipeline.summaries import PosesSummary
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger
 from ..records.record import RunRecord
@@ -27,6 +29,7 @@ from ..runner.context import Options, RunContext
 from ..runner.journal import Journal
 from ..runner.loop import Worked, work
 from ..runner.planner import Plan
+from ..runner.spec import summary_of
 from ..site.models import Site
 from ..task import Task
 from .artifacts import FinishedRun, function
@@ -91,13 +94,13 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     """
     plan, place = context.plan, context.plan.cache.work
     unfinished = UnfinishedRun(place, run)
-    poses = artifact.decode(worked.products[Task(POSES)]) if Task(POSES) in worked.products else None
-    cameras: dict[str, Any] = function(CALIBRATION)(poses) if poses else {}
-    comments = tuple(function(PLACE_COMMENTS)(poses)) if poses else ()
+    posed = Task(POSES) in worked.products
+    cameras = _cameras(plan, worked.products[Task(POSES)]) if posed else {}
+    comments = _place_comments(summary_of(plan.states[Task(POSES)], PosesSummary).crs) if posed else ()
     for task, product in worked.products.items():
         if task.stage == FUSE:
             unfinished.write(cloud_name(task.subject), with_comments(product, () if task.subject else comments))
-    if poses:
+    if posed:
         unfinished.write_cameras(cameras)
     files: dict[str, list[str]] = {}
     for stage, name, data in _files(plan, journal):
@@ -115,6 +118,25 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
         context.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return FinishedRun(place, folder, record, tasks, plan.cache)
+
+
+def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
+    """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, where nobody has kept that form."""
+    receipt = plan.states[Task(POSES)].receipt
+    kept = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
+    cameras: dict[str, Any] = json.loads(kept or function(stage_named(POSES).products.cameras)(artifact.decode(poses)))
+    return cameras
+
+
+def _place_comments(crs: str) -> tuple[str, ...]:
+    """Return where on Earth the coordinates begin: the coordinate system as PROJ reads it, its origin in words."""
+    if not crs:
+        return ()
+    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
+    if not {"lat_0", "lon_0", "h_0"} <= set(named):
+        return (f"crs {crs}",)
+    origin = f"latitude {named['lat_0']} longitude {named['lon_0']} height {named['h_0']}"
+    return f"crs {crs}", f"x y z are metres east, north and up of {origin} (WGS 84)"
 
 
 def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:

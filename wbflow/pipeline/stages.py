@@ -154,6 +154,8 @@ class Products:
     """Points for the report's 3-D view, as a stream of bytes."""
     layer: str = ""
     """A picture that lies on the report's map, as bytes (see `report.pictures`)."""
+    cameras: str = ""
+    """The cameras that a run publishes, as bytes: JSON in the form of a calibration."""
     files: str = ""
     """Names and bytes of files that a run publishes beside its cloud."""
     title: str = ""
@@ -161,8 +163,9 @@ class Products:
 
     @property
     def drawings(self) -> dict[str, str]:
-        """The functions whose bytes are kept beside the artifact for the report, by the name of the product."""
+        """The functions whose bytes are kept beside the artifact, by the name of the product."""
         named = {"picture": self.picture, "large": self.large, "marks": self.marks, "view": self.view, "layer": self.layer}
+        named["cameras"] = self.cameras
         return {name: function for name, function in named.items() if function}
 
 
@@ -218,10 +221,6 @@ CLOUD_TABLE = PointTable(
     restore="wbflow_stages.io.clouds:cloud_of",
     figures="wbflow_stages.io.clouds:cloud_figures",
 )
-CALIBRATION = "wbflow_stages.io.cameras:calibration"
-"""The result of `poses` -> the cameras that a run publishes, in the form of a calibration (JSON data)."""
-PLACE_COMMENTS = "wbflow_stages.io.cameras:place_comments"
-"""The result of `poses` -> lines for the header of the cloud."""
 COMPONENT = "component"
 """The parameter of `fuse` that says which component of cameras it works on; each has a task."""
 
@@ -373,6 +372,7 @@ STAGES: tuple[Stage, ...] = (
         offers={"frames": every("frames"), "features": every("features")},
         optional=True,
         reuse=Reuse(shifted=_HELD_POSES, moved=_HELD_POSES),
+        products=Products(cameras="wbflow_stages.io.cameras:calibration_file"),
         summary=PosesSummary,
     ),
     Stage(
