@@ -36,6 +36,11 @@ class Keep:
         """Is nothing ever removed?"""
         return self == Keep()
 
+    @property
+    def keeps_artifacts(self) -> bool:
+        """Is no artifact ever removed?"""
+        return self.runs is self.nights is self.bytes is None
+
 
 _QUARANTINED = 20
 """So many damaged files are kept, for whoever wants to know why, when nobody has asked for a cleaning."""
@@ -70,12 +75,13 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
         unused = nights.without_artifacts(keep)
-        doomed, keys, over = _artifacts(work, keep, nights, unused, ledger)
+        doomed, keys, over = _artifacts(work, keep, nights, unused)
         doomed += _quarantined(work, 0 if asked else _QUARANTINED)
         clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
         folders = clouds & reports
         doomed += [path for run in sorted(clouds - folders) for path in work.run(run).clouds()]
-        pages = [path for run in sorted(reports - folders) for path in (work.run(run).report, work.run(run).log)]
+        logs = (reports if keep.keeps_artifacts else reports & unused) - folders  # a log names the artifacts that a run used
+        pages = [*(work.run(run).report for run in sorted(reports - folders)), *(work.run(run).log for run in sorted(logs))]
         doomed += [path for path in pages if path.is_file()]
         inside = [path for run in sorted(folders) for path in work.run(run).folder.glob("*")]
         size = _size([*doomed, *inside])
@@ -86,8 +92,8 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, asked: bool = 
                 out = work.unfinished_run(run).folder
                 work.run(run).folder.rename(out)
                 shutil.rmtree(out)
-            if keys or folders:
-                ledger.forget(sorted(folders | unused), keys)
+            if keys:
+                ledger.forget(keys)
             _remove_empty(work, doomed)
     return Cleaning(len(doomed) + len(inside), size, tuple(sorted(folders)), over)
 
@@ -116,16 +122,14 @@ class _Nights:
         return self.beyond(keep.nights) | set(older) - self.shown
 
 
-def _artifacts(
-    work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str], ledger: Ledger
-) -> tuple[list[Path], set[str], int]:
+def _artifacts(work: WorkFolder, keep: Keep, nights: _Nights, unused: set[str]) -> tuple[list[Path], set[str], int]:
     """Files of the cache that go, their keys, and how many bytes too many stay.  unused: runs whose artifacts go."""
-    if keep.runs is keep.nights is keep.bytes is None:
+    if keep.keeps_artifacts:
         return [], set(), 0
     files: dict[str, list[Path]] = defaultdict(list)
     for path in work.cached():
         files[path.name.partition(".")[0]].append(path)
-    used = {run: _keys(work, ledger, run) for run in nights.runs if run not in unused}
+    used = {run: _keys(work, run) for run in nights.runs if run not in unused}
     newest = {key: run for run in used for key in used[run]}
     pinned = _pinned_keys(work)
     gone = files.keys() - newest.keys() - pinned
@@ -151,10 +155,8 @@ def _pinned_keys(work: WorkFolder) -> set[str]:
     return {pinned.key for pinned in reference.artifacts.values()} if reference else set()
 
 
-def _keys(work: WorkFolder, ledger: Ledger, run: str) -> set[str]:
-    """Keys of the artifacts that a run used, by the ledger, or by its own log where that knows nothing of it."""
-    if found := ledger.keys_of_runs([run]):
-        return found
+def _keys(work: WorkFolder, run: str) -> set[str]:
+    """Keys of the artifacts that a run used, by its log."""
     try:
         return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
     except NoSuchRun:  # nobody knows what it used: that is made again if it is asked for

@@ -172,6 +172,7 @@ def mend_ledger(place: WorkFolder, journal: Journal) -> None:
     """Make the ledger again where it is damaged, before anybody reads it."""
     try:
         with Ledger(place, writes=True) as ledger:
+            ledger.catch_up()
             for fault in ledger.faults:
                 journal.repaired(fault)
     except (OSError, sqlite3.Error) as error:
@@ -182,12 +183,10 @@ def finish(run: FinishedRun, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and remove what need not stay.  The night is published: a fault is a warning."""
     before = len(journal.events)
     try:
-        with Ledger(run.work, writes=True, records=run.folder.id) as ledger:
+        with Ledger(run.work, writes=True) as ledger:
             fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
-            ledger.record_run(run.record, run.tasks.values())
-            for fault in ledger.faults:
-                journal.warn(fault)
+            ledger.record_run(run.record)
         if site.pin == "auto" and not run.work.reference_record.exists() and fit_to_pin(run.record):
             pin(run.cache, run.folder, automatic=True)
         if not site.keep.everything:

@@ -6,7 +6,6 @@ import heapq
 import itertools
 import re
 import shutil
-import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -19,7 +18,7 @@ from ..cache.atomic import free_bytes, in_words
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache
 from ..errors import WbflowError, printable
-from ..records.ledger import Ledger, TaskCosts, read_costs
+from ..records.ledger import TaskCosts, read_costs
 from ..task import Task
 from .context import Options
 from .executors import Cluster, OtherCode, Processes, WorkerLost, machine_memory, worker_roots
@@ -232,11 +231,7 @@ class DiskFloor:
     @cached_property
     def _usual(self) -> dict[str, float]:
         """Bytes that tasks have left before, by stage."""
-        try:
-            with Ledger(self.work) as ledger:
-                return ledger.usual_bytes()
-        except (sqlite3.Error, OSError):  # then only the floor is kept
-            return {}
+        return read_costs(self.work).stages_bytes
 
     def lacks(self, tasks: Iterable[Task]) -> str:
         """What is missing for some tasks, in words; "" where there is room."""

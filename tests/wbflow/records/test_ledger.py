@@ -18,7 +18,6 @@ def test_a_lost_ledger_is_made_again_from_what_it_indexes(tmp_path: Path) -> Non
     with Ledger(work) as ledger:
         (run,) = ledger.runs()
         assert (run.run, run.ran, run.points, run.exit_code) == ("20261120T031500Z", 7, 1843201, 3)
-        assert ledger.keys_of_runs([run.run]) == {"ab"}
         assert ledger.faults == []
 
 
@@ -28,7 +27,7 @@ def test_a_damaged_ledger_is_made_again_and_says_so(tmp_path: Path) -> None:
     work.ledger.write_bytes(b"not a database" * 1000)
     with Ledger(work, writes=True) as ledger:
         assert len(ledger.runs()) == 1
-        assert "was damaged" in ledger.faults[0]
+        assert "could not be used" in ledger.faults[0]
     with Ledger(work, writes=True) as ledger:
         assert ledger.faults == []
 
@@ -53,8 +52,7 @@ def test_damaged_pages_are_found_when_they_are_read_and_made_again(tmp_path: Pat
     damage_pages(work)
     with Ledger(work, writes=True) as ledger:
         assert len(ledger.runs()) == 3
-        assert ledger.keys_of_runs(["20261121T031500Z"]) == {"ab"}
-        assert "was damaged" in ledger.faults[0]
+        assert "could not be used" in ledger.faults[0]
     with Ledger(work) as ledger:
         assert (len(ledger.runs()), ledger.faults) == (3, [])
 
@@ -70,7 +68,7 @@ def test_who_only_reads_changes_nothing(tmp_path: Path) -> None:
     before = work.ledger.read_bytes()
     with Ledger(work) as ledger:
         assert len(ledger.runs()) == 4
-        assert "was damaged" in ledger.faults[0]
+        assert "could not be used" in ledger.faults[0]
     assert work.ledger.read_bytes() == before
 
 
@@ -83,7 +81,7 @@ def test_a_ledger_that_somebody_holds_is_never_removed(tmp_path: Path, monkeypat
     holder = sqlite3.connect(work.ledger, isolation_level=None)
     holder.execute("pragma locking_mode = exclusive")
     holder.execute("begin exclusive")
-    holder.execute("insert into uses values ('x', 'y', 'ran', null, 'z')")
+    holder.execute("delete from runs where run = 'x'")
     if writes:
         with pytest.raises(sqlite3.OperationalError, match="locked"):
             Ledger(work, writes=True)
@@ -100,6 +98,7 @@ def test_a_run_whose_process_was_killed_before_it_was_indexed_is_caught_up_with(
     full_ledger(work)
     publish(work, "20261129T031500Z")
     with Ledger(work, writes=True) as ledger:
+        ledger.catch_up()
         assert [run.run for run in ledger.runs()][-1] == "20261129T031500Z"
 
 
