@@ -73,14 +73,14 @@ class FindingType:
     """A row of the table of findings."""
 
     code: str
-    level: Level
-    """What a night with it is, unless the site file tolerates it."""
     meaning: str
     """In one sentence, for the table in the documentation."""
-    text: str
-    """What the operator reads; the names in braces are filled in."""
     remedy: str
     """What to do about it, as long as nothing more specific is known."""
+    text: str = "{reason}"
+    """What the operator reads; the names in braces are filled in."""
+    level: Level = "degraded"
+    """What a night with it is, unless the site file tolerates it."""
 
 
 _BACK = "it is used again as soon as its captures are usable"
@@ -93,215 +93,181 @@ FINDINGS: Mapping[str, FindingType] = {
     for row in (
         FindingType(
             "stopped",
-            "degraded",
             "The time of --stop-at was over before all tasks were done.",
-            "{reason}: {tasks} not done",
             "run it again without --stop-at, it continues from there; start earlier, or lower `resolution`",
+            "{reason}: {tasks} not done",
         ),
         FindingType(
             "interrupted",
-            "failed",
             "Somebody or something ended the run.",
-            "interrupted; everything finished is kept",
             "run it again: it continues from there",
+            "interrupted; everything finished is kept",
+            level="failed",
         ),
         FindingType(
             "no-result",
-            "failed",
             "The stage that --until names made nothing for the site.",
-            "no {stage}: {reason}",
             "see to the cameras and pairs that the report names, and run the night again",
+            "no {stage}: {reason}",
+            level="failed",
         ),
         FindingType(
             "no-cloud",
-            "failed",
             "The run made no cloud.",
-            "no cloud: {reason}",
             "see to the cameras and pairs that the report names, and run the night again",
+            "no cloud: {reason}",
+            level="failed",
         ),
         FindingType(
             "store-behind",
-            "degraded",
             "The object store does not have everything that was made; this machine has.",
-            "{reason}",
             "the next run uploads it; until then only this machine has it",
         ),
         FindingType(
             "camera-lost",
-            "degraded",
             "A camera gave nothing: no capture, or none that can be read.",
-            "{reason}; left out tonight",
             f"look at the camera: {_BACK}",
+            "{reason}; left out tonight",
         ),
         FindingType(
             "camera-unsolved",
-            "degraded",
             "A camera's pose could not be solved.",
-            "{reason}; left out tonight",
             "state its lens, if the site file does not (wbflow calibrate finds it): wide ones need that; "
             "or add a camera nearby that sees the same things from an angle between",
+            "{reason}; left out tonight",
         ),
         FindingType(
             "camera-obscured",
-            "degraded",
             "A camera shows too little: dark, covered, dirty or out of focus.",
-            "{reason}",
             "look at its lens, its focus, its light, and what stands in front of it",
         ),
         FindingType(
             "camera-stale",
-            "degraded",
             "A camera delivers pictures that are not of this night.",
-            "{reason}",
             "look at its clock, its recorder, and the copying of its pictures",
         ),
         FindingType(
             "camera-wrong-scene",
-            "degraded",
             "A camera shows another place.",
-            "{reason}",
             "check that it is the right camera on this input, and where it points; if it was moved for good, pin a new reference",
         ),
         FindingType(
             "camera-shifted",
-            "degraded",
             "A camera is turned by little: its pose is corrected, and it stays in use.",
-            "{reason}",
             "fasten it; if it stays so, pin a new reference",
         ),
         FindingType(
             "camera-moved",
-            "degraded",
             "A camera stands or looks elsewhere than the reference or the site file says.",
-            "{reason}",
             "look at it; calibrate it again if it has been moved, and pin a new reference",
         ),
         FindingType(
             "camera-unverified",
-            "degraded",
             "The stated pose of a camera is likely to be wrong; it is used all the same.",
-            "{reason}",
             "look at it; if it has been moved, calibrate it again or leave out its pose",
         ),
         FindingType(
             "camera-unpaired",
-            "degraded",
             "A camera is in no pair.",
-            "no other camera seems to see enough of what it sees: it is in no pair",
             "look at where it points, and at `pairs:` in the site file",
+            "no other camera seems to see enough of what it sees: it is in no pair",
         ),
         FindingType(
             "camera-no-usable-pair",
-            "degraded",
             "A camera is in pairs, and none of them could be used.",
-            "{reason}",
             "look at where it points, and whether anything stands in front of it",
         ),
         FindingType(
             "captures-in-motion",
-            "degraded",
             "Captures were replaced, or still grew, while the run worked on them.",
-            "captures changed while the night was worked on: {captures}; run.json has the digests of those that were used",
             "run the night again; have captures complete before the run begins, and each night's under names of its own",
+            "captures changed while the night was worked on: {captures}; run.json has the digests of those that were used",
         ),
         FindingType(
             "cameras-alike",
-            "degraded",
             "Two cameras or more deliver one and the same picture.",
-            "{cameras} deliver one and the same picture",
             "look at which inputs of the recorder these cameras are on, and at what copies and names their pictures",
+            "{cameras} deliver one and the same picture",
         ),
         FindingType(
             "poses-uncertain",
-            "degraded",
             "Stated poses are not exact enough for dense matching, and tonight's pictures do not improve them.",
+            "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see",
             "known poses are not exact enough, and tonight's pictures do not improve them: {cameras}; true matches may lie up to "
             "{row_px:.1f} px beside the row that is searched: depths may come from look-alikes",
-            "measure these poses more exactly; or leave them out, to have them solved; or add a camera that sees what these see",
         ),
         FindingType(
             "pictures-soft",
-            "degraded",
             "Many pictures are too blurred, noisy or coarsely coded to be measured in; `sigma_mm` may be too small.",
+            "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
             "pictures are too soft to be measured in: {cameras}; edges are blurred by up to {blur_px:.1f} px, blocks "
             "of their coding stand out by a factor of up to {coarseness:.1f}, {noise_left:.0f} grey levels of noise are left: "
             "points may be off by more than they say",
-            "look at focus, glass, exposure time, gain and the quality at which captures are coded; or lower `resolution`",
         ),
         FindingType(
             "calibration-changed",
-            "degraded",
             "Lenses or poses are stated otherwise than when the reference was pinned, which is out of use until another one is.",
-            "what the site states of lenses and poses has changed since the reference was pinned: {reason}",
             "if it is meant, look at the cloud and pin it (wbflow pin SITE.yaml RUN); else bring the calibration file back",
+            "what the site states of lenses and poses has changed since the reference was pinned: {reason}",
         ),
         FindingType(
             "calibration-contradicted",
-            "degraded",
             "Tonight's matches contradict the stated lenses or poses as a whole.",
-            "the matches contradict the stated calibration: they lie {misfit:.1f} times as far from where it has them as "
-            "noise explains; {explanation}",
             "calibrate the lenses again (wbflow calibrate), measure the poses again, or name the calibration that belongs to "
             "these captures; without `calibration:` lenses and poses are solved",
+            "the matches contradict the stated calibration: they lie {misfit:.1f} times as far from where it has them as "
+            "noise explains; {explanation}",
         ),
         FindingType(
             "poses-contradicted",
-            "degraded",
             "Stated poses contradict each other, or what the other cameras see; which is wrong is open, and they stay in use.",
-            "{reason}",
             "measure these poses again, or name the calibration that belongs to these captures; a camera without pose is solved",
         ),
         FindingType(
             "distances-contradicted",
-            "degraded",
             "A stated distance contradicts the other distances, or the positions of the cameras.",
-            "{pair} are stated to be {stated:.4g} m apart; by all else that is known it is {found:.4g} m{more}",
             "measure it again; check its unit (metres), and between which cameras it is",
+            "{pair} are stated to be {stated:.4g} m apart; by all else that is known it is {found:.4g} m{more}",
         ),
         FindingType(
             "control-contradicted",
-            "degraded",
             "Control points are not where the cameras see them.",
-            "{points}: up to {off:.3g} m from where the cameras see them; {tolerated:.3g} m are tolerated",
             "check their coordinates, and the pixels at which they are marked",
+            "{points}: up to {off:.3g} m from where the cameras see them; {tolerated:.3g} m are tolerated",
         ),
         FindingType(
             "units-implausible",
-            "degraded",
             "The cameras stand nearer to each other, or farther apart, than those of any site.",
+            "state positions and distances in metres; or name the coordinate system (crs), where such lengths are meant",
             "cameras stand {nearest:.4g} m from the nearest other one (median), the limit is {limit:g} m: are positions or "
             "distances in {unit}?",
-            "state positions and distances in metres; or name the coordinate system (crs), where such lengths are meant",
         ),
         FindingType(
             "poses-inconsistent",
-            "degraded",
             "Matches contradict each other, and the solved poses rest on some of them.",
+            "state poses and lenses that have been measured; or add a camera between those that stand far apart",
             "matches contradict each other: {cameras}; those that a third camera confirms fit other poses {factor:.0f} times "
             "better than noise explains, and the poses rest on these alone where that is possible: something repeats in "
             "the scene, or a lens is not as it is stated; cloud and poses may be bent, though they fit the pictures",
-            "state poses and lenses that have been measured; or add a camera between those that stand far apart",
         ),
         FindingType(
             "lens-undetermined",
-            "degraded",
             "Lenses were not stated, and tonight's pictures do not determine them.",
+            "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside",
             "the lens was not stated, and tonight's pictures do not determine it: {cameras}; noise and wrong matches leave "
             "{focal_percent:.1f} % of its focal length open and {border_px:.1f} px at the border (standard deviations), often "
             "several times as much: cloud and poses may be bent or stretched, though they fit the pictures",
-            "state the lens (wbflow calibrate finds it); or add cameras that see the same things from nearer, farther or aside",
         ),
         FindingType(
             "task-failed",
-            "degraded",
             "A task failed; what needs its result was skipped.",
-            "{task} failed: {reason}{more}",
             "wbflow run -v SITE.yaml shows where",
+            "{task} failed: {reason}{more}",
         ),
-        FindingType("fewer-points", "degraded", "The cloud has far fewer points than usual.", "{reason}", _COMPARE),
-        FindingType("fewer-pairs", "degraded", "Far fewer pairs could be used than usual or planned.", "{reason}", _COMPARE),
-        FindingType("fewer-cameras", "degraded", "Fewer cameras are in use than `expect:` says.", "{reason}", _COMPARE),
-        FindingType("fewer-coverage", "degraded", "Far less of the ground is seen than usual.", "{reason}", _COMPARE),
+        FindingType("fewer-points", "The cloud has far fewer points than usual.", _COMPARE),
+        FindingType("fewer-pairs", "Far fewer pairs could be used than usual or planned.", _COMPARE),
+        FindingType("fewer-cameras", "Fewer cameras are in use than `expect:` says.", _COMPARE),
+        FindingType("fewer-coverage", "Far less of the ground is seen than usual.", _COMPARE),
     )
 }
 """Everything that a verdict can say."""

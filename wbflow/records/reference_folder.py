@@ -23,7 +23,7 @@ from ..cache.signed import Damaged, read_signed, signed
 from ..cache.store import Cache, Receipt
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import WbflowError
-from ..task import Subject, Task
+from ..task import Task
 
 _OF = "reference"
 
@@ -45,9 +45,6 @@ class PinnedArtifact:
     """ran or rejected."""
     digest: str
     """Of the artifact's bytes; "" where it was rejected."""
-
-    def to_json(self) -> dict[str, str]:
-        return {"task": str(self.task), "key": self.key, "outcome": self.outcome, "digest": self.digest}
 
 
 @dataclass(frozen=True)
@@ -82,30 +79,20 @@ class Reference:
         return found
 
     def to_json(self) -> dict[str, Any]:
-        """Artifacts stand with what they are of: a camera, a pair, the site."""
-        of: dict[tuple[str, ...], list[dict[str, str]]] = {}
-        for task, pinned in self.artifacts.items():
-            of.setdefault(task.subject, []).append(pinned.to_json())
-        cameras = [{"id": c, "camera": solved, "artifacts": of.pop((c,), [])} for c, solved in self.cameras.items()]
-        pairs = [{"left": s[0], "right": s[1], "artifacts": of.pop(s)} for s in [s for s in of if len(s) == 2]]
-        site = [entry for entries in of.values() for entry in entries]
-        how = "automatically" if self.automatic else "by hand"
-        return {"run": self.run, "date": self.date, "pinned": how, "cameras": cameras, "pairs": pairs, "site": site}
+        """Return what reference.json holds."""
+        artifacts = [vars(pinned) for pinned in self.artifacts.values()]
+        pinned = "automatically" if self.automatic else "by hand"
+        return {"run": self.run, "date": self.date, "pinned": pinned, "cameras": self.cameras, "artifacts": artifacts}
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Reference:
         """Raises KeyError, TypeError or ValueError for what is no reference.json."""
-        artifacts: dict[Task, PinnedArtifact] = {}
-        groups: list[tuple[Subject | None, Any]] = [((c["id"],), c["artifacts"]) for c in data["cameras"]]
-        groups += [((p["left"], p["right"]), p["artifacts"]) for p in data["pairs"]]
-        groups += [(None, data["site"])]
-        for subject, entries in groups:
-            for entry in entries:
-                stage, _, name = entry["task"].partition(" ")
-                task = Task(stage, subject if subject is not None else (name,) if name else ())
-                artifacts[task] = PinnedArtifact(task, entry["key"], entry["outcome"], entry["digest"])
-        cameras = {camera["id"]: dict(camera["camera"]) for camera in data["cameras"]}
-        return Reference(data["run"], data["date"], cameras, artifacts, data["pinned"] == "automatically")
+        artifacts = {}
+        for entry in data["artifacts"]:
+            stage, subject = entry["task"]
+            task = Task(stage, tuple(subject))
+            artifacts[task] = PinnedArtifact(**entry | {"task": task})
+        return Reference(data["run"], data["date"], data["cameras"], artifacts, data["pinned"] == "automatically")
 
 
 def read_reference(work: WorkFolder) -> Reference | None:
@@ -244,7 +231,7 @@ def restore(cache: Cache, reference: Reference) -> Restored:
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
             (to_cache if put_back(work, pinned) else lost).append(task)
-        elif _differs(work, receipt) and _is_whole(cache, receipt):
+        elif _differs(cache, receipt) and _is_whole(cache, receipt):
             for path in _files(cache, receipt):
                 clear(work.pinned(path))
                 copy_atomic(path, work.pinned(path))
@@ -284,18 +271,12 @@ def _digest(path: Path) -> str | None:
         return None
 
 
-def _differs(work: WorkFolder, receipt: Receipt) -> bool:
+def _differs(cache: Cache, receipt: Receipt) -> bool:
     """At first sight: is the reference's copy of a receipt or an artifact gone, or of another size?"""
-    folder = "/".join(work.task(receipt.preimage.task).parts[-2:])
-    names = [f"{receipt.key}.json", *([receipt.file] if receipt.file else [])]
-    try:  # as text: a site has thousands of them
-        kept, copied = (
-            [os.stat(f"{root}/{folder}/{name}").st_size for name in names]  # noqa: PTH116
-            for root in (work.cache, work.reference)
-        )
+    try:
+        return any(path.stat().st_size != cache.work.pinned(path).stat().st_size for path in _files(cache, receipt))
     except OSError:
         return True
-    return kept != copied
 
 
 def _files(cache: Cache, receipt: Receipt) -> list[Path]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import fcntl
 import functools
 import hashlib
 import json
@@ -29,69 +28,19 @@ from .record import CloudRecord, RunRecord
 if TYPE_CHECKING:
     from ..remote import Mirror
 
-_FICLONE = 0x40049409
-"""The request of Linux that lets a file share another's blocks until either is written (ioctl_ficlone(2))."""
-
-_PIECE = 1 << 22
+_OF = "run"
 
 
-def write_product(path: Path, data: bytes, earlier: Path | None = None) -> None:
-    """Write a file that is not to be changed any more.
-
-    Where an earlier file holds the same bytes, they are shared: as a clone, where the file system can make one (then nobody can
-    tell), else as a second name of the same file.  Products can be read only, so that no program writes through one name what is
-    then read under the other; wbflow itself only ever puts new files in the place of old ones.
-
-    Parameters
-    ----------
-    path : Path
-        Where to.
-    data : bytes
-        What.
-    earlier : Path, optional
-        A product of an earlier run.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or there is no right to write.
-    """
-    if earlier is None or not _holds(earlier, data) or not _shared(earlier, path):
-        write_atomic(path, data)
-    with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
-        path.chmod(0o444)
-
-
-def _holds(path: Path, data: bytes) -> bool:
-    """Are these the bytes of the file?  A cloud is not held twice for the answer."""
+def _link(path: Path, earlier: Path | None, data: bytes) -> bool:
+    """Give a file a second name where it holds these bytes, and the file system can."""
     try:
-        if path.stat().st_size != len(data):
+        if earlier is None or earlier.stat().st_size != len(data) or read_outside(earlier, most=sys.maxsize) != data:
             return False
-        with os.fdopen(open_outside(path, most=sys.maxsize), "rb") as file:
-            return all(file.read(_PIECE) == data[at : at + _PIECE] for at in range(0, len(data), _PIECE))
-    except OSError:
-        return False
-
-
-def _shared(earlier: Path, path: Path) -> bool:
-    """Give `path` the bytes of `earlier`, if the file system can."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.unlink(missing_ok=True)
-    try:
-        with earlier.open("rb") as source, path.open("wb") as target:
-            fcntl.ioctl(target, _FICLONE, source.fileno())
-            os.fsync(target.fileno())
-        return True
-    except OSError:
-        path.unlink(missing_ok=True)
-    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.hardlink_to(earlier)
     except OSError:
         return False
     return True
-
-
-_OF = "run"
 
 
 class NoSuchRun(WbflowError, ValueError):
@@ -241,23 +190,16 @@ class UnfinishedRun:
         self.write(self.paths.cameras.name, json.dumps(cameras, indent=1).encode())
 
     def write(self, name: str, data: bytes) -> None:
-        """A product that is not changed after the run; what the run before has just the same takes no room.
+        """A product that is not changed after the run; what an earlier run has just the same takes no room.
 
-        Parameters
-        ----------
-        name : str
-            Of the file.
-        data : bytes
-            What it holds.
-
-        Raises
-        ------
-        OSError
-            The disk is full, or there is no right to write.
+        Products can be read only, so that no program writes through one name what is then read under the other; wbflow itself
+        only ever puts new files in the place of old ones.  Raises OSError.
         """
-        places = (self.work.run(run).folder / name for run in self._earlier)
-        earlier = next((path for path in places if path.is_file()), None)
-        write_product(self.paths.folder / name, data, earlier)
+        path, earlier = self.paths.folder / name, (self.work.run(run).folder / name for run in self._earlier)
+        if not _link(path, next((place for place in earlier if place.is_file()), None), data):
+            write_atomic(path, data)
+        with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
+            path.chmod(0o444)
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:

@@ -59,7 +59,7 @@ def test_the_first_good_run_is_pinned_and_says_so(toy: ToySite) -> None:
     pinned = json.loads(record_of(toy).read_text())
     assert pinned["date"] == FIRST
     assert pinned["pinned"] == "automatically"
-    assert {c["id"]: bool(c["camera"]) for c in pinned["cameras"]} == {"a": True, "b": True, "c": True}
+    assert {name: bool(solved) for name, solved in pinned["cameras"].items()} == {"a": True, "b": True, "c": True}
     listed = toy.wbflow("pin", "--list").stdout
     assert pinned["run"] in listed
     assert "a--b" in listed
