@@ -84,9 +84,7 @@ class FindingType:
 
 
 _BACK = "it is used again as soon as its captures are usable"
-_COMPARE = (
-    "wbflow compare SITE.yaml shows what differs; if this is usual from now on, write expect: {since: DATE} in the site file"
-)
+_COMPARE = "wbflow compare SITE.yaml shows what differs; if it stays so, write expect: {since: DATE} in the site file"
 
 FINDINGS: Mapping[str, FindingType] = {
     row.code: row
