@@ -151,7 +151,7 @@ def stages(stage: str | None) -> None:
     wbflow stages
     wbflow stages disparity
     """
-    from ..pipeline.describe import describe, describe_all, lines
+    from ..pipeline.describe import describe
     from ..pipeline.functions import FunctionReader
     from ..pipeline.stages import STAGES
 
@@ -160,5 +160,4 @@ def stages(stage: str | None) -> None:
         remedy = f"wbflow stages  shows all; there are {', '.join(row.name for row in STAGES)}"
         raise UsageError(f"there is no stage {stage!r}", remedy=remedy)
     reader = FunctionReader()
-    rows = [describe(row, reader) for row in chosen] or describe_all(reader)
-    echo("\n\n".join("\n".join(lines(row)) for row in rows))
+    echo("\n\n".join("\n".join(describe(row, reader)) for row in chosen or STAGES))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 
@@ -9,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from wbflow.cli.main import main
-from wbflow.pipeline.describe import describe
+from wbflow.pipeline.binding import method_parameters
+from wbflow.pipeline.describe import describe, document
 from wbflow.pipeline.functions import FunctionReader
 from wbflow.pipeline.names import DISPARITY, MATCHES
 from wbflow.pipeline.stages import STAGES, Stage, stage_named
@@ -17,25 +19,28 @@ from wbflow.pipeline.stages import STAGES, Stage, stage_named
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
 def test_every_parameter_of_every_stage_has_a_meaning(stage: Stage) -> None:
-    row = describe(stage, FunctionReader())
-    assert row.meaning
-    assert [p.name for p in row.parameters if not p.meaning and p.name != "component"] == []
-    assert all(p.default for p in row.parameters)
-    assert [(m.name, p.name) for m in row.methods for p in m.parameters if not p.meaning] == []
+    reader = FunctionReader()
+    own = [p for name, p in reader.signature(stage.function).parameters.items() if name not in {*stage.inputs, *stage.offers}]
+    meaning, docs = document(stage.function, own, reader)
+    assert meaning
+    for name, parameters in method_parameters(stage, reader).items():
+        assert stage.method
+        docs += document(reader.table(stage.method.table)[name], parameters.values(), reader)[1]
+    assert [doc.parameter.name for doc in docs if not doc.meaning and doc.parameter.name != "component"] == []
 
 
 def test_units_come_from_the_docstring_or_the_name() -> None:
-    row = describe(stage_named(DISPARITY), FunctionReader())
-    units = {p.name: p.unit for p in row.parameters}
-    assert units["tolerance_px"] == "pixels"
+    assert "  tolerance_px = 2.0 [pixels]" in describe(stage_named(DISPARITY), FunctionReader())
 
 
 def test_methods_are_listed_with_parameters_of_their_own() -> None:
-    row = describe(stage_named(MATCHES), FunctionReader())
-    methods = {method.name: method for method in row.methods}
-    assert methods["structural"].chosen
-    assert "ratio" in {p.name for p in methods["mutual"].parameters}
-    assert "ratio" not in {p.name for p in methods["structural"].parameters}
+    text = "\n".join(describe(stage_named(MATCHES), FunctionReader()))
+    assert "\n  structural (default): " in text
+    structural, mutual = (
+        text.partition(f"\n  {name}")[2].partition("\n  ")[2].split("\n  ") for name in ("structural", "mutual")
+    )
+    of_own = [list(itertools.takewhile(lambda line: line.startswith("  "), lines)) for lines in (structural, mutual)]
+    assert [any(line.startswith("  ratio = ") for line in lines) for lines in of_own] == [False, True]
 
 
 def test_the_command_prints_one_stage_or_all_and_refuses_others() -> None:
