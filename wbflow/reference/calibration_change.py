@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
-from ..site.models import Lens, Site
+from ..site.calibration.calibrated import Lens
+from ..site.models import Site
 
 LEAST_FOCAL = 0.005
 """Focal lengths that differ by a smaller share have not changed."""

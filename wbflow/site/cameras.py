@@ -11,9 +11,10 @@ from ..cache.untrusted import is_file
 from ..errors import printable
 from ..pipeline.exports import VIEWS_OF_LENS
 from ..task import view_name
+from .calibration.calibrated import Calibrated, Lens, Placement
 from .calibration.read import find_camera, read_calibration
 from .locations import CalibrationError, Location, Problems, beside, is_name
-from .models import Calibrated, Camera, CameraEntry, Lens, Placement, Privacy, SiteFile
+from .models import Camera, CameraEntry, Privacy, SiteFile
 from .rotations import turned
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from ..pipeline.pairs import MOST_AT_A_CAMERA
+from .calibration.calibrated import LENS_MODELS
 from .locations import Document, Location, SiteProblem
-from .models import CUSTOM, LENS_MODELS, POSITION_REMEDY, SiteFile
+from .models import CUSTOM, POSITION_REMEDY, SiteFile
 
 _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",

@@ -22,8 +22,9 @@ from ..cache.atomic import bytes_of
 from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
 from ..task import camera_of
+from .calibration.calibrated import Lens, Placement, lens_fault
 from .locations import Document, Location, SiteProblem
-from .rotations import look_at, rotation_fault, yaw_pitch_roll
+from .rotations import Matrix, look_at, rotation_fault, yaw_pitch_roll
 
 if TYPE_CHECKING:
     from ..pipeline.functions import FunctionReader
@@ -32,32 +33,10 @@ Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 CameraPair = Annotated[list[str], Field(min_length=2, max_length=2)]
-Matrix = list[list[float]]
 
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation of a position by latitude and longitude that comes without one: a plain satellite receiver's, metres."""
 _GEODETIC = ("latitude", "longitude", "height")
-
-LENS_MODELS: Mapping[str, tuple[tuple[int, ...], str]] = {
-    "pinhole": ((0,), ""),
-    "brown": ((0, 1, 2, 3, 4, 5, 8, 12, 14), "k1 k2 p1 p2 k3, and further ones as OpenCV orders them"),
-    "rational": ((8, 12, 14), "k1 k2 p1 p2 k3 k4 k5 k6"),
-    "fisheye": ((1, 2, 3, 4), "k1 k2 k3 k4"),
-    "division": ((1,), "k"),
-    "fov": ((1,), "omega"),
-    "eucm": ((2,), "alpha beta"),
-    "omni": ((1, 3, 5, 6), "xi k1 k2 p1 p2"),
-    "double-sphere": ((2,), "xi alpha"),
-    "thin-prism-fisheye": ((8,), "k1 k2 p1 p2 k3 k4 sx1 sy1"),
-    "rad-tan-thin-prism-fisheye": ((12,), "k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
-    "equirectangular": ((0,), ""),
-}
-"""How many coefficients each lens model has (`wbflow_stages.core.lenses`), and in which order."""
-
-LARGEST = 1e12
-"""Of any number in a calibration: metres, pixels."""
-MOST_PIXELS_A_SIDE = 1_000_000
-"""Of an image in a calibration."""
 
 POSITION_REMEDY = (
     "give position: [x, y, z] in metres, or latitude, longitude (degrees, WGS 84) and height (metres above the ellipsoid)"
@@ -69,18 +48,6 @@ CUSTOM = "site"
 
 def _error(what: str) -> PydanticCustomError:
     return PydanticCustomError(CUSTOM, "{what}", {"what": what})
-
-
-def lens_fault(model: str, distortion: list[float] | None) -> tuple[str, str]:
-    """What is wrong with the coefficients of a lens, and what to do; both empty where nothing is."""
-    if model not in LENS_MODELS:
-        return f"{model!r} is no lens model that is known", f"use one of {', '.join(LENS_MODELS)}"
-    counts, order = LENS_MODELS[model]
-    count = len(distortion or [])
-    if count in counts or (counts == (0,) and not any(distortion or [])):
-        return "", ""
-    wanted = f"{' or '.join(map(str, counts))} coefficients" + (f" ({order})" if order else "")
-    return f"a {model} lens has {wanted}, not {count}", "give them in that order, or another model"
 
 
 class Section(BaseModel):
@@ -233,9 +200,8 @@ class CameraEntry(Section):
     def _lens(self) -> CameraEntry:
         if self.distortion is None and self.model is None:
             return self
-        what, remedy = lens_fault(self.model or "brown", self.distortion)
-        if what:
-            raise _error(f"{what}; {remedy}")
+        if fault := lens_fault(self.model or "brown", self.distortion):
+            raise _error(fault)
         bends = self.model not in {None, "pinhole", "brown"}
         if bends and self.calibration is None and (self.intrinsics is None or self.intrinsics.K is None):
             raise _error(f"a {self.model} lens needs 'intrinsics' with fx, fy, cx, cy, width, height")
@@ -405,29 +371,6 @@ class SiteFile(Section):
 
 
 @dataclass(frozen=True)
-class Lens:
-    """Intrinsics of a camera as the site file, or a calibration, gives them."""
-
-    K: Matrix | None = None
-    """3x3, pixels; None where unknown."""
-    distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
-    """Coefficients of `model`; of "brown" k1 k2 p1 p2 k3."""
-    hfov_deg: float | None = None
-    """Horizontal field of view, used where K is None."""
-    width: int = 0
-    """Of the image that this is for, pixels; 0: unknown."""
-    height: int = 0
-    model: str = "brown"
-    """How the lens bends light: a key of `LENS_MODELS`."""
-    camera: str = ""
-    """Of one view among several: the id of the camera that has them."""
-    turn: Matrix | None = None
-    """3x3, from the camera's axes to those of this view; None where it has the one view."""
-    window: list[float] | None = None
-    """How far this view reaches: slopes to the left, right, up and down, as the vision defines them."""
-
-
-@dataclass(frozen=True)
 class Privacy:
     """Polygons of a capture that nobody may see."""
 
@@ -435,30 +378,6 @@ class Privacy:
     """x and y of the corners of all polygons one after the other: pixels of a capture, or shares of width and height."""
     counts: list[float] = field(default_factory=list)
     """How many corners each has."""
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Where a camera is, as the site file or a calibration gives it: x ~ K R (X - C)."""
-
-    R: Matrix | None = None
-    """3x3; None where unknown."""
-    C: list[float] | None = None
-    """Metres."""
-    sigma_m: float = 0.0
-    """Standard deviation of C; 0 where it is exact."""
-    sigma_deg: float = 0.0
-    """Standard deviation of R, degrees; 0 where it is exact."""
-    metric: bool = True
-    """C is in metres."""
-
-
-@dataclass(frozen=True)
-class Calibrated:
-    """What a calibration file gives for a camera."""
-
-    lens: Lens
-    placement: Placement = field(default_factory=Placement)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import numpy as np
 import pycolmap
 import pytest
 
+from wbflow.site.calibration.calibrated import Calibrated
 from wbflow.site.calibration.read import read_calibration
 from wbflow.site.load import load_site
 from wbflow.site.locations import CalibrationError
-from wbflow.site.models import Calibrated
 from wbflow_stages.core.lenses import lens_pixels, lens_rays
 from wbflow_stages.types import Float64s, Lens
 

@@ -8,14 +8,15 @@ https://colmap.github.io/format.html, https://colmap.github.io/cameras.html
 from __future__ import annotations
 
 import math
-import os
 import struct
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-from ...cache.untrusted import Unreadable, is_file, open_outside
+from ...cache.untrusted import Unreadable, is_file, read_outside
 from ..locations import CalibrationError, SiteError, read_text
-from ..models import LARGEST, MOST_PIXELS_A_SIDE, Calibrated, Lens, Matrix, Placement
+from ..rotations import Matrix
+from .calibrated import Calibrated, calibrated
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
     "SIMPLE_PINHOLE": ("pinhole", 1, 0),
@@ -42,9 +43,6 @@ _LAYOUTS: dict[str, tuple[str, int, int]] = {
 The order is that of COLMAP's numbers: binary models have these.
 """
 
-_PADDED = {"brown": 5, "fisheye": 4}
-"""Coefficients that COLMAP does not write are 0: so many there are of a model in all."""
-
 
 def is_colmap(folder: Path) -> bool:
     """Does a folder hold a model, or a part of one?"""
@@ -53,159 +51,125 @@ def is_colmap(folder: Path) -> bool:
 
 def read_colmap(folder: Path) -> dict[str, Calibrated]:
     """Cameras by image name; of a folder with both models the text.  Raises CalibrationError."""
-    files = folder / "cameras.txt", folder / "images.txt"
-    if not all(map(is_file, files)):
-        binary = folder / "cameras.bin", folder / "images.bin"
-        if all(map(is_file, binary)):
-            return _read_binary(*binary)
+    text, binary = ([folder / f"{name}.{suffix}" for name in ("cameras", "images")] for suffix in ("txt", "bin"))
+    if all(map(is_file, text)):
+        file, cameras, images = text[0].name, _text_cameras(text[0]), _text_images(text[1])
+    elif all(map(is_file, binary)):
+        file, cameras, images = binary[0].name, _binary_cameras(binary[0]), _binary_images(binary[1])
+    else:
         what = "must hold cameras.txt and images.txt, or cameras.bin and images.bin (COLMAP's text or binary model)"
-        raise CalibrationError(what, where=str(folder), remedy="in COLMAP: model_converter --output_type TXT")
-    cameras: dict[str, Lens] = {}
-    for number, line in enumerate(_lines(files[0]), 1):
-        if words := _words(line):
-            try:
-                size = _pixels(words[2]), _pixels(words[3])
-                cameras[words[0]] = _intrinsics(words[1], *size, [_finite(w) for w in words[4:]])
-            except (IndexError, ValueError) as error:
-                why = "not a camera line of COLMAP's text model" if isinstance(error, IndexError) else str(error)
-                raise CalibrationError(why, where=f"{files[0]}:{number}", remedy=_REMEDY) from None
-    found: dict[str, Calibrated] = {}
-    # each image takes two lines, the second being its 2-D points (possibly empty): only the first is of interest
-    lines = [(n, line) for n, line in enumerate(_lines(files[1]), 1) if not line.startswith("#")]
-    for number, line in lines[::2]:
-        words = line.split(maxsplit=9)
-        if not words:
-            continue
+        raise CalibrationError(what, where=str(folder), remedy=_REMEDY)
+    lenses: dict[str, dict[str, Any]] = {}
+    for where, what, number, model, size, parameters in cameras:
         try:
-            found[words[9].strip()] = _posed(cameras[words[8]], [_finite(w) for w in words[1:8]])
-        except (IndexError, ValueError, KeyError) as error:
-            why = f": {error}" if isinstance(error, ValueError) else ""
-            what = f"not an image line of COLMAP's text model{why}"
-            raise CalibrationError(what, where=f"{files[1]}:{number}", remedy=_REMEDY) from None
-    return found
-
-
-def _read_binary(cameras_file: Path, images_file: Path) -> dict[str, Calibrated]:
-    cameras: dict[int, Lens] = {}
-    with _Binary(cameras_file) as file:
-        for _ in range(file.count()):
-            number, model, width, height = file.values("<IiQQ")
-            name = list(_LAYOUTS)[model] if 0 <= model < len(_LAYOUTS) else f"number {model}"
-            params = file.values(f"<{_parameters(name)}d") if name in _LAYOUTS else ()
-            try:
-                cameras[number] = _intrinsics(name, _pixels(str(width)), _pixels(str(height)), [_finite(p) for p in params])
-            except ValueError as error:
-                raise file.fault(f"camera {number}: {error}") from None
+            lenses[number] = _lens(model, *size, parameters)
+            calibrated(lenses[number])
+        except (IndexError, ValueError) as error:
+            why = "it lacks numbers" if isinstance(error, IndexError) else error
+            raise CalibrationError(f"{what}{why}", where=where, remedy=_REMEDY) from None
     found: dict[str, Calibrated] = {}
-    with _Binary(images_file) as file:
-        for _ in range(file.count()):
-            number, *pose, camera = file.values("<I7dI")
-            name = file.name()
-            file.skip(_POINT_BYTES * file.count())
-            try:
-                found[name] = _posed(cameras[camera], [_finite(p) for p in pose])
-            except KeyError:
-                raise file.fault(f"image {number} is of camera {camera}, which {cameras_file.name} lacks") from None
-            except ValueError as error:
-                raise file.fault(f"image {number}: {error}") from None
+    for where, what, name, number, pose in images:
+        if number not in lenses:
+            raise CalibrationError(f"{what} is of camera {number}, which {file} lacks", where=where, remedy=_REMEDY)
+        try:
+            R = _quaternion_to_rotation(*pose[:4])
+            C = [-sum(R[j][i] * pose[4 + j] for j in range(3)) for i in range(3)]  # of x = R X + t
+            found[name] = calibrated({**lenses[number], "R": R, "C": C})
+        except (TypeError, IndexError, ValueError) as error:
+            raise CalibrationError(f"{what}: {error}", where=where, remedy=_REMEDY) from None
     return found
+
+
+_REMEDY = "have COLMAP write the model again: model_converter --output_type TXT"
+_Camera = tuple[str, str, str, str, tuple[int, int], list[float]]
+"""Where it stands, what it is called in a message, its number, model, size and parameters."""
+_Image = tuple[str, str, str, str, list[float]]
+"""The same: name, number of its camera, qw qx qy qz and t."""
+
+
+def _text_cameras(path: Path) -> Iterator[_Camera]:
+    for where, line in _lines(path):
+        if line.strip():
+            try:
+                number, model, width, height, *parameters = line.split()
+                yield where, "", number, model, (int(width), int(height)), [*map(float, parameters)]
+            except ValueError:
+                raise CalibrationError("not a camera line of COLMAP's text model", where=where, remedy=_REMEDY) from None
+
+
+def _text_images(path: Path) -> Iterator[_Image]:
+    # each image takes two lines, the second being its 2-D points (possibly empty): only the first is of interest
+    what = "not an image line of COLMAP's text model"
+    for where, line in list(_lines(path))[::2]:
+        if line.strip():
+            try:
+                _, *pose, number, name = line.split(maxsplit=9)
+                yield where, what, name.strip(), number, [*map(float, pose)]
+            except ValueError:
+                raise CalibrationError(what, where=where, remedy=_REMEDY) from None
+
+
+def _lines(path: Path) -> Iterator[tuple[str, str]]:
+    """The lines of a file that are no comments, each with its place."""
+    try:
+        lines = read_text(path).splitlines()
+    except SiteError as error:
+        raise CalibrationError.from_site_error(error) from None
+    return ((f"{path}:{number}", line) for number, line in enumerate(lines, 1) if not line.startswith("#"))
+
+
+def _binary_cameras(path: Path) -> Iterator[_Camera]:
+    file = _Binary(path)
+    for _ in range(file.values("<Q")[0]):
+        number, model, width, height = file.values("<IiQQ")
+        name = list(_LAYOUTS)[model] if 0 <= model < len(_LAYOUTS) else f"number {model}"
+        _, focals, count = _LAYOUTS.get(name, ("", 0, -2))
+        yield str(path), f"camera {number}: ", str(number), name, (width, height), list(file.values(f"<{focals + 2 + count}d"))
+
+
+def _binary_images(path: Path) -> Iterator[_Image]:
+    file = _Binary(path)
+    for _ in range(file.values("<Q")[0]):
+        number, *pose, camera = file.values("<I7dI")
+        name = file.text()
+        file.skip(_POINT_BYTES * file.values("<Q")[0])
+        yield str(path), f"image {number}", name, str(camera), pose
+
+
+_POINT_BYTES = 24
+"""Of a point of an image: x, y, and the number of its point in space."""
 
 
 class _Binary:
     """A file of COLMAP's binary model: little-endian numbers one after the other, each list after its length."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.at = path, 0
         try:
-            self.file: BinaryIO = os.fdopen(open_outside(path, _MOST_BYTES), "rb")
+            self.data = read_outside(path)
         except Unreadable as error:
             raise CalibrationError(error.what, where=str(path)) from None
 
-    def __enter__(self) -> _Binary:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.file.close()
-
     def values(self, layout: str) -> tuple[Any, ...]:
         """What comes next."""
-        data = self.file.read(struct.calcsize(layout))
-        if len(data) < struct.calcsize(layout):
-            raise self.fault("ends too early")
-        return struct.unpack(layout, data)
+        start = self.at
+        self.skip(struct.calcsize(layout))
+        return struct.unpack_from(layout, self.data, start)
 
-    def count(self) -> int:
-        """How long the list is that comes next."""
-        return int(self.values("<Q")[0])
-
-    def name(self) -> str:
+    def text(self) -> str:
         """Text up to a zero byte."""
-        found = bytearray()
-        while (byte := self.values("<c")[0]) != b"\0":
-            found += byte
-            if len(found) > _LONGEST_NAME:
-                raise self.fault("an image's name has no end")
-        return found.decode(errors="surrogateescape")
+        start, end = self.at, self.data.find(b"\0", self.at)
+        self.skip(end + 1 - start if end >= 0 else len(self.data))
+        return self.data[start:end].decode(errors="surrogateescape")
 
     def skip(self, count: int) -> None:
         """Leave bytes out."""
-        if count > os.fstat(self.file.fileno()).st_size - self.file.tell():
-            raise self.fault("ends too early")
-        self.file.seek(count, os.SEEK_CUR)
-
-    def fault(self, what: str) -> CalibrationError:
-        """What is wrong where."""
-        return CalibrationError(f"{what} (COLMAP's binary model)", where=str(self.path), remedy=_REMEDY_BINARY)
+        self.at += count
+        if self.at > len(self.data):
+            raise CalibrationError("ends too early (COLMAP's binary model)", where=str(self.path), remedy=_REMEDY)
 
 
-_MOST_BYTES = 100_000_000_000
-"""Of a file with every point of every image, most of which is passed over."""
-_POINT_BYTES = 24
-"""Of a point of an image: x, y, and the number of its point in space."""
-_LONGEST_NAME = 10_000
-_REMEDY_BINARY = "have COLMAP write the model again: model_converter --output_type BIN"
-_REMEDY = "have COLMAP write the model again: model_converter --output_type TXT"
-
-
-def _finite(word: str | float) -> float:
-    value = float(word)
-    if not abs(value) < LARGEST:
-        raise ValueError(f"{str(word)[:40]} is no finite number")
-    return value
-
-
-def _pixels(word: str) -> int:
-    value = int(word) if len(word) < 20 else 0
-    if not 0 < value <= MOST_PIXELS_A_SIDE:
-        raise ValueError(f"{word[:40]} is no number of pixels")
-    return value
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        return read_text(path).splitlines()
-    except SiteError as error:
-        raise CalibrationError.from_site_error(error) from None
-
-
-def _words(line: str) -> list[str]:
-    return [] if line.startswith("#") else line.split()
-
-
-def _parameters(name: str) -> int:
-    """How many numbers a camera model has."""
-    model, focals, count = _LAYOUTS[name]
-    return 2 if model == "equirectangular" else focals + 2 + count
-
-
-def _posed(lens: Lens, pose: list[float]) -> Calibrated:
-    """A camera with its pose: qw qx qy qz, and t of x = R X + t."""
-    R = _quaternion_to_rotation(*pose[:4])
-    C = [-sum(R[j][i] * pose[4 + j] for j in range(3)) for i in range(3)]
-    return Calibrated(lens, Placement(R, C))
-
-
-def _intrinsics(name: str, width: int, height: int, p: list[float]) -> Lens:
+def _lens(name: str, width: int, height: int, p: list[float]) -> dict[str, Any]:
     """COLMAP puts the origin at the top-left *corner* of the first pixel: half a pixel is taken off the principal point."""
     if name not in _LAYOUTS:
         raise ValueError(f"camera model {name} is not supported; use one of {', '.join(_LAYOUTS)}")
@@ -216,16 +180,18 @@ def _intrinsics(name: str, width: int, height: int, p: list[float]) -> Lens:
     fx, fy, cx, cy = p[0], p[focals - 1], p[focals], p[focals + 1]
     if min(fx, fy) <= 0:
         raise ValueError("a focal length must be positive")
-    coefficients = [p[focals + 2 + i] for i in range(count)]
     K = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
-    padded = coefficients + [0.0] * (_PADDED.get(model, 0 if count else 5) - count)
-    return Lens(K=K, distortion=padded, width=width, height=height, model="brown" if model == "pinhole" else model)
+    coefficients = [p[focals + 2 + i] for i in range(count)]
+    if model == "fisheye":  # what COLMAP does not write is 0
+        coefficients += [0.0] * (4 - count)
+    model = "brown" if model == "pinhole" else model
+    return {"K": K, "width": width, "height": height, "distortion": coefficients, "model": model}
 
 
 def _quaternion_to_rotation(w: float, x: float, y: float, z: float) -> Matrix:
     n = math.sqrt(w * w + x * x + y * y + z * z)
-    if n < 1e-6:
-        raise ValueError("its quaternion is zero, which is no rotation")
+    if not 1e-6 < n < 1e6:
+        raise ValueError("its quaternion is zero or endless, which is no rotation")
     w, x, y, z = w / n, x / n, y / n, z / n
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

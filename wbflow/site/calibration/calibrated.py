@@ -1,0 +1,207 @@
+"""What is known of a camera: its lens and where it is.  A calibration is checked here, whichever program has written it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, ValidationInfo, field_validator
+
+from ..locations import Location
+from ..rotations import Matrix, rotation_fault
+
+LENS_MODELS: Mapping[str, tuple[tuple[int, ...], str]] = {
+    "pinhole": ((0,), ""),
+    "brown": ((0, 1, 2, 3, 4, 5, 8, 12, 14), "k1 k2 p1 p2 k3, and further ones as OpenCV orders them"),
+    "rational": ((8, 12, 14), "k1 k2 p1 p2 k3 k4 k5 k6"),
+    "fisheye": ((1, 2, 3, 4), "k1 k2 k3 k4"),
+    "division": ((1,), "k"),
+    "fov": ((1,), "omega"),
+    "eucm": ((2,), "alpha beta"),
+    "omni": ((1, 3, 5, 6), "xi k1 k2 p1 p2"),
+    "double-sphere": ((2,), "xi alpha"),
+    "thin-prism-fisheye": ((8,), "k1 k2 p1 p2 k3 k4 sx1 sy1"),
+    "rad-tan-thin-prism-fisheye": ((12,), "k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3"),
+    "equirectangular": ((0,), ""),
+}
+"""How many coefficients each lens model has (`wbflow_stages.core.lenses`), and in which order."""
+
+_LARGEST = 1e12
+"""Of any number in a calibration: metres, pixels."""
+_MOST_PIXELS_A_SIDE = 1_000_000
+"""Of an image in a calibration."""
+
+
+def lens_fault(model: str, distortion: list[float] | None) -> str:
+    """What is wrong with the coefficients of a lens, and what to do; "" where nothing is."""
+    if model not in LENS_MODELS:
+        return f"{model!r} is no lens model that is known; use one of {', '.join(LENS_MODELS)}"
+    counts, order = LENS_MODELS[model]
+    count = len(distortion or [])
+    if count in counts or (counts == (0,) and not any(distortion or [])):
+        return ""
+    wanted = f"{' or '.join(map(str, counts))} coefficients" + (f" ({order})" if order else "")
+    return f"a {model} lens has {wanted}, not {count}; give them in that order, or another model"
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics of a camera as the site file, or a calibration, gives them."""
+
+    K: Matrix | None = None
+    """3x3, pixels; None where unknown."""
+    distortion: list[float] = field(default_factory=lambda: [0.0] * 5)
+    """Coefficients of `model`; of "brown" k1 k2 p1 p2 k3."""
+    hfov_deg: float | None = None
+    """Horizontal field of view, used where K is None."""
+    width: int = 0
+    """Of the image that this is for, pixels; 0: unknown."""
+    height: int = 0
+    model: str = "brown"
+    """How the lens bends light: a key of `LENS_MODELS`."""
+    camera: str = ""
+    """Of one view among several: the id of the camera that has them."""
+    turn: Matrix | None = None
+    """3x3, from the camera's axes to those of this view; None where it has the one view."""
+    window: list[float] | None = None
+    """How far this view reaches: slopes to the left, right, up and down, as the vision defines them."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a camera is, as the site file or a calibration gives it: x ~ K R (X - C)."""
+
+    R: Matrix | None = None
+    """3x3; None where unknown."""
+    C: list[float] | None = None
+    """Metres."""
+    sigma_m: float = 0.0
+    """Standard deviation of C; 0 where it is exact."""
+    sigma_deg: float = 0.0
+    """Standard deviation of R, degrees; 0 where it is exact."""
+    metric: bool = True
+    """C is in metres."""
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:  # nor NaN
+        raise ValueError
+    return value
+
+
+Number = Annotated[float, PlainValidator(_number)]
+"""As it is written, so that what is digested of it does not change."""
+Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Matrix3 = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
+Pixels = Annotated[int, Field(gt=0, le=_MOST_PIXELS_A_SIDE)]
+Sigma = Annotated[Number, Field(ge=0)]
+
+_MUST = {
+    "K": "must be 3x3 numbers",
+    "R": "must be 3x3 numbers",
+    "C": "must be 3 numbers",
+    "width": "must be a positive whole number of pixels",
+    "height": "must be a positive whole number of pixels",
+    "distortion": "must be a list of numbers",
+    "model": "must be a word",
+    "position_sigma_m": "must be a number, 0 or more",
+    "rotation_sigma_deg": "must be a number, 0 or more",
+}
+"""What a field of `Calibrated` has to be."""
+
+
+class Calibrated(BaseModel):
+    """A camera in wbflow's own form, that of cameras.json; what other programs write is turned into this.
+
+    Pixel centres are whole numbers.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True, defer_build=True)
+
+    K: Matrix3
+    width: Pixels
+    height: Pixels
+    model: str = "brown"
+    distortion: Annotated[list[Number] | None, Field(validate_default=True)] = None
+    R: Matrix3 | None = None
+    C: Vector3 | None = None
+    position_sigma_m: Sigma | None = None
+    rotation_sigma_deg: Sigma | None = None
+    metric: Any = True
+
+    @field_validator("K")
+    @classmethod
+    def _projects(cls, K: Matrix) -> Matrix:
+        if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
+            raise ValueError("must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+        return K
+
+    @field_validator("R")
+    @classmethod
+    def _turns(cls, R: Matrix | None) -> Matrix | None:
+        if R and (fault := rotation_fault(R)):
+            raise ValueError(fault)
+        return R
+
+    @field_validator("distortion")
+    @classmethod
+    def _bends(cls, distortion: list[float] | None, info: ValidationInfo) -> list[float] | None:
+        if "model" in info.data and (fault := lens_fault(info.data["model"], distortion)):
+            raise ValueError(f"does not fit: {fault}")
+        return distortion
+
+    @field_validator("position_sigma_m", "rotation_sigma_deg")
+    @classmethod
+    def _of_something(cls, sigma: float | None, info: ValidationInfo) -> float | None:
+        known = "C" if info.field_name == "position_sigma_m" else "R"
+        if sigma is not None and info.data.get(known, ()) is None:
+            raise ValueError(f"says how well {known} is known, which is not given")
+        return sigma
+
+    @property
+    def lens(self) -> Lens:
+        """Its lens; coefficients that a short list of "brown" leaves out are 0."""
+        given = self.distortion or []
+        padded = given + [0.0] * (5 - len(given)) if self.model == "brown" or not given else given
+        return Lens(K=self.K, distortion=padded, width=self.width, height=self.height, model=self.model)
+
+    @property
+    def placement(self) -> Placement:
+        """Where it is."""
+        sigmas = float(self.position_sigma_m or 0), float(self.rotation_sigma_deg or 0)
+        return Placement(self.R, self.C, *sigmas, metric=self.metric is not False)
+
+
+REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP or wbflow wrote; see sites/README.md"
+
+
+class Faulty(ValueError):
+    """A value that cannot be used, and where it is."""
+
+    def __init__(self, what: str, location: Location = (), remedy: str = REMEDY) -> None:
+        super().__init__(what)
+        self.what, self.location, self.remedy = what, location, remedy
+
+
+def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None, location: Location = ()) -> Calibrated:
+    """Check the fields of a camera.
+
+    shown: what its file calls them, where it has other names.  location: of the camera in its file.
+
+    Raises
+    ------
+    Faulty
+        One is missing, or cannot be used.
+    """
+    try:
+        return Calibrated.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0])
+        name = (shown or {}).get(name, name)
+        if first["type"] == "missing":
+            raise Faulty(" ".join([*map(str, location), f"lacks {name}"]), location) from None
+        cause = str(first.get("ctx", {}).get("error", ""))
+        what = ".".join([*map(str, location), f"{name} {cause or _MUST[str(first['loc'][0])]}"])
+        raise Faulty(what, (*location, name)) from None
