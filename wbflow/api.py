@@ -269,7 +269,7 @@ def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) 
 
 def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
     """Call the command that the site file names.  A fault there costs nothing, and becomes a warning."""
-    if site.notify is None:
+    if site.settings.notify is None:
         return
     from .outcome.notify import (  # here: few sites have a command, and it takes modules that nothing else needs
         NotifyFailed,
@@ -277,7 +277,7 @@ def _notify(site: Site, run: FinishedRun, journal: Journal) -> None:
     )
 
     try:
-        notify(site.notify, site.folder, run.work, run.folder.paths, run.record)
+        notify(site.settings.notify, site.folder, run.work, run.folder.paths, run.record)
     except (NotifyFailed, OSError) as error:
         journal.warn(str(error), remedy="the command is called again after the next run")
         run.folder.add(journal.events[-1])

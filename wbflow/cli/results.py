@@ -182,7 +182,7 @@ def _create(site: Site, run_id: str | None) -> None:
     folder = site.work_folder
     reference = create.pin(Cache(folder), create.good_run(folder, run_id))
     echo(f"run {reference.run} (night of {reference.date}) is the reference now: {folder.reference}")
-    if site.pin == "none":
+    if site.settings.pin == "none":
         echo("the site file says `pin: none`: as long as it does, nothing is compared with it", err=True)
 
 

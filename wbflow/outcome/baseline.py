@@ -194,7 +194,7 @@ def settings_of(site: Site) -> str:
             bound = bind(stage, use, values, site.reader)
             stages.append([stage.name, bound.function.dotted, bound.code, {**bound.defaults(), **values}])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]
-    words = [stages, cameras, dict(site.pairs), site.resolution, site.bounds, asdict(site.survey)]
+    words = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]
     return hashlib.sha256(json.dumps(words, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 

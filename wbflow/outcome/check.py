@@ -18,7 +18,7 @@ from ..pipeline.exports import DECODE
 from ..pipeline.stages import SITE_TYPES
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
-from ..site.captures import CaptureFile, expected, pattern_of
+from ..site.captures import CaptureFile, expected
 from ..site.models import Camera, Site
 from .artifacts import function
 
@@ -90,7 +90,7 @@ def check_captures(site: Site, context: RunContext) -> list[Finding]:
 
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
     """What to do about a camera without captures: its name may be written otherwise than the files'."""
-    there = pattern_of(site).cameras() - {other.id for other in site.cameras} if camera.images is None else set()
+    there = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
     close = difflib.get_close_matches(camera.id, there, 1)
     if close:
         return f"did you mean {printable(close[0])!r}? There are captures of it"
@@ -150,7 +150,7 @@ def _disk(site: Site) -> list[Finding]:
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    width = site.resolution or 4000
+    width = site.settings.resolution or 4000
     need = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
     if free > need:
         return []

@@ -187,10 +187,11 @@ def finish(run: FinishedRun, site: Site, journal: Journal) -> None:
             fresh = (task for task, event in run.tasks.items() if event.outcome in {"ran", "rejected"})
             ledger.record_artifacts(receipt for task in fresh if (receipt := run.receipt(task)))
             ledger.record_run(run.record)
-        if site.pin == "auto" and not run.work.reference_record.exists() and fit_to_pin(run.record):
+        if site.settings.pin == "auto" and not run.work.reference_record.exists() and fit_to_pin(run.record):
             pin(run.cache, run.folder, automatic=True)
-        if not site.keep.everything:
-            over = clean(run.work, site.keep, asked=False).over
+        keep = site.settings.keep.limits()
+        if not keep.everything:
+            over = clean(run.work, keep, asked=False).over
             if over:
                 what = f"the cache holds {in_words(over)} more than keep.bytes allows"
                 journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")

@@ -28,7 +28,6 @@ from ..pipeline.summaries import (
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.planner import Plan
 from ..runner.spec import Cause, State, summary_of
-from ..site.captures import pattern_of
 from ..site.staleness import by_picture, night_by_pictures
 from ..task import Task, camera_of
 
@@ -67,7 +66,7 @@ def run_record(
     for view in plan.site.views:
         views.setdefault(view.camera, []).append(_camera(plan, view.id, whole))
     cameras = tuple(map(_of_views, views.values()))
-    dated = pattern_of(plan.site).dated
+    dated = plan.site.captures.dated
     night = plan.night if dated else night_by_pictures(camera.figures for camera in cameras)
     main = plan.states.get(Task(FUSE))
     others = (_cloud(task, state) for task, state in plan.states.items() if task.stage == FUSE and task.subject)

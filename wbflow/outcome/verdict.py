@@ -99,7 +99,7 @@ def judge_run(record: RunRecord, plan: Plan, baseline: Baseline, interrupted: bo
     behind
         What the object store does not have yet.
     """
-    expected, settings = plan.site.expected, settings_of(plan.site)
+    expected, settings = plan.site.settings.expect, settings_of(plan.site)
     usual = baseline.usual(settings, expected.since)
     if plan.reference and not plan.reference.automatic:
         usual = reference_usual(plan.cache.work, plan.reference.run, settings, usual)

@@ -73,7 +73,7 @@ class Pictures:
     def _has_same_privacy(self, task: Task, key: str) -> bool:
         """Return whether an earlier picture left out what is private tonight."""
         stated = next((view for view in self.data.site.views if (view.id,) == task.subject), None)
-        if stated is None or not stated.privacy.counts:
+        if stated is None or not stated.privacy:
             return True
         cache, tonight = self.data.cache, self.data.tasks.get(task)
         then = cache.by_key(task, key)

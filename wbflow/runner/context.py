@@ -161,7 +161,7 @@ def plan_run(
         str(found_date),
         Cache(work),
         find_named(site, digests),
-        {camera.id: expected(site, camera, found_date).replace(f"{site.root}/", "") for camera in lost},
+        {camera.id: expected(site, camera, found_date).replace(f"{site.captures.root}/", "") for camera in lost},
         until,
         frozenset(force),
         reference=reference,
@@ -175,6 +175,6 @@ def plan_run(
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:
     """The reference, and why there is none where there should be."""
     try:
-        return (read_reference(work) if site.pin != "none" else None), ""
+        return (read_reference(work) if site.settings.pin != "none" else None), ""
     except BadReference as error:
         return None, error.what

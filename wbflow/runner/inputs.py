@@ -289,7 +289,7 @@ class Inputs:
             if usable:
                 why = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first}"
             elif all(state and state.code == Cause.NO_CAPTURE for state in frames.values()):
-                why = f"no camera has a usable capture: there is none of this night in {self.site.root}"
+                why = f"no camera has a usable capture: there is none of this night in {self.site.captures.root}"
             return Impossible(why, Cause.TOO_FEW_CAMERAS)
         pairs = self.states.get(Task(PAIRS))
         if origin.scope == "pair" and not faults:
@@ -305,7 +305,7 @@ class Inputs:
         camera = self.subjects.camera(task.subject[0])
         if what == "mask":
             return self._named("mask", camera.camera)
-        if what == "privacy" and not camera.privacy.counts:
+        if what == "privacy" and not camera.privacy:
             return Absent()
         if what == "captures":
             return Files(SITE_TYPES[what], self._captured(camera))

@@ -10,7 +10,6 @@ import dataclasses
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from operator import attrgetter
 from typing import Any
 
 from ..cache.store import Cache, Receipt
@@ -283,7 +282,7 @@ class Plan:
 
     def _settings(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
-        values: dict[str, Any] = {name: attrgetter(key)(self.site) for name, key in stage.set_by_site().items()}
+        values: dict[str, Any] = {name: self.site.setting(key) for name, key in stage.set_by_site().items()}
         if stage.name == FUSE:
             numbers = range(1, self._subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)

@@ -152,7 +152,8 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
 def stated(camera: Camera, what: str) -> Value:
     """What the site file says of a camera: `LENS`, `PRIVACY` or `PLACEMENT`."""
     if what == "privacy":
-        return Value(SITE_TYPES[what], plain(camera.privacy))
+        corners = [corner for polygon in camera.privacy for corner in polygon]
+        return Value(SITE_TYPES[what], {"corners": corners, "counts": [float(len(polygon)) for polygon in camera.privacy]})
     return Value(SITE_TYPES[what], plain(camera.lens if what == "lens" else camera.placement))
 
 

@@ -14,7 +14,7 @@ from ..task import view_name
 from .calibration.calibrated import Calibrated, Lens, Placement
 from .calibration.read import find_camera, read_calibration
 from .locations import CalibrationError, Location, Problems, beside, is_name
-from .models import Camera, CameraEntry, Privacy, SiteFile
+from .models import Camera, CameraEntry, SiteFile
 from .rotations import turned
 
 if TYPE_CHECKING:
@@ -44,8 +44,7 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
             problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
         lens, placement = _lens(camera, entry), _placement(camera, entry, frame)
         images = tuple(camera.images) if camera.images is not None else None
-        privacy = Privacy([c for p in camera.privacy for c in p], [float(len(p)) for p in camera.privacy])
-        found.append(Camera(camera.id, lens, placement, mask, privacy, images, location))
+        found.append(Camera(camera.id, lens, placement, mask, camera.privacy, images, location))
     return found
 
 

@@ -30,10 +30,9 @@ from .locations import (
     load_yaml,
     similar,
 )
-from .models import Camera, Site, SiteFile, StageSettings
+from .models import Captures, Site, SiteFile
+from .pattern import Pattern
 from .stage_settings import read_stages
-
-__all__ = ["Camera", "Site", "StageSettings", "load_site"]
 
 
 def load_site(path: Path, work: str | Path | None = None) -> Site:
@@ -54,34 +53,23 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
     reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
     stages, notes = read_stages(file.stages, document, reader, problems.found)
     _check_pairs(file, problems)
-    captures = _captures(file.captures.root, problems)
+    captures = _captures(file.captures, problems)
     if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
         problems.add(("site",), f"{file.site!r} is not a name", remedy)
     if problems.found:
         raise SiteError(sorted(problems.found, key=lambda p: (str(p.file), p.line, p.column)))
     return Site(
-        name=file.site,
-        document=document,
-        root=captures.root,
-        captures_store=captures.store,
-        pattern=file.captures.pattern,
-        cameras=tuple(cameras),
-        views=tuple(view for camera in cameras for view in views_of(camera)),
-        survey=survey,
-        resolution=file.resolution,
-        bounds=file.bounds,
-        pairs=file.pairs,
-        stages=stages,
-        work_folder=work_folder,
-        reader=reader,
-        expected=file.expect,
-        notify=file.notify,
-        keep=file.keep.limits(),
-        pin=file.pin,
-        health=file.health,
-        zones=[zone.model_dump() for zone in file.zones] or None,
-        notes=(*notes, *_crowded(file, document)),
+        file,
+        document,
+        captures,
+        tuple(cameras),
+        tuple(view for camera in cameras for view in views_of(camera)),
+        survey,
+        stages,
+        work_folder,
+        reader,
+        (*notes, *_crowded(file, document)),
     )
 
 
@@ -107,7 +95,9 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
     if not isinstance(document.data, dict):
         remedy = "start with 'site: NAME'; see sites/template.yaml"
         raise SiteError([SiteProblem(document.path, 1, 1, "", "a site file is a mapping", remedy)])
-    data = _expanded(_with_texts(document), problems)
+    data = _prepared(document.data, problems)
+    if isinstance(data.get("cameras"), list):
+        data["cameras"] = [{"id": entry} if isinstance(entry, str) else entry for entry in data["cameras"]]
     try:
         return SiteFile.model_validate(data)
     except ValidationError as error:
@@ -128,50 +118,34 @@ def _work_folder(asked: str, file: SiteFile, problems: Problems) -> WorkFolder:
     return WorkFolder(beside(given, ("work",), problems)) if given else WorkFolder.beside(problems.document.path, name)
 
 
-def _captures(given: str, problems: Problems) -> WorkFolder:
-    """Where the captures lie: a folder, or one that shows what is in an object store."""
-    if is_url(given):
-        return WorkFolder.mirroring(given, "captures")
-    root = beside(given, ("captures", "root"), problems)
+def _captures(given: Captures, problems: Problems) -> Pattern:
+    """What the captures are called, and where they lie: in a folder, or one that shows what is in an object store."""
+    if is_url(given.root):
+        mirror = WorkFolder.mirroring(given.root, "captures")
+        return Pattern(mirror.root, given.pattern, mirror.store)
+    root = beside(given.root, ("captures", "root"), problems)
     if not is_folder(root):
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
         problems.add(("captures", "root"), f"there is no folder {printable(root)}", remedy)
-    return WorkFolder(root)
+    return Pattern(root, given.pattern)
 
 
 _IDS = re.compile(r"site|cameras\.\d+(\.id)?|pairs\.(include|exclude)\.\d+\.\d+|distances\.\d+\.[01]")
 """Locations of names of the site and of cameras."""
 
 
-def _with_texts(document: Document) -> dict[str, Any]:
-    """The data with ids as they are written: an unquoted `0000` stays '0000' instead of becoming a number."""
-
-    def read(value: Any, location: Location) -> Any:
-        if isinstance(value, dict):
-            return {key: read(item, (*location, str(key))) for key, item in value.items()}
-        if isinstance(value, list):
-            return [read(item, (*location, k)) for k, item in enumerate(value)]
-        if location in document.texts and _IDS.fullmatch(".".join(map(str, location))):
-            return document.texts[location]
-        return value
-
-    data: dict[str, Any] = read(document.data, ())
-    if document.data.get("site") is None:
-        data.pop("site", None)
-    if isinstance(data.get("cameras"), list):
-        data["cameras"] = [{"id": entry} if isinstance(entry, str) else entry for entry in data["cameras"]]
-    return data
-
-
-def _expanded(data: Any, problems: Problems, location: Location = ()) -> Any:
-    """Replace ${VAR} and ${VAR:-default} in every string; refuse zero bytes, which no path and no command may have."""
+def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
+    """The data with ids as they are written (an unquoted `0000` stays '0000' instead of becoming a number), and with ${VAR} and
+    ${VAR:-default} replaced in every string."""
     if isinstance(data, dict):
-        return {key: _expanded(value, problems, (*location, str(key))) for key, value in data.items()}
+        return {str(key): _prepared(value, problems, (*location, str(key))) for key, value in data.items()}
     if isinstance(data, list):
-        return [_expanded(value, problems, (*location, i)) for i, value in enumerate(data)]
+        return [_prepared(value, problems, (*location, i)) for i, value in enumerate(data)]
+    if data is not None and _IDS.fullmatch(".".join(map(str, location))):
+        data = problems.document.texts.get(location, data)
     if not isinstance(data, str):
         return data
-    if "\0" in data:
+    if "\0" in data:  # which no path and no command may have
         problems.add(location, f"{printable(repr(data), 80)} holds a zero byte", "write the text without \\0")
         data = data.replace("\0", "")
 

@@ -1,8 +1,4 @@
-"""A site: the sections of its file as validation models, and what they become once calibrations are read and paths resolved.
-
-`SiteFile` is the YAML; `Site` is what everything else reads.  Sections that need nothing but validation (`Pairs`,
-`Health`, `Expected`, `Notify`) are the same objects in both.
-"""
+"""A site: `SiteFile` and its sections validate the YAML; `Site` adds what needs calibrations, paths and stage functions."""
 
 from __future__ import annotations
 
@@ -12,10 +8,12 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property, reduce
+from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from ..cache.atomic import bytes_of
@@ -24,6 +22,7 @@ from ..cache.layout import WorkFolder
 from ..task import camera_of
 from .calibration.calibrated import Lens, Placement, lens_fault
 from .locations import Document, Location, SiteProblem
+from .pattern import Pattern
 from .rotations import Matrix, look_at, rotation_fault, yaw_pitch_roll
 
 if TYPE_CHECKING:
@@ -357,7 +356,7 @@ class SiteFile(Section):
     pairs: Pairs = Field(default_factory=Pairs)
     pin: Literal["auto", "none"] = "auto"
     health: Health = Field(default_factory=Health)
-    zones: list[Zone] = Field(default_factory=list)
+    zones: Annotated[list[Zone] | None, AfterValidator(lambda zones: zones or None)] = None
     stages: dict[str, Any] = Field(default_factory=dict)
     expect: Expected = Field(default_factory=Expected)
     notify: Notify | None = None
@@ -368,16 +367,6 @@ class SiteFile(Section):
         """Every position in the file with its location."""
         yield from ((("cameras", k, "pose"), camera.pose) for k, camera in enumerate(self.cameras) if camera.pose)
         yield from ((("control_points", k), point) for k, point in enumerate(self.control_points))
-
-
-@dataclass(frozen=True)
-class Privacy:
-    """Polygons of a capture that nobody may see."""
-
-    corners: Matrix = field(default_factory=list)
-    """x and y of the corners of all polygons one after the other: pixels of a capture, or shares of width and height."""
-    counts: list[float] = field(default_factory=list)
-    """How many corners each has."""
 
 
 @dataclass(frozen=True)
@@ -395,7 +384,7 @@ class Survey:
     """Coordinate system of the world; "" where it is local."""
 
 
-def plain(value: Lens | Privacy | Placement | Survey) -> dict[str, Any]:
+def plain(value: Lens | Placement | Survey) -> dict[str, Any]:
     """The fields that differ from their defaults, by name."""
     default = type(value)()
     values = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
@@ -410,7 +399,8 @@ class Camera:
     lens: Lens
     placement: Placement
     mask: Path | None = None
-    privacy: Privacy = field(default_factory=Privacy)
+    privacy: list[Matrix] = field(default_factory=list)
+    """Polygons of a capture that nobody may see: pixels, or shares of width and height."""
     images: tuple[str, ...] | None = None
     """File names below the captures' root, where the site file lists them."""
     location: Location = ()
@@ -447,35 +437,31 @@ class StageSettings:
 class Site:
     """A valid site: its file with paths resolved, calibrations read and stages checked."""
 
-    name: str
+    settings: SiteFile
     document: Document
-    root: Path
-    """Of the captures."""
-    captures_store: str
-    """URL of the object store that has the captures; "" where they lie in a folder."""
-    pattern: str
+    captures: Pattern
     cameras: tuple[Camera, ...]
     views: tuple[Camera, ...]
     """What the stages work on: the cameras, but each that is too wide for one pinhole as several views."""
     survey: Survey
-    resolution: int | None
-    bounds: Matrix | None
-    """Two corners of the box that holds all that matters; None: unknown."""
-    pairs: Pairs
     stages: dict[str, StageSettings]
     work_folder: WorkFolder
     reader: FunctionReader
-    expected: Expected
-    notify: Notify | None
-    keep: Keep
-    """What stays on disk after a run."""
-    pin: Literal["auto", "none"]
-    """"auto": the first good run is what later ones are compared with; "none": nothing is."""
-    health: Health
-    zones: list[dict[str, Any]] | None
-    """Where changes count: name, polygon (corners x, y on the ground), least_m; None: everywhere."""
     notes: tuple[SiteProblem, ...]
     """What still works, but has a better form."""
+
+    @property
+    def name(self) -> str:
+        """What the site is called."""
+        return self.settings.site
+
+    @cached_property
+    def _plain(self) -> dict[str, Any]:
+        return self.settings.model_dump(include={"resolution", "bounds", "pairs", "health", "zones"})
+
+    def setting(self, key: str) -> Any:
+        """The value of a key outside of `stages` that sets a parameter of a stage: "resolution", "pairs.degree"."""
+        return reduce(getitem, key.split("."), self._plain)
 
     @property
     def file(self) -> Path:

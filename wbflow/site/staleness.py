@@ -14,7 +14,7 @@ from ..cache.artifact import digest
 from ..cache.digests import Digests, Seen
 from ..pipeline.summaries import FrameSummary
 from ..records.record import Health
-from .captures import CaptureFile, captures_of, pattern_of
+from .captures import CaptureFile, captures_of
 from .models import Camera, Site
 
 FAR_OFF_HOURS = 3.0
@@ -68,7 +68,7 @@ def look_at(
         health = _repeats(camera.id, files, earlier, delivered)
         if health:
             repeated[camera.id] = health
-    if not pattern_of(site).dated and all(health.figures["earlier"] for health in repeated.values()):
+    if not site.captures.dated and all(health.figures["earlier"] for health in repeated.values()):
         # names without a date: where nothing is new, the pictures are meant to stay
         with_files = [camera for camera, files in captures.items() if files]
         repeated = {} if set(with_files) <= set(repeated) else repeated
@@ -81,7 +81,7 @@ def _earlier(site: Site, camera: Camera, date: datetime.date, digests: Digests, 
     if camera.images is not None:  # the site file names them: they are what is meant
         return {}
     known = seen.before(camera.id, str(date))
-    pattern = pattern_of(site)
+    pattern = site.captures
     if pattern.dated:
         before = max((night for night in pattern.dates(camera.id) if night < date), default=None)
         if before is not None and str(before) not in known.values():
@@ -127,7 +127,7 @@ def _repeats(camera: str, files: list[CaptureFile], earlier: Mapping[str, str], 
 
 def _far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:
     """Cameras whose captures were taken at another time of day than those of the others, as their names tell."""
-    pattern = pattern_of(site)
+    pattern = site.captures
     hours: dict[str, float] = {}
     for camera, files in captures.items():
         moments = [moment for file in files if (moment := pattern.moment(camera, file.path))]

@@ -12,7 +12,8 @@ import pytest
 from wbflow.cache.digests import Digests
 from wbflow.errors import UsageError
 from wbflow.site.captures import backlog, find_captures, in_motion, night
-from wbflow.site.load import Site, load_site
+from wbflow.site.load import load_site
+from wbflow.site.models import Site
 
 
 def site(folder: Path, pattern: str, files: list[str], cameras: str = "[gate, roof]") -> Site:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from wbflow.site.load import Site, load_site
+from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError
+from wbflow.site.models import Site
 
 GOOD = """\
 site: yard
@@ -36,7 +37,7 @@ def test_a_good_site_file(tmp_path: Path) -> None:
     site = load_site(site_at(tmp_path))
     assert [camera.id for camera in site.cameras] == ["gate", "roof"]
     assert site.work == tmp_path / ".wbflow" / "yard"
-    assert site.resolution == 1600
+    assert site.settings.resolution == 1600
     assert site.cameras[1].placement.R is not None
     assert site.cameras[1].placement.R[2] == pytest.approx([10 / 125**0.5, 0, -5 / 125**0.5])
     assert not site.posed
@@ -59,8 +60,8 @@ def test_a_view_takes_so_many_pairs_and_the_site_file_is_told(tmp_path: Path) ->
 def test_zones_are_polygons_with_a_name(tmp_path: Path) -> None:
     zones = "zones: [{name: quay, polygon: [[0, 0], [20, 0], [20, 8]], least_m: 0.5}]\n"
     site = load_site(site_at(tmp_path, GOOD + zones))
-    assert site.zones == [{"name": "quay", "polygon": [[0, 0], [20, 0], [20, 8]], "least_m": 0.5}]
-    assert load_site(site_at(tmp_path)).zones is None
+    assert site.setting("zones") == [{"name": "quay", "polygon": [[0, 0], [20, 0], [20, 8]], "least_m": 0.5}]
+    assert load_site(site_at(tmp_path)).setting("zones") is None
     (found,) = problems(tmp_path, GOOD + "zones: [{name: quay, polygon: [[0, 0], [20, 0]]}]\n")
     assert "zones[0].polygon" in found
     assert "three corners" in found
@@ -72,13 +73,18 @@ def test_unquoted_numbers_are_camera_ids_as_written(tmp_path: Path) -> None:
     text = GOOD.replace("- gate", "- 0000").replace("cameras:", "pairs: {include: [[0000, roof]]}\ncameras:")
     site = load_site(site_at(tmp_path, text))
     assert site.cameras[0].id == "0000"
-    assert site.pairs.include == [["0000", "roof"]]
+    assert site.settings.pairs.include == [["0000", "roof"]]
 
 
 def test_variables_expand_and_a_missing_one_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SITE_IMAGES", str(tmp_path / "images"))
-    assert load_site(site_at(tmp_path, GOOD.replace("root: images", "root: '${SITE_IMAGES}'"))).root == tmp_path / "images"
-    assert load_site(site_at(tmp_path, GOOD.replace("root: images", "root: '${NOWHERE:-images}'"))).root == tmp_path / "images"
+    assert (
+        load_site(site_at(tmp_path, GOOD.replace("root: images", "root: '${SITE_IMAGES}'"))).captures.root == tmp_path / "images"
+    )
+    assert (
+        load_site(site_at(tmp_path, GOOD.replace("root: images", "root: '${NOWHERE:-images}'"))).captures.root
+        == tmp_path / "images"
+    )
     (found,) = [p for p in problems(tmp_path, GOOD.replace("root: images", "root: '${NOWHERE}/x'")) if "NOWHERE" in p]
     assert found.startswith("site.yaml:2:18: captures.root: the environment variable NOWHERE is not set")
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from wbflow.pipeline.stages import STAGES
-from wbflow.site.load import Site, load_site
+from wbflow.site.load import load_site
 from wbflow.site.locations import SiteError
+from wbflow.site.models import Site
 from wbflow.site.stage_settings import RENAMED, Renamed
 
 SITE = """\

@@ -11,7 +11,8 @@ from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.digests import Digests, Seen
 from wbflow.pipeline.summaries import FrameSummary
 from wbflow.site.captures import find_captures
-from wbflow.site.load import Site, load_site
+from wbflow.site.load import load_site
+from wbflow.site.models import Site
 from wbflow.site.staleness import Delivered, by_picture, look_at, night_by_pictures
 
 NIGHT = datetime.date(2026, 11, 19)
