@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -63,31 +63,46 @@ def unfit(angle: float, shared: float, angles: tuple[float, float]) -> str | Non
 def evidence_of(overlap: Any, angles: tuple[float, float], named: Collection[frozenset[str]]) -> tuple[dict[Pair, Known], int]:
     """Return the evidence of pairs that may be chosen or listed, and how many pairs there are.
 
-    Two views of one camera have no baseline and are no pair.  Where views have more pairs than `MOST_CANDIDATES`, each keeps its
-    most promising ones, and as many more as connect all cameras that can be connected.
+    Where views have more pairs than `MOST_CANDIDATES`, each keeps its most promising ones, and as many more as connect all
+    cameras that can be connected.
 
-    Parameters
-    ----------
-    overlap : Overlap
-        Angle and shared share by pair.
-    angles : (float, float)
-        Degrees between which pairs are fit.
-    named : collection of frozenset of str
-        Pairs of cameras that the site file names: theirs are all looked at.
+    angles: degrees between which pairs are fit.  named: pairs of cameras that the site file names; all of theirs are looked at.
     """
-    import numpy as np
+    known = _known(overlap)
+    if len(known) <= len(overlap.cameras) * MOST_CANDIDATES // 2:
+        return known, len(known)
+    import networkx as nx
 
+    best_first = sorted(known, key=lambda pair: -known[pair][2])
+    fit = [pair for pair in best_first if not unfit(*known[pair][:2], angles)]
+    keep = _among_best(best_first, MOST_DROPPED) | _among_best(fit, MOST_CANDIDATES)
+    keep |= {pair for pair in known if cameras_of(pair) in named}
+    groups = nx.utils.UnionFind()
+    for left, right in sorted(fit, key=lambda pair: pair not in keep):
+        ends = camera_of(left), camera_of(right)
+        if groups[ends[0]] != groups[ends[1]]:
+            groups.union(*ends)
+            keep.add((left, right))
+    return {pair: evidence for pair, evidence in known.items() if pair in keep}, len(known)
+
+
+def _known(overlap: Any) -> dict[Pair, Known]:
+    """What is known of all pairs.  Two views of one camera have no baseline and are no pair."""
     names = overlap.cameras
-    camera_names = [camera_of(name) for name in names]
-    number = {camera: k for k, camera in enumerate(dict.fromkeys(camera_names))}
-    camera = np.array([number[name] for name in camera_names], np.int64)
-    rows = np.flatnonzero(camera[overlap.pairs[:, 0]] != camera[overlap.pairs[:, 1]])
-    count, promise = len(rows), worth(overlap.angle_deg, _apart_enough(overlap))
-    if count > len(names) * MOST_CANDIDATES // 2:
-        wanted = {tuple(sorted(number[name] for name in pair)) for pair in named if pair <= number.keys()}
-        rows = _promising(overlap, rows, promise, camera, angles, wanted)
-    columns = (x[rows].tolist() for x in (overlap.pairs, overlap.angle_deg, overlap.shared, promise))
-    return {(names[i], names[j]): tuple(known) for (i, j), *known in zip(*columns, strict=True)}, count
+    columns = overlap.pairs, overlap.angle_deg, overlap.shared, worth(overlap.angle_deg, _apart_enough(overlap))
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    known: dict[Pair, Known] = {(names[i], names[j]): tuple(evidence) for (i, j), *evidence in rows}
+    return {pair: evidence for pair, evidence in known.items() if len(cameras_of(pair)) == 2}
+
+
+def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
+    """The pairs that are among the most promising of one of their views."""
+    found, counts = set[Pair](), Counter[str]()
+    for pair in best_first:
+        if min(counts[view] for view in pair) < most:
+            found.add(pair)
+            counts.update(pair)
+    return found
 
 
 def _apart_enough(overlap: Any) -> np.ndarray:
@@ -107,66 +122,6 @@ def _apart_enough(overlap: Any) -> np.ndarray:
         aim = math.exp(-_LESS_ALIKE * _AIM_DEG) * float(np.median(best[best > 0]))
         shared[alike] = np.minimum(shared[alike], aim**2 / shared[alike])
     return shared
-
-
-def _promising(
-    overlap: Any,
-    rows: np.ndarray,
-    promise: np.ndarray,
-    camera: np.ndarray,
-    angles: tuple[float, float],
-    wanted: Collection[tuple[int, ...]],
-) -> np.ndarray:
-    """Those of the rows that are worth thinking over, in their order.
-
-    Parameters
-    ----------
-    overlap, angles
-        As of `evidence_of`.
-    rows
-        Of the overlap, that are pairs of two cameras.
-    promise
-        What each row of the overlap promises.
-    camera
-        The number of each view's camera.
-    wanted
-        Pairs of these numbers that are all looked at.
-    """
-    import networkx as nx
-    import numpy as np
-
-    pairs, angle, promise = overlap.pairs[rows], overlap.angle_deg[rows], promise[rows]
-    fit = (promise > 0) & (np.isnan(angle) | ((angle >= angles[0]) & (angle <= angles[1])))
-    keep = _among_best(pairs, promise, MOST_DROPPED)
-    fits = np.flatnonzero(fit)
-    keep[fits[_among_best(pairs[fits], promise[fits], MOST_CANDIDATES)]] = True
-    ends = np.sort(camera[pairs], axis=1)
-    for one, other in wanted:
-        keep |= (ends[:, 0] == one) & (ends[:, 1] == other)
-    groups = nx.utils.UnionFind(range(int(camera.max()) + 1))
-    best_first = fits[np.argsort(-promise[fits], kind="stable")]
-    kept_first = np.concatenate([best_first[keep[best_first]], best_first[~keep[best_first]]])
-    for row, (one, other) in zip(kept_first.tolist(), ends[kept_first].tolist(), strict=True):
-        if groups[one] != groups[other]:
-            groups.union(one, other)
-            keep[row] = True
-    promising: np.ndarray = rows[keep]
-    return promising
-
-
-def _among_best(pairs: np.ndarray, promise: np.ndarray, most: int) -> np.ndarray:
-    """(m,) bool: is a pair among the most promising of one of its views?"""
-    import numpy as np
-
-    order = np.argsort(-promise, kind="stable")
-    ends = pairs[order].ravel()  # of the most promising first
-    by_view = np.argsort(ends, kind="stable")
-    starts = np.searchsorted(ends[by_view], ends[by_view], side="left")
-    place = np.empty(len(ends), np.int64)
-    place[by_view] = np.arange(len(ends)) - starts
-    found = np.zeros(len(pairs), bool)
-    found[order] = (place.reshape(-1, 2) < most).any(axis=1)
-    return found
 
 
 MOST_AT_A_CAMERA = 32
@@ -236,15 +191,15 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
         if groups[ends[0]] != groups[ends[1]] and (graph.has_edge(u, v) or has_room(u, v)):
             groups.union(*ends)
             take(u, v, "in the spanning tree")
-    weight: dict[frozenset[str], float] = {}
+    weight = {cameras_of((u, v)): data["weight"] for u, v, data in reversed(ranked)}
     views: dict[str, list[str]] = {}
-    for u, v, data in ranked:
-        weight.setdefault(cameras_of((u, v)), data["weight"])
     for node in candidates.nodes:
         views.setdefault(camera_of(node), []).append(node)
     weakest = sorted(nx.bridges(whole), key=lambda b: (weight.get(frozenset(b), 0.0), b))
     for bridge in weakest:
-        side = _side(whole, *bridge)
+        whole.remove_edge(*bridge)
+        side = min((nx.node_connected_component(whole, end) for end in bridge), key=len)
+        whole.add_edge(*bridge)
         across = (
             (-data["weight"], data["order"], u, v)
             for camera in side
@@ -261,22 +216,6 @@ def choose(candidates: nx.Graph, degree: int, forced: list[Pair], little: Collec
             closes = len(set(graph[u]) & set(graph[v]))
             take(u, v, f"closes {closes} triangle{'s' * (closes != 1)}" if closes else "among the best of its cameras")
     return chosen
-
-
-def _side(graph: nx.Graph, u: str, v: str) -> set[str]:
-    """What hangs on one end of a bridge, the smaller side; nothing where it is none any more, since another edge covers it."""
-    sides, edges = ({u}, {v}), ([u], [v])
-    while True:
-        for own, other, edge in zip(sides, reversed(sides), edges, strict=True):
-            if not edge:
-                return own
-            node = edge.pop()
-            for near in graph[node]:
-                if near not in own and {node, near} != {u, v}:
-                    if near in other:
-                        return set()
-                    own.add(near)
-                    edge.append(near)
 
 
 MOST_NAMED = 8
@@ -404,13 +343,8 @@ def groups(views: Sequence[str], pairs: Collection[Pair]) -> tuple[tuple[str, ..
 
 def _listed(evidence: Evidence, chosen: Collection[Pair]) -> set[Pair]:
     """Return the pairs that are listed: all chosen ones, and the most promising dropped ones of each camera."""
-    listed, counts = set(chosen), Counter[str]()
-    dropped = [pair for pair in evidence if pair not in listed]
-    for pair in sorted(dropped, key=lambda pair: -evidence[pair][2]):
-        if min(counts[camera] for camera in pair) < MOST_DROPPED:
-            listed.add(pair)
-            counts.update(pair)
-    return listed
+    dropped = (pair for pair in evidence if pair not in chosen)
+    return {*chosen, *_among_best(sorted(dropped, key=lambda pair: -evidence[pair][2]), MOST_DROPPED)}
 
 
 def _best_of(wanted: Collection[frozenset[str]], views: Sequence[str], evidence: dict[Pair, Known]) -> set[Pair]:
@@ -490,9 +424,7 @@ def select_dense_pairs(
 def _matched_too(shared: Any, pairs: PairGraph, chosen: Collection[Pair]) -> tuple[list[tuple[Pair, float, float]], list[Pair]]:
     """Pairs that were matched and not chosen: those of placed cameras with angle and shared share, the most promising first, and
     those with a camera that is not placed."""
-    names = [(shared.cameras[i], shared.cameras[j]) for i, j in shared.pairs.tolist()]
-    columns = (column.tolist() for column in (shared.angle_deg, shared.shared, worth(shared.angle_deg, shared.shared)))
-    known = dict(zip(names, zip(*columns, strict=True), strict=True))
+    known = _known(shared)
     left = [pair for pair in pairs.pairs if pair not in chosen]
     best_first = sorted((pair for pair in left if pair in known), key=lambda pair: -known[pair][2])
     placed = set(shared.cameras)

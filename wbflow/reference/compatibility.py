@@ -3,65 +3,44 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-from ..cache.store import Cache, Receipt
+from ..cache.store import Receipt
 from ..pipeline.binding import Binding, is_file
 from ..pipeline.names import FRAMES
 from ..pipeline.stages import Adapt, Reuse, Stage
 from ..records.reference_folder import Reference
 from ..runner.spec import Files, Value, input_digests, stated, stated_of_site
-from ..site.captures import CaptureFile, file_of_stage
+from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import Task, camera_of
 
+if TYPE_CHECKING:
+    from ..runner.planner import Plan
+
 _COMPARED = {"lens", "placement", "survey"}
 
-Settings = Callable[[Stage, Task], Mapping[str, Any]]
-"""What the site file sets for a task, by parameter."""
 
-
-def misfit(
-    reference: Reference,
-    site: Site,
-    stages: Collection[Stage],
-    bound: Callable[[Stage], Binding],
-    settings: Settings,
-    cache: Cache,
-    named: Mapping[str, CaptureFile],
-) -> str:
+def misfit(reference: Reference, plan: Plan) -> str:
     """What has changed since the reference was pinned that takes it out of use, in words; "" where nothing has.
 
     Code may change: a reference outlives a new version.  What the site file says of cameras, and of the stages whose results the
-    reference answers for, may not.
-
-    Parameters
-    ----------
-    reference : Reference
-        What is pinned.
-    site : Site
-        The site as it is now.
-    stages : collection of Stage
-        Those that take part tonight.
-    bound, settings : callable
-        A stage as the site has it done, and the parameters that it sets for a task.
-    cache : Cache
-        Holds the receipts.
-    named : mapping
-        The files that the site file names now, see `captures.find_named`.
+    reference answers for, may not.  plan: of the site as it is now.
     """
+    site = plan.site
     ids = {camera.id for camera in site.cameras}
     if other := sorted(ids ^ set(reference.cameras)):
         return f"cameras have come or gone since it was pinned: {', '.join(other)}"
-    for stage in stages:
+    for stage in plan.stages():
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
-        files = {name: named.get(file_of_stage(stage.name, name)) for name, need in bound(stage).inputs.items() if is_file(need)}
+        bound = plan.bound(stage)
+        files = {name: plan.named.get(file_of_stage(stage.name, name)) for name, need in bound.inputs.items() if is_file(need)}
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
-            receipt = cache.by_key(task, reference.artifacts[task].key)
-            if receipt and (why := _changed(receipt, stage, task, site, bound(stage), settings(stage, task))):
+            receipt = plan.cache.by_key(task, reference.artifacts[task].key)
+            if receipt and (why := _changed(receipt, stage, site, bound, plan.settings(stage, task))):
                 return f"it was pinned with other settings: {why}"
             for name, file in files.items():
                 if receipt and file and receipt.preimage.inputs.get(name) != Files("", (file,)).digest():
@@ -69,8 +48,8 @@ def misfit(
     return ""
 
 
-def _changed(receipt: Receipt, stage: Stage, task: Task, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
-    then = receipt.preimage
+def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
+    then, task = receipt.preimage, receipt.preimage.task
     if then.function in _adaptations(stage.reuse):
         return ""
     if then.function not in {bound.function.dotted, stage.reuse.aggregate}:

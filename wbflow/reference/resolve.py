@@ -7,8 +7,9 @@ stage `health` says of each camera whether it does.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from ..cache.store import Cache, Receipt
@@ -60,23 +61,24 @@ class Pinned:
     """Stages that are to be done again."""
     known: Mapping[str, Health] = field(default_factory=dict)
     """What is wrong with cameras by what is known of their captures."""
-    frame_keys: dict[Subject, str] = field(default_factory=dict)
-    """Keys of tonight's frames by camera, as far as they are known."""
-    _views: dict[str, list[str]] = field(default_factory=dict, repr=False)
-    """By camera."""
+    _healths: dict[str, Health] = field(default_factory=dict, repr=False)
+    """By view, of those that have been looked at tonight."""
+    _useless: set[str] = field(default_factory=set, repr=False)
+    """Views that show nothing of the site, as far as is known."""
+    _corrected: set[str] = field(default_factory=set, repr=False)
+    """Views whose pose is known from the reference, though they have shifted."""
+    _own_frames: set[str] = field(default_factory=set, repr=False)
+    """Views whose frame is that of the reference itself."""
     _force: bool | None = field(default=None, repr=False)
     """Do enough cameras stand where they did, once the health of all is known?"""
-    _all_own: bool | None = field(default=None, repr=False)
-    """Are all frames those of the reference itself, by the keys that are known?"""
-    _useless: frozenset[str] | None = field(default=None, repr=False)
-    """The cameras that show nothing of the site, until the health of another one is known."""
-    _judged: dict[str, tuple[State | None, Health | None]] = field(default_factory=dict, repr=False)
-    """What was read from the health of a camera, and of which state of its task."""
+
+    def __post_init__(self) -> None:
+        self._useless |= {view for view in self.cameras if (h := self.known.get(camera_of(view))) and h.state in USELESS}
 
     def input(self, need: Source, stage: Stage, task: Task) -> Input:
         """An input that the reference holds.  Raises Waiting."""
         everywhere = need.of == "every"
-        if self.reference is None or self._own_night(task.subject or tuple(self.cameras)):
+        if self.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
             return Joined({}) if everywhere else Absent()
         origin = stage_named(need.name)
         if everywhere and origin.scope != "site":
@@ -89,7 +91,7 @@ class Pinned:
 
     def observed(self, need: Source, task: Task) -> Input:
         """What earlier nights found of a camera.  Raises Waiting."""
-        if self.reference is None or self._own_night(task.subject):
+        if self.reference is None or self._own_frames.issuperset(task.subject):
             return Absent()
         return Value(SHIFTS_TYPE, self.past.of_camera(camera_of(task.subject[0])))
 
@@ -129,11 +131,10 @@ class Pinned:
         state = self.states.get(task)
         if state is None:
             raise Waiting(task)
-        if not state.usable:
-            frame = self.states.get(Task(FRAMES, (view,)))
-            return "ok" if frame and frame.usable else "obscured"
-        health = self._read(view, state)
-        return health.state if health else "ok"
+        if health := self._healths.get(view):
+            return health.state
+        frame = self.states.get(Task(FRAMES, (view,)))
+        return "ok" if frame and frame.usable else "obscured"
 
     def health(self, camera: str) -> Health | None:
         """What is known of a camera's health, or of that of the camera of a view; None where nobody has looked.
@@ -142,68 +143,66 @@ class Pinned:
         """
         if known := self.known.get(camera_of(camera)):
             return known
-        found = [health for view in self._views_of(camera) if (health := self._own_health(view))]
+        found = [self._healths[view] for view in self._views_of(camera) if view in self._healths]
         of_use = [health for health in found if health.state not in USELESS]
         return next((health for health in of_use if not health.ok), next(iter(of_use or found), None))
 
-    def _own_health(self, view: str) -> Health | None:
-        return self._read(view, self.states.get(Task(HEALTH, (view,))))
-
     def _views_of(self, camera: str) -> Sequence[str]:
         """A camera's views, or those of the camera of a view; most have one."""
-        if not self._views:
-            for view in self.cameras:
-                self._views.setdefault(camera_of(view), []).append(view)
         return self._views.get(camera_of(camera), [camera])
 
-    def _read(self, camera: str, state: State | None) -> Health | None:
-        known = self._judged.get(camera)
-        if known is None or known[0] is not state:
-            known = self._judged[camera] = state, judged(state)
-        return known[1]
+    @cached_property
+    def _views(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for view in self.cameras:
+            found.setdefault(camera_of(view), []).append(view)
+        return found
 
-    def useless(self) -> frozenset[str]:
+    def useless(self) -> Set[str]:
         """The cameras of which it is known that they show nothing of the site tonight."""
-        if self.reference is None:
-            return frozenset()
-        if self._useless is None:
-            stale = {c for c in self.cameras if camera_of(c) in self.known}
-            looked = ((c, self._own_health(c)) for c in self.cameras if c not in stale)
-            self._useless = frozenset({c for c in stale if self.known[camera_of(c)].state in USELESS}).union(
-                c for c, health in looked if health and health.state in USELESS
-            )
-        return self._useless
+        return self._useless if self.reference else frozenset()
 
     def unfit(self, subject: Subject) -> Impossible:
         """Why what one of these cameras shows is not used."""
         camera = next((c for c in subject if c in self.useless()), subject[0])
-        if health := self.known.get(camera_of(camera)) or self._own_health(camera):
+        if health := self.known.get(camera_of(camera)) or self._healths.get(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(FRAMES, (camera,))
         return because(frame, self.states[frame])
 
     def ended(self, task: Task) -> None:
         """A task has ended: that may have been the health of a camera."""
-        if task.stage == HEALTH:
-            self._useless = None
+        state = self.states[task]
+        if task.stage == HEALTH and state.usable:
+            (view,), found = task.subject, summary_of(state, HealthSummary)
+            self._healths[view] = Health(found.state, found.text, found.figures, found.expected, found.remedy)
+            if found.corrected:
+                self._corrected.add(view)
+            if found.state in USELESS:
+                self._useless.add(view)
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """The key of tonight's frame of a camera."""
-        self.frame_keys[subject], self._all_own = key, None
+        pinned = self.reference.artifacts.get(Task(FRAMES, subject)) if self.reference else None
+        (self._own_frames.update if pinned and pinned.key == key else self._own_frames.difference_update)(subject)
 
     def lose(self, task: Task) -> None:
         """An artifact was found damaged: where it was the reference's, its copy is put back, or that has it no longer."""
-        self._force = self._all_own = self._useless = None
+        self._force = None
+        if task.stage == HEALTH:
+            self._healths.pop(task.subject[0], None)
+            self._corrected.discard(task.subject[0])
+            if camera_of(task.subject[0]) not in self.known:
+                self._useless.discard(task.subject[0])
         if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
             if put_back(self.cache.work, pinned):
                 return
             left = {t: p for t, p in self.reference.artifacts.items() if t != task}
             self.reference = dataclasses.replace(self.reference, artifacts=left)
+            self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
 
     def _place(self, reuse: Reuse, task: Task) -> Any:
-        if self._all_own is None:
-            self._all_own = self._own_night(tuple(self.cameras))
-        if self._all_own:
+        if len(self._own_frames) == len(self.cameras):
             return "reuse"
         cameras = task.subject or [c for c in self.cameras if self.state_of(c) not in USELESS]
         standing = {self._standing(c) for c in cameras}
@@ -228,10 +227,8 @@ class Pinned:
         if self.reference is None or camera_of(camera) not in self.reference.placed:
             return _LOST
         state = self.state_of(camera)
-        for view in self._views_of(camera):
-            task = self.states.get(Task(HEALTH, (view,)))
-            if task and task.usable and summary_of(task, HealthSummary).corrected:
-                return _TURNED
+        if self._corrected.intersection(self._views_of(camera)):
+            return _TURNED
         return _STILL if state == "ok" else _LOST
 
     def _in_force(self) -> bool:
@@ -239,13 +236,6 @@ class Pinned:
         if self._force is None:
             self._force = len({camera_of(c) for c in self.cameras if self._standing(c) != _LOST}) >= FEWEST
         return self._force
-
-    def _own_night(self, cameras: Subject) -> bool:
-        """Are the frames of these cameras those of the reference itself?"""
-        if self.reference is None:
-            return False
-        keys = [(self.frame_keys.get((c,)), self.reference.artifacts.get(Task(FRAMES, (c,)))) for c in cameras]
-        return all(pinned is not None and key == pinned.key for key, pinned in keys)
 
     def _receipt(self, task: Task) -> Receipt | None:
         pinned = self.reference.artifacts.get(task) if self.reference else None
@@ -259,14 +249,6 @@ class Pinned:
         if part and str(part) not in receipt.parts:
             return Absent()
         return Stored(upstream, part).resolved(receipt)
-
-
-def judged(state: State | None) -> Health | None:
-    """What a task of the stage `health` found."""
-    if state is None or not state.usable or state.receipt is None:
-        return None
-    found = summary_of(state, HealthSummary)
-    return Health(found.state, found.text, found.figures, found.expected, found.remedy)
 
 
 def _held_before(stage: Stage) -> set[str]:

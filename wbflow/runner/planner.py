@@ -86,7 +86,7 @@ class Plan:
         names = frozenset(stage.name for stage in self._stages)
         self._subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
         if self.reference:
-            self.misfit = misfit(self.reference, self.site, self._stages, self._bound, self._settings, self.cache, self.named)
+            self.misfit = misfit(self.reference, self)
             self.calibration_change = calibration_change(self.reference.cameras, self.site) if self.misfit else ""
         self.reference = None if self.misfit else self.reference
         past = ShiftHistory(self.cache.work, self.night, self.reference.run) if self.reference else ShiftHistory()
@@ -171,7 +171,7 @@ class Plan:
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that a task takes its inputs from, as far as they are listed yet."""
-        return self._inputs.upstreams(task, self._bound(stage_named(task.stage)).inputs)
+        return self._inputs.upstreams(task, self.bound(stage_named(task.stage)).inputs)
 
     def health(self, camera: str) -> Health | None:
         """The health of a camera; None where it is not known."""
@@ -233,7 +233,7 @@ class Plan:
 
         made: made earlier in the same chain; inputs from these are not resolved yet.
         """
-        bound = self._bound(stage, adapt)
+        bound = self.bound(stage, adapt)
         inputs = self._inputs.of(stage, task, bound.inputs, set(made))
         parameters = self._parameters(stage, task, adapt)
         return TaskSpec(
@@ -262,7 +262,8 @@ class Plan:
             drawings.append(Drawing(name, function, inputs))
         return dataclasses.replace(spec, drawings=tuple(drawings))
 
-    def _bound(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
+    def bound(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
+        """A stage as the site has it done, or by the function in its place."""
         name = adapt.function if adapt else stage.name
         if name not in self._bindings:
             settings = self.site.stages.get(stage.name)
@@ -275,16 +276,16 @@ class Plan:
 
     def _parameters(self, stage: Stage, task: Task, adapt: Adapt | None) -> dict[str, Any]:
         """Parameters of a task, without those that its function works out."""
-        bound, settings = self._bound(stage, adapt), self._settings(stage, task)
+        bound, settings = self.bound(stage, adapt), self.settings(stage, task)
         if adapt:
             settings = {name: value for name, value in settings.items() if name in bound.parameters}
         return bound.defaults() | settings
 
-    def _settings(self, stage: Stage, task: Task) -> dict[str, Any]:
+    def settings(self, stage: Stage, task: Task) -> dict[str, Any]:
         """Parameters that the site file sets, in the stage's section or elsewhere."""
         values: dict[str, Any] = {name: self.site.setting(key) for name, key in stage.set_by_site().items()}
         if stage.name == FUSE:
             numbers = range(1, self._subjects.components())
             values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
-        known, settings = self._bound(stage).parameters, self.site.stages.get(stage.name)
+        known, settings = self.bound(stage).parameters, self.site.stages.get(stage.name)
         return {name: v for name, v in values.items() if name in known} | (settings.parameters if settings else {})

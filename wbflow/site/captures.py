@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import functools
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,18 +55,25 @@ def answered(read: Callable[[], T], seconds: float) -> T:
         raise TimeoutError(f"does not answer within {seconds:.0f} s: is its disk, or the network, there?") from None
 
 
+def _answers(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
+    """What is read of each camera, or that its disk does not answer."""
+    seconds = ANSWER_SECONDS
+    for camera, read in reads:
+        try:
+            yield camera, answered(read, seconds)
+        except TimeoutError as error:
+            seconds = LATER_SECONDS
+            yield camera, error
+
+
 def nights(site: Site, since: datetime.date | None = None) -> list[datetime.date]:
     """The nights for which any camera has a capture by its name, in order."""
     if not site.captures.dated:
         return []
-    found: set[datetime.date] = set()
-    seconds = ANSWER_SECONDS
-    for camera in site.cameras:
-        if camera.images is None:
-            try:
-                found |= answered(functools.partial(lambda name: set(site.captures.dates(name)), camera.id), seconds)
-            except TimeoutError:  # `find_captures` names the camera
-                seconds = LATER_SECONDS
+    named = (c.id for c in site.cameras if c.images is None)
+    answers = _answers((name, functools.partial(lambda name: set(site.captures.dates(name)), name)) for name in named)
+    # `find_captures` names the cameras that do not answer
+    found = {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
     return sorted(date for date in found if since is None or date >= since)
 
 
@@ -113,14 +120,13 @@ def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str
 
     digests: remembered ones, by file.
     """
-    found, seconds = {}, ANSWER_SECONDS
-    for camera in site.cameras:
-        try:
-            found[camera.id] = answered(functools.partial(captures_of, site, camera, date, digests), seconds)
-        except TimeoutError as error:
-            name = expected(site, camera, date)
-            found[camera.id] = [CaptureFile(printable(name), Path(name), "", str(error))]
-            seconds = LATER_SECONDS
+    reads = ((camera.id, functools.partial(captures_of, site, camera, date, digests)) for camera in site.cameras)
+    found = {}
+    for camera, (name, files) in zip(site.cameras, _answers(reads), strict=True):
+        if isinstance(files, TimeoutError):
+            called = expected(site, camera, date)
+            files = [CaptureFile(printable(called), Path(called), "", str(files))]
+        found[name] = files
     return found
 
 
@@ -142,7 +148,7 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
         from ..remote import fetch_captures
 
         fetch_captures(site.captures.root, site.captures.store, paths)
-    return [_file(site, path, digests) for path in paths]
+    return [_digested(str(path).removeprefix(f"{site.captures.root}/"), path, digests) for path in paths]
 
 
 def expected(site: Site, camera: Camera, date: datetime.date) -> str:
@@ -162,10 +168,6 @@ def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
 def file_of_stage(stage: str, name: str) -> str:
     """Under which key a file is found that a stage's section names; no camera is called so."""
     return f"{stage} {name}"
-
-
-def _file(site: Site, path: Path, digests: Digests) -> CaptureFile:
-    return _digested(str(path).removeprefix(f"{site.captures.root}/"), path, digests)
 
 
 def _digested(name: str, path: Path, digests: Digests) -> CaptureFile:
@@ -197,10 +199,6 @@ def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Pa
         now = {f.name: as_now(f, digests).digest or f.digest for f in files if f.digest}
         return [f.name for f in files if f.digest and (f.path in replaced or now[f.name] != f.digest)]
 
-    found, seconds = {}, ANSWER_SECONDS
-    for camera, files in captures.items():
-        try:
-            found[camera] = answered(functools.partial(moved, files), seconds)
-        except TimeoutError:  # the mount has died since
-            seconds = LATER_SECONDS
-    return {camera: names for camera, names in found.items() if names}
+    answers = _answers((camera, functools.partial(moved, files)) for camera, files in captures.items())
+    # a mount that has died since says nothing
+    return {camera: names for camera, names in answers if names and not isinstance(names, TimeoutError)}

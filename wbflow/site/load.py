@@ -51,8 +51,8 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
     survey = read_survey(file, frame, problems)
     work_folder = _work_folder(str(work or ""), file, problems)
     reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
-    stages, notes = read_stages(file.stages, document, reader, problems.found)
-    _check_pairs(file, problems)
+    stages, notes = read_stages(file.stages, reader, problems)
+    _check_pairs(file, problems, notes)
     captures = _captures(file.captures, problems)
     if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
@@ -69,7 +69,7 @@ def load_site(path: Path, work: str | Path | None = None) -> Site:
         stages,
         work_folder,
         reader,
-        (*notes, *_crowded(file, document)),
+        tuple(notes.found),
     )
 
 
@@ -161,15 +161,10 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
     return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", value, data)
 
 
-def _crowded(file: SiteFile, document: Document) -> list[SiteProblem]:
-    """A note where the site asks for more pairs than a view takes."""
-    if file.pairs.degree <= MOST_AT_A_CAMERA:
-        return []
-    what = f"a view takes {MOST_AT_A_CAMERA} pairs at most, its best, not {file.pairs.degree}"
-    return [document.problem(("pairs", "degree"), what, f"write {MOST_AT_A_CAMERA} or less, e.g. degree: 6")]
-
-
-def _check_pairs(file: SiteFile, problems: Problems) -> None:
+def _check_pairs(file: SiteFile, problems: Problems, notes: Problems) -> None:
+    if file.pairs.degree > MOST_AT_A_CAMERA:
+        what = f"a view takes {MOST_AT_A_CAMERA} pairs at most, its best, not {file.pairs.degree}"
+        notes.add(("pairs", "degree"), what, f"write {MOST_AT_A_CAMERA} or less, e.g. degree: 6")
     ids, pairs = [camera.id for camera in file.cameras], file.pairs
     if pairs.min_angle >= pairs.max_angle:
         remedy = "min_angle must be below max_angle, both in degrees"

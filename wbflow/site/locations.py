@@ -121,9 +121,15 @@ class Problems:
     document: Document
     found: list[SiteProblem] = field(default_factory=list)
 
-    def add(self, location: Location, what: str, remedy: str) -> None:
-        """Add a problem (see `Document.problem`)."""
-        self.found.append(self.document.problem(location, what, remedy))
+    def add(self, location: Location, what: str, remedy: str, *, key: bool = False) -> None:
+        """Add a problem.
+
+        Parameters
+        ----------
+        location, what, remedy, key
+            As of `Document.problem`.
+        """
+        self.found.append(self.document.problem(location, what, remedy, key))
 
 
 def _spelled(location: Location) -> str:

@@ -15,7 +15,7 @@ from ..pipeline.binding import Binding, bind, is_file, method_parameters, method
 from ..pipeline.functions import FunctionReader
 from ..pipeline.names import FUSE
 from ..pipeline.stages import COMPONENT, STAGES, Stage
-from .locations import Document, Location, Problems, SiteProblem, beside, did_you_mean, similar
+from .locations import Location, Problems, beside, did_you_mean, similar
 from .models import StageSettings
 
 
@@ -42,54 +42,45 @@ RENAMED: Mapping[str, Mapping[str, Renamed]] = {
 
 
 def read_stages(
-    sections: dict[str, Any], document: Document, reader: FunctionReader, problems: list[SiteProblem]
-) -> tuple[dict[str, StageSettings], list[SiteProblem]]:
-    """Settings by stage; what is wrong with them is added to `problems`.  Also what still works but is called otherwise now.
-
-    Parameters
-    ----------
-    sections : dict
-        The section `stages` of the site file.
-    document : Document
-        For the places of problems.
-    reader : FunctionReader
-        Knows the signatures of stage functions.
-    problems : list of SiteProblem
-        What is wrong is added here.
-    """
+    sections: dict[str, Any], reader: FunctionReader, problems: Problems
+) -> tuple[dict[str, StageSettings], Problems]:
+    """Settings by stage of the section `stages`; what is wrong with them is added to `problems`.  Also what still works but is
+    called otherwise now."""
     found: dict[str, StageSettings] = {}
-    notes: list[SiteProblem] = []
+    notes = Problems(problems.document)
     known = {stage.name: stage for stage in STAGES}
     for name, section in sections.items():
         location: Location = ("stages", name)
         if name not in known:
             remedy = did_you_mean(name, known, f"stages are {', '.join(known)}")
-            problems.append(document.problem(location, f"unknown stage {name!r}", remedy, key=True))
+            problems.add(location, f"unknown stage {name!r}", remedy, key=True)
         elif section is False:
             if not known[name].optional:
                 remedy = f"stages that can be: {', '.join(s.name for s in STAGES if s.optional) or 'none'}"
-                problems.append(document.problem(location, f"{name} cannot be switched off", remedy))
+                problems.add(location, f"{name} cannot be switched off", remedy)
             found[name] = StageSettings(enabled=False)
         elif section is None or section is True or isinstance(section, dict):
-            values = {str(key): value for key, value in section.items()} if isinstance(section, dict) else {}
-            found[name] = _Section(known[name], document, reader, problems, notes).read(values)
+            values = dict(section) if isinstance(section, dict) else {}
+            found[name] = _Section(known[name], reader, problems, notes).read(values)
         else:
             remedy = f"write {name}: {{parameter: value}}"
-            problems.append(document.problem(location, f"{section!r} is not a mapping of parameters", remedy))
+            problems.add(location, f"{section!r} is not a mapping of parameters", remedy)
     return found, notes
 
 
+@dataclass(frozen=True)
 class _Section:
     """One stage's section while it is read."""
 
-    def __init__(
-        self, stage: Stage, document: Document, reader: FunctionReader, problems: list[SiteProblem], notes: list[SiteProblem]
-    ) -> None:
-        self.stage = stage
-        self.document = document
-        self.reader = reader
-        self.problems = problems
-        self.notes = notes
+    stage: Stage
+    reader: FunctionReader
+    problems: Problems
+    notes: Problems
+
+    @property
+    def chooser(self) -> str:
+        """The parameter that says which method is meant; "" where there is no choice."""
+        return self.stage.method.parameter if self.stage.method else ""
 
     def read(self, values: dict[str, Any]) -> StageSettings:
         """The settings; faults and notes are added to the lists."""
@@ -101,15 +92,20 @@ class _Section:
             written = {new: old for old, new in self._renamed(values, use).items()}
             bound = bind(self.stage, use, values, self.reader)
         except FunctionError as error:
-            chooser = self.stage.method.parameter if self.stage.method and use is None else "use"
-            self._problem(chooser, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
+            key = (self.chooser if use is None else "") or "use"
+            self._problem(key, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
             return StageSettings()
+        key = self.chooser if bound.method else "use"
         for function in filter(None, (bound.function, bound.method)):
             if function.dotted.partition(":")[0].partition(".")[0] in sys.stdlib_module_names:
-                self._problem(self._chooser(bound), f"{function.dotted} is of Python's standard library, and no stage", _USE)
+                self._problem(
+                    key,
+                    f"{function.dotted} is of Python's standard library, and no stage",
+                    _USE,
+                )
                 return StageSettings()
         for fault in bound.faults():
-            self._problem("use" if use else self.stage.method.parameter if self.stage.method else "", fault, _SIGNATURE)
+            self._problem("use" if use else self.chooser, fault, _SIGNATURE)
         files = self._files(bound, values)
         for key, value in values.items():
             self._check(bound, key, value, written.get(key, key))
@@ -121,25 +117,21 @@ class _Section:
     def _files(self, bound: Binding, values: dict[str, Any]) -> dict[str, Path]:
         """The files that the section names, which are taken out of it: what is in them counts, not what they are called."""
         found: dict[str, Path] = {}
-        chosen = bound.method or bound.function
+        chosen, key = bound.method or bound.function, self.chooser if bound.method else "use"
         required = {argument.name for argument in chosen.signature.arguments if argument.required}
         for name in [name for name, need in bound.inputs.items() if is_file(need)]:
             stated, location = values.pop(name, None), ("stages", self.stage.name, name)
             if stated is None:
                 if name in required:
-                    self._problem(self._chooser(bound), f"{chosen.dotted} needs a file: {name}", _FILE.format(name=name))
+                    self._problem(key, f"{chosen.dotted} needs a file: {name}", _FILE.format(name=name))
             elif not isinstance(stated, str):
                 self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
             else:
-                found[name] = beside(stated, location, Problems(self.document, self.problems))
+                found[name] = beside(stated, location, self.problems)
                 if not is_file_on_disk(found[name]):
                     remedy = similar(found[name]) or "check the path; it is relative to the site file"
                     self._problem(name, f"there is no file {printable(found[name])}", remedy)
         return found
-
-    def _chooser(self, bound: Binding) -> str:
-        """The key that says which function is meant."""
-        return self.stage.method.parameter if bound.method and self.stage.method else "use"
 
     def _renamed(self, values: dict[str, Any], use: str | None) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values, in place; present name by old name."""
@@ -165,7 +157,7 @@ class _Section:
             before = f"{old}: {value}" if changed else old
             location: Location = ("stages", self.stage.name, old)
             what = f"{before!r} is written {now!r} now; the old way is still understood in this version"
-            self.notes.append(self.document.problem(location, what, f"write {now}", key=True))
+            self.notes.add(location, what, f"write {now}", key=True)
         return found
 
     def _fed(self) -> set[str]:
@@ -188,20 +180,19 @@ class _Section:
 
     def _unknown(self, bound: Binding, key: str, written: str, allowed: list[str]) -> None:
         """A parameter that is not read: by nobody, or by another method than the chosen one."""
-        chooser = self.stage.method
-        if bound.method and chooser:
+        if bound.method:
             readers = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
             readers += methods_with_file(self.stage, key, self.reader)
             if readers:
-                what = f"{key!r} is not read by the chosen {chooser.parameter}, {bound.method.dotted}"
-                self._problem(written, what, f"leave it out, or choose {chooser.parameter}: {' or '.join(readers)}", key=True)
+                what = f"{key!r} is not read by the chosen {self.chooser}, {bound.method.dotted}"
+                self._problem(written, what, f"leave it out, or choose {self.chooser}: {' or '.join(readers)}", key=True)
                 return
         remedy = did_you_mean(key, allowed, f"parameters of {bound.function.dotted}: {', '.join(allowed) or 'none'}")
         self._problem(written, f"unknown parameter {key!r}", remedy, key=True)
 
     def _problem(self, name: str, what: str, remedy: str, *, key: bool = False) -> None:
         location: Location = ("stages", self.stage.name, name) if name else ("stages", self.stage.name)
-        self.problems.append(self.document.problem(location, what, remedy, key))
+        self.problems.add(location, what, remedy, key=key)
 
 
 _USE = "write package.module:function; the module is installed, or lies beside the site file"
