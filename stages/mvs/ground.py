@@ -4,9 +4,14 @@ Fixed cameras hang upright, so that their rows are level: which way is up follow
 below the lowest camera are tried: where patches of one view, carried over a plane into another view, look there as they do here,
 the plane is the ground.  Repeated tiles fit at many heights in one pair of views, at one height only in all of them.
 
+How alike a patch looks by chance follows from the patch itself, at all heights that were tried.  A plane is the ground if its
+patches look more alike than by chance, and than on any other plane, significantly.
+
 References
 ----------
 Collins, A space-sweep approach to true multi-image matching, CVPR 1996.
+Vovk & Wang, E-values: calibration, combination and applications, Annals of Statistics 2021 (from a p-value to an odds ratio).
+Vuong, Likelihood ratio tests for model selection and non-nested hypotheses, Econometrica 1989.
 """
 
 from __future__ import annotations
@@ -30,20 +35,24 @@ _PATCHES = 28
 """Patches across the wider side of a view."""
 
 _RADIUS = 4
-_ALIKE = 0.6
-"""Patches that correlate so well look alike."""
-
 _LARGE_RADIUS, _VERY_ALIKE = 8, 0.9
-"""The same of large patches that must look the same."""
+"""Of large patches that must look the same, and how well these correlate."""
 
 _CANDIDATES = 4
 _MOST_PAIRS = 8
-_LEAST_SHARE = 0.04
-"""Share of the patches that must look alike on the ground."""
+_LEAST_SPREAD = 0.15
+"""Correlations (of Fisher's kind) vary by so much from height to height at least: those of patches without texture hardly do."""
 
-_CLEARER, _CLEARER_FOR_TWO = 1.4, 3.0
-"""The ground must have so many times the likeness of any other height; more where two views alone must tell, to which repeated
-tiles fit at many heights."""
+_LEAST_CHANCE = 1e-6
+_SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
+"""Shares of the patches that may lie on the ground."""
+
+_SIGNIFICANT = 2.0
+"""Standard errors by which the ground must be more likely than chance, and than any other plane."""
+
+_MOST_TILT_DEG, _MOST_LIFT = 3.0, 0.05
+"""A plane is tilted and lifted no farther to fit: degrees, and shares of its height below the cameras; below the outermost camera
+it moves by twice that share at most."""
 
 _SAME_HEIGHT = 0.06
 """Heights within this share of the best one are the same."""
@@ -60,35 +69,36 @@ def find_ground(images: Mapping[str, Float32s], cameras: Mapping[str, Camera]) -
     images : (h, w) float32 grey frame of each camera.
     cameras : the same cameras, in one world.
     """
-    names = [name for name in cameras if name in images]
-    views = [halved(images[name], cameras[name]) for name in names]
-    pairs = _pairs([camera for _, camera in views])
-    if not pairs:
+    views = [halved(images[name], cameras[name]) for name in cameras if name in images]
+    pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
+    if not pairs or not ups:
         return None
-    found: list[tuple[float, Float64s]] = []
-    for up in _ups([camera for _, camera in views]):
-        found += parallel_map(lambda plane: settled_on(views, plane), _level(views, pairs, up))
-    if not found:
-        return None
-    share, ground = max(found, key=lambda each: each[0])
+    ways = _ways(views, pairs, ups[0])
+    found: list[tuple[Float64s, Float64s]] = []
+    for up in ups:
+        sweep = _sweep(views, pairs, ways, up)
+        for plane in parallel_map(lambda plane: _settled(views, ways, plane), sweep.planes):
+            found.append((_odds(_likenesses(ways, plane), *sweep.chance), plane))
+    odds, ground = max(found, key=lambda each: float(_gains(each[0]).max()))
+    share = _SHARES[int(np.argmax(_gains(odds)))]
     centre = np.mean([camera.C for _, camera in views], axis=0)
     height = float(ground[:3] @ centre + ground[3])
-    rivals = [s for s, plane in found if abs((plane[:3] @ centre + plane[3]) / height - 1) > _SAME_HEIGHT]
-    clearer = _CLEARER if len(names) > 2 else _CLEARER_FOR_TWO
-    return ground if share >= _LEAST_SHARE and share >= clearer * max(rivals, default=0.0) else None
+    rivals = [other for other, plane in found if abs((plane[:3] @ centre + plane[3]) / height - 1) > _SAME_HEIGHT]
+    alternatives = [np.ones_like(odds), *rivals]
+    return ground if all(_significance(odds, other, share) >= _SIGNIFICANT for other in alternatives) else None
 
 
 def likely_planes(views: list[tuple[Float32s, Camera]]) -> list[Float64s]:
     """(4,) the level planes on which most looks alike to views, image and camera, that may be some pixels off: some of them."""
     pairs, ups = _pairs([camera for _, camera in views]), _ups([camera for _, camera in views])
-    return _level(views, pairs, ups[0]) if pairs and ups else []
+    return _sweep(views, pairs, _ways(views, pairs, ups[0]), ups[0]).planes if pairs and ups else []
 
 
 def settled_on(views: list[tuple[Float32s, Camera]], plane: Float64s) -> tuple[float, Float64s]:
-    """The plane nearby on which most looks alike, and which share of the patches."""
-    pairs = _pairs([camera for _, camera in views])
-    settled = _settled(views, pairs, plane)
-    return _share_alike(_ways(views, pairs, settled[:3]), settled), settled
+    """The plane nearby on which most looks alike, and how much: the mean square of the correlations."""
+    ways = _ways(views, _pairs([camera for _, camera in views]), plane[:3])
+    settled = _settled(views, ways, plane)
+    return _alike(ways, settled) / sum(len(way.patches) for way in ways), settled
 
 
 def very_alike(views: list[tuple[Float32s, Camera]], plane: Float64s) -> int:
@@ -136,19 +146,55 @@ def _pairs(cameras: list[Camera]) -> list[tuple[int, int]]:
     return [(i, j) for baseline, i, j in sorted(found) if baseline > 0][:_MOST_PAIRS]
 
 
-def _level(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[Float64s]:
-    """The level planes on which more looks alike than on those a little higher and lower, the best ones first."""
+@dataclass(frozen=True)
+class _Sweep:
+    """Level planes of many heights."""
+
+    planes: list[Float64s]
+    """(4,) those on which more patches look alike than a little higher and lower, the best ones first."""
+    chance: tuple[Float64s, Float64s]
+    """(n,) mean and standard deviation of each patch's correlation, of Fisher's kind; nan for one that is rarely in view."""
+
+
+def _sweep(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], ways: list[_Way], up: Float64s) -> _Sweep:
     lowest = min(float(camera.C @ up) for _, camera in views)
     longest = max(float(np.linalg.norm(views[i][1].C - views[j][1].C)) for i, j in pairs)
     below = longest * np.geomspace(_LOWEST, _HIGHEST, _HEIGHTS)
-    ways = _ways(views, pairs, up)
-    shares = np.array(list(parallel_map(lambda height: _share_alike(ways, np.append(up, height - lowest)), below)))
-    planes: list[Float64s] = []
-    for k in np.argsort(-shares, kind="stable"):
-        apart = all(abs(below[k] / (plane[3] + lowest) - 1) > _SAME_HEIGHT for plane in planes)
-        if apart and shares[k] > 0 and len(planes) < _CANDIDATES:
-            planes.append(np.append(up, below[k] - lowest))
-    return planes
+    likeness = np.array(list(parallel_map(lambda height: _likenesses(ways, np.append(up, height - lowest)), below)))
+    often = np.isfinite(likeness).sum(axis=0) > 0.1 * _HEIGHTS
+    mean, spread = (np.full(likeness.shape[1], np.nan) for _ in range(2))
+    mean[often], spread[often] = np.nanmean(_fisher(likeness[:, often]), axis=0), np.nanstd(_fisher(likeness[:, often]), axis=0)
+    gain = np.array([_gains(_odds(row, mean, spread)).max() for row in likeness])
+    best: list[float] = []
+    for height in below[np.argsort(-gain, kind="stable")]:
+        if len(best) < _CANDIDATES and all(abs(height / other - 1) > _SAME_HEIGHT for other in best):
+            best.append(float(height))
+    return _Sweep([np.append(up, height - lowest) for height in best], (mean, spread))
+
+
+def _fisher(correlation: Float64s) -> Float64s:
+    """Its transform, which is about normally distributed."""
+    return np.asarray(np.arctanh(np.clip(correlation, -0.99, 0.99)), dtype=np.float64)
+
+
+def _odds(likeness: Float64s, mean: Float64s, spread: Float64s) -> Float64s:
+    """(n,) how much more likely patches are to look so alike on a plane than by chance; 1 where nothing is known."""
+    from scipy.special import ndtr  # here: many sites need no ground
+
+    above = (_fisher(likeness) - mean) / np.hypot(spread, _LEAST_SPREAD)
+    return np.asarray(np.nan_to_num(0.5 / np.sqrt(np.maximum(ndtr(-above), _LEAST_CHANCE)), nan=1.0), dtype=np.float64)
+
+
+def _gains(odds: Float64s) -> Float64s:
+    """Log-likelihood ratio of a plane to chance, for each of `_SHARES`."""
+    return np.asarray(np.log1p(_SHARES[:, None] * (odds - 1.0)).sum(axis=1), dtype=np.float64)
+
+
+def _significance(odds: Float64s, other: Float64s, share: float) -> float:
+    """Standard errors by which one plane is more likely than another (Vuong); each pair of views is compared both ways, which
+    shows everything twice."""
+    gain = np.log1p(share * (odds - 1.0)) - np.log1p(share * (other - 1.0))
+    return float(gain.sum() / max(np.sqrt(2.0 * (gain**2).sum()), 1e-12))
 
 
 def _ways(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up: Float64s) -> list[_Way]:
@@ -156,40 +202,33 @@ def _ways(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], up
     return [_Way(one, two, below_horizon(one[1], up, _PATCHES)) for one, two in ways]
 
 
-def _share_alike(ways: list[_Way], plane: Float64s) -> float:
-    """Share of the patches in view of two cameras that look alike to both if they lie on the plane; patches that only few of the
-    pairs see count as if they did not."""
-    alike, seen = 0, 0
-    for way in ways:
-        likeness = _likeness(way, plane)
-        alike += int(np.sum(likeness > _ALIKE))
-        seen += int(np.sum(np.isfinite(likeness)))
-    return alike / max(seen, 0.2 * sum(len(way.patches) for way in ways), 1.0)
+def _likenesses(ways: list[_Way], plane: Float64s) -> Float64s:
+    """(n,) of all patches if they lie on the plane."""
+    return np.concatenate([_likeness(way, plane) for way in ways])
 
 
-def _settled(views: list[tuple[Float32s, Camera]], pairs: list[tuple[int, int]], plane: Float64s) -> Float64s:
+def _alike(ways: list[_Way], plane: Float64s) -> float:
+    return float(np.nansum(np.maximum(_likenesses(ways, plane), 0.0) ** 2))
+
+
+def _settled(views: list[tuple[Float32s, Camera]], ways: list[_Way], plane: Float64s) -> Float64s:
     """The plane nearby on which patches look most alike: tilted and lifted a little."""
-    from scipy.optimize import minimize  # here: many sites need no ground
+    from scipy.optimize import minimize
 
-    centre = np.mean([camera.C for _, camera in views], axis=0)
-    height = float(plane[:3] @ centre + plane[3])
+    cameras = np.array([camera.C for _, camera in views])
+    centre = cameras.mean(axis=0)
+    height, radius = float(plane[:3] @ centre + plane[3]), float(np.linalg.norm(cameras - centre, axis=1).max())
     a = np.linalg.svd(plane[None, :3])[2][1:]
-    ways = _ways(views, pairs, plane[:3])
+    tilt = min(np.radians(_MOST_TILT_DEG), 2.0 * _MOST_LIFT * height / radius)
 
     def moved(change: Float64s) -> Float64s:
-        normal = plane[:3] + a.T @ (0.02 * change[:2])
+        normal = plane[:3] + a.T @ (tilt * np.tanh(change[:2]))
         normal /= np.linalg.norm(normal)
-        return np.append(normal, height * (1 + 0.02 * change[2]) - normal @ centre)
+        return np.append(normal, height * (1.0 + _MOST_LIFT * np.tanh(change[2])) - normal @ centre)
 
-    def unlikeness(change: Float64s) -> float:
-        plane = moved(change)
-        likeness = np.concatenate([_likeness(way, plane) for way in ways])
-        return -float(np.nansum(np.maximum(likeness, 0.0) ** 2))
-
-    simplex = np.vstack([np.zeros(3), np.eye(3)])
-    found = minimize(
-        unlikeness, np.zeros(3), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 80, "xatol": 0.01}
-    )
+    simplex = np.vstack([np.zeros(3), np.eye(3) / 3])
+    options = {"initial_simplex": simplex, "maxfev": 80, "xatol": 0.003}
+    found = minimize(lambda change: -_alike(ways, moved(change)), np.zeros(3), method="Nelder-Mead", options=options)
     return moved(np.asarray(found.x, dtype=np.float64))
 
 
