@@ -11,7 +11,7 @@ from ..cache.atomic import write_atomic
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
 from ..pipeline.names import DISPARITY, FRAMES, POSES
-from ..report.page import render
+from ..report.template import render
 from ..site.load import load_site
 from ..site.models import Site
 from .artifacts import FinishedRun, function

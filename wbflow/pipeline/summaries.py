@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AliasChoices, Field, ValidationError, model_serializer, model_validator
 
+from ..plain import Plain
 from ..records.findings import HealthState
-from ..records.plain import Plain
 
 
 class Summary(Plain):

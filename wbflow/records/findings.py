@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_serializer
 
-from .plain import Plain
+from ..plain import Plain
 
 Figures = Mapping[str, Any]
 """What is reported of a camera, a pair, a night or the world, by name: numbers, words, and mappings of these."""

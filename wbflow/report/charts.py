@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ..cache.store import Receipt
 from ..outcome.baseline import appearance_of, figures_of
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import meaning, number, titled
@@ -23,19 +22,6 @@ _MOST_ROWS = 64
 
 
 @dataclass(frozen=True)
-class Point:
-    """A night in a chart."""
-
-    x: float
-    y: float
-    state: str
-    """The verdict: good, degraded or failed."""
-    title: str
-    link: str
-    """The night's report; "" for this night."""
-
-
-@dataclass(frozen=True)
 class Chart:
     """A figure over nights."""
 
@@ -43,7 +29,8 @@ class Chart:
     now: str
     median: str
     median_y: float
-    points: tuple[Point, ...]
+    points: tuple[tuple[float, float, str, str, str], ...]
+    """Of each night: x, y, its verdict, its words, and the link to its report ("" for this night)."""
 
 
 def trends(data: ReportData) -> list[Chart]:
@@ -84,7 +71,7 @@ def _chart(data: ReportData, title: str, values: Sequence[float | None], unit: s
         if value is not None:
             link = "" if night.run == data.record.run else data.report_of(night.run)
             state = night.verdict.level if night.verdict else ""
-            points.append(Point(EDGE + k * step, y(value), state, f"{night.date}: {words(value)}", link))
+            points.append((EDGE + k * step, y(value), state, f"{night.date}: {words(value)}", link))
     median, last = sorted(known)[len(known) // 2], values[-1]
     return Chart(title, "–" if last is None else words(last), words(median), y(median), tuple(points))
 
@@ -101,26 +88,16 @@ def _megabytes(data: ReportData, night: RunRecord) -> float | None:
         return None
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A camera on one night."""
-
-    state: str
-    height: float
-    """0 to 1: the share of its pairs that find common points."""
-    title: str
-
-
-def camera_bars(data: ReportData) -> dict[str, list[Bar]]:
-    """Return each camera's last nights."""
-    bars: dict[str, list[Bar]] = {camera.id: [] for camera in data.record.cameras}
+def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
+    """Return each camera's last nights: its state, the share of its pairs that find common points, and words."""
+    bars: dict[str, list[tuple[str, float, str]]] = {camera.id: [] for camera in data.record.cameras}
     for night in data.nights[-SPARK_NIGHTS:]:
         figures = appearance_of(night)
         for camera in night.cameras:
             if camera.id in bars:
                 share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
-                title = f"{night.date}: {_camera_words(camera, share)}"
-                bars[camera.id].append(Bar(state_of(camera, night), max(0.12, share), title))
+                words = f"{night.date}: {_camera_words(camera, share)}"
+                bars[camera.id].append((state_of(camera, night), max(0.12, share), words))
     return bars
 
 
@@ -141,22 +118,11 @@ def tasks_of_stages(data: ReportData) -> Iterator[tuple[str, Counter[str]]]:
 
 
 @dataclass(frozen=True)
-class TaskBar:
-    """A task in the timetable."""
-
-    stage: int
-    """Number of its stage: its colour."""
-    row: int
-    x: float
-    width: float
-    title: str
-
-
-@dataclass(frozen=True)
 class Timetable:
     """When tasks ran; tasks that ran at the same time lie in different rows."""
 
-    bars: tuple[TaskBar, ...]
+    bars: tuple[tuple[int, int, float, float, str], ...]
+    """Of each task: number of its stage, which is its colour, row, x, width, and words."""
     seconds: float
     rows: int
     stages: tuple[tuple[int, str], ...]
@@ -168,7 +134,8 @@ def timetable(data: ReportData) -> Timetable | None:
     ran: list[tuple[float, float, Task]] = []
     for task, event in data.tasks.items():
         receipt = data.cache.by_key(task, event.key) if event.fresh and event.key else None
-        if receipt and (end := _finished(receipt)):
+        if receipt and receipt.finished:
+            end = datetime.datetime.fromisoformat(receipt.finished).timestamp()
             ran.append((end - receipt.wall, end, task))
     if not ran:
         return None
@@ -184,13 +151,6 @@ def timetable(data: ReportData) -> Timetable | None:
         free[row : row + 1] = [end]
         title = f"{task}: {end - begin:.1f} s, from {begin - first:.1f} s on"
         width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
-        bars.append(TaskBar(numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
-    shown = {bar.stage for bar in bars}
+        bars.append((numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
+    shown = {stage for stage, *_ in bars}
     return Timetable(tuple(bars), span, len(free), tuple((k, stage.name) for k, stage in enumerate(STAGES) if k in shown))
-
-
-def _finished(receipt: Receipt) -> float | None:
-    try:
-        return datetime.datetime.fromisoformat(receipt.finished).timestamp()
-    except ValueError:
-        return None

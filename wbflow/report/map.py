@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..pipeline.stages import STAGES
 from ..records.record import CameraRecord, PairRecord
+from ..task import Task
 from .data import ReportData, objects_of, since_last_good, state_of
+from .pictures import data_url, split
 
 Vector = tuple[float, float, float]
 Array = NDArray[np.float64]
@@ -277,4 +280,31 @@ def _outside(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, float
         if not any(abs(middle - a) < half + b and abs(line - c) < _LINE for a, b, c in taken):
             taken.append((middle, half, line))
             found[camera.id] = label
+    return found
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A picture on the map."""
+
+    name: str
+    """Of the stage."""
+    words: str
+    legend: Sequence[tuple[str, str]]
+    """Meaning of each colour."""
+    data: str
+    """A data URL."""
+    matrix: tuple[float, ...]
+    """From the unit square to the drawing, as CSS has it: a, b, c, d, e, f."""
+
+
+def layers_of(data: ReportData, drawn: Map) -> list[Layer]:
+    """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world."""
+    found = []
+    for stage in STAGES:
+        if layer := data.drawing(Task(stage.name), "layer"):
+            head, picture = split(layer)
+            (x, y), right, down = (drawn.at(drawn.scene.to(corner)) for corner in head["corners"])
+            matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)
+            found.append(Layer(stage.name, head["words"], head["legend"], data_url(picture, "image/png"), matrix))
     return found

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Iterator, Mapping
-from importlib.resources import files
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,24 @@ from ..records.run_folder import RunFolder
 from ..site.models import Site
 from .charts import camera_bars, tasks_of_stages, timetable, trends
 from .data import ReportData
-from .map import Map, scene_of
-from .pictures import Pictures, large_pictures, layers_of, points_of
-from .sections import camera_cards, findings, headline, pair_columns, pair_pictures, parts, settings, tried
+from .map import Map, layers_of, scene_of
+from .pictures import Pictures, large_pictures, points_of
+from .sections import (
+    BADGES,
+    camera_figures,
+    camera_words,
+    cameras,
+    facts,
+    findings,
+    headline,
+    keypoints,
+    pair_columns,
+    pair_pictures,
+    parts,
+    settings,
+    tried,
+)
+from .template import render
 
 MOST_BYTES = 14_000_000
 """Of a page, about: large pictures get the room that nothing else needs."""
@@ -33,7 +47,7 @@ def rebuild_report(site: Site, work: WorkFolder, folder: RunFolder) -> str:
 
 
 def build_report(
-    site: Site, cache: Cache, record: RunRecord, events: Iterable[Event], cameras: Mapping[str, Any], products: Path
+    site: Site, cache: Cache, record: RunRecord, events: Iterable[Event], placed: Mapping[str, Any], products: Path
 ) -> str:
     """Return the HTML of a run.
 
@@ -47,31 +61,12 @@ def build_report(
         The run in figures.
     events : iterable of Event
         What happened.
-    cameras : mapping
+    placed : mapping
         The cameras of the cloud by id, as cameras.json has them.
     products : Path
         The folder in which the run's products lie now.
     """
-    return render("page.html", **_content(ReportData(cache, record, tuple(events), cameras, products, site)))
-
-
-def render(template: str, **content: Any) -> str:
-    """Return the page of a template in `assets`; all that is put in is escaped, but for the assets."""
-    from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined  # here: only pages need it
-    from markupsafe import Markup
-
-    compiled = None
-    with contextlib.suppress(RuntimeError, OSError):  # a machine without a folder for it compiles the template each time
-        compiled = FileSystemBytecodeCache()
-    environment = Environment(
-        loader=FunctionLoader(_asset), autoescape=True, bytecode_cache=compiled, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.globals["asset"] = lambda name: Markup(_asset(name))
-    return environment.get_template(template).render(content)
-
-
-def _asset(name: str) -> str:
-    return (files(__package__) / "assets" / name).read_text(encoding="utf-8")
+    return render("page.html", **_content(ReportData(cache, record, tuple(events), placed, products, site)))
 
 
 def _content(data: ReportData) -> dict[str, Any]:
@@ -86,6 +81,7 @@ def _content(data: ReportData) -> dict[str, Any]:
         "meaning": meaning,
         "spoken": spoken,
         "headline": headline(data),
+        "facts": list(facts(data)),
         "findings": findings(data, album),
         "parts": parts(data, album),
         "points": points,
@@ -93,11 +89,16 @@ def _content(data: ReportData) -> dict[str, Any]:
         "map": drawn,
         "layers": layers_of(data, drawn) if drawn else [],
         "warnings": [event for event in data.events if isinstance(event, WarningEvent)],
-        "cameras": camera_cards(data, album),
+        "cameras": cameras(data),
+        "camera_pictures": {camera.id: album.of_frame(camera.id, camera.id) for camera in record.cameras},
+        "badges": BADGES,
+        "camera_words": partial(camera_words, data),
+        "camera_figures": partial(camera_figures, data),
+        "keypoints": partial(keypoints, data),
         "bars": camera_bars(data),
         "columns": columns,
         "pairs": [(pair, [getattr(pair.figures, name) for name in columns]) for pair in record.pairs],
-        "tried": lambda pair: list(tried(data, pair)),
+        "tried": partial(tried, data),
         "pair_pictures": pair_pictures(data, album),
         "charts": trends(data),
         "tasks_of_stages": list(tasks_of_stages(data)),
@@ -143,6 +144,6 @@ def _files(data: ReportData) -> Iterator[tuple[str, str]]:
         if cloud:
             yield f"{cloud.path} ({cloud.points:,} points)", cloud.path
     named = {name for result in record.results.values() for name in result.files}
-    cameras = [paths.cameras.name] if data.cameras else []
-    for name in (*cameras, *sorted(named), paths.record.name, paths.log.name):
+    places = [paths.cameras.name] if data.cameras else []
+    for name in (*places, *sorted(named), paths.record.name, paths.log.name):
         yield name, name

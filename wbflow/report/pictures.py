@@ -8,9 +8,8 @@ from __future__ import annotations
 import base64
 import json
 import mimetypes
-import os
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from ..pipeline.stages import STAGES, stage_named
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..task import Task, camera_of
 from .data import ReportData
-from .map import Map
 
 ROOM = 6_000_000
 """Bytes of small pictures in a page; the page links to the files of the others."""
@@ -86,24 +84,25 @@ class Pictures:
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
         path = self.data.files / name
-        try:
-            return self._of(path, alt, None if path in self._ids else read_outside(path))
-        except OSError:
-            return None
+        return self._of(path, alt, name, lambda: read_outside(path))
 
     def _of_result(self, task: Task, key: str, alt: str) -> Picture | None:
-        path = self.data.work.drawing(task, key, "picture")
-        return self._of(path, alt, None if path in self._ids else self.data.cache.drawing(task, key, "picture"))
+        path, cache = self.data.work.drawing(task, key, "picture"), self.data.cache
+        return self._of(path, alt, f"../../{path.relative_to(self.data.work.root)}", lambda: cache.drawing(task, key, "picture"))
 
-    def _of(self, path: Path, alt: str, content: bytes | None) -> Picture | None:
-        """Return a picture by its file and content; None where there is none."""
+    def _of(self, path: Path, alt: str, link: str, read: Callable[[], bytes | None]) -> Picture | None:
+        """Return the picture in a file; None where there is none.  link: to it, from the report."""
         if path in self._ids:
             return Picture(self._ids[path], alt)
+        name = f"picture-{len(self._ids) + 1}"
+        try:
+            if self.held + path.stat().st_size > ROOM:
+                return Picture(name, alt, link=link)
+            content = read()
+        except OSError:
+            return None
         if content is None:
             return None
-        name = f"picture-{len(self._ids) + 1}"
-        if self.held + len(content) > ROOM:
-            return Picture(name, alt, link=os.path.relpath(path, self.data.work.run(self.data.record.run).folder))
         self._ids[path] = name
         self.held += len(content)
         return Picture(name, alt, data_url(content, mimetypes.guess_type(path.name)[0] or "image/jpeg"))
@@ -134,37 +133,11 @@ class Points:
 def points_of(data: ReportData) -> list[Points]:
     """Return the points of the night's results, the product's first."""
     found = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
-    return [Points(name, _split(stream)[0], stream) for name, stream in found if stream]
+    return [Points(name, split(stream)[0], stream) for name, stream in found if stream]
 
 
-@dataclass(frozen=True)
-class Layer:
-    """A picture on the map."""
-
-    name: str
-    """Of the stage."""
-    words: str
-    legend: Sequence[tuple[str, str]]
-    """Meaning of each colour."""
-    data: str
-    """A data URL."""
-    matrix: tuple[float, ...]
-    """From the unit square to the drawing, as CSS has it: a, b, c, d, e, f."""
-
-
-def layers_of(data: ReportData, drawn: Map) -> list[Layer]:
-    """Return the pictures on the map; the head of each names its top left, top right and bottom left corner in the world."""
-    found = []
-    for stage in STAGES:
-        if layer := data.drawing(Task(stage.name), "layer"):
-            head, picture = _split(layer)
-            (x, y), right, down = (drawn.at(drawn.scene.to(corner)) for corner in head["corners"])
-            matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)
-            found.append(Layer(stage.name, head["words"], head["legend"], data_url(picture, "image/png"), matrix))
-    return found
-
-
-def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
+def split(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return the JSON head of a stream, and what follows it."""
     (length,) = struct.unpack_from("<I", data)
     return json.loads(data[4 : 4 + length]), data[4 + length :]
 

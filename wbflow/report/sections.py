@@ -20,60 +20,34 @@ from ..task import Task
 from .data import Comparison, ReportData, since_last_good, state_of
 from .pictures import Picture, Pictures
 
-_BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
+BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
+"""Words for the states of cameras."""
 _MOST_OF_A_KIND = 4
 """Findings of one kind that are shown; more are folded."""
 _MOST_FIGURES = 8
 """Figures of a step that was tried."""
 
 
-@dataclass(frozen=True)
-class Fact:
-    """A main figure of the night."""
-
-    value: str
-    words: str
-    usual: str = ""
-    grade: str = ""
-    """fair or bad where it is clearly below usual."""
+Fact = tuple[str, str, str, str]
+"""A main figure of the night: value, words, what is usual, and fair or bad where it is clearly below that, else ""."""
 
 
-@dataclass(frozen=True)
-class Headline:
-    """The verdict in words, and the main figures."""
-
-    level: str
-    title: str
-    words: str
-    facts: tuple[Fact, ...]
-
-
-def headline(data: ReportData) -> Headline:
-    """Return the verdict, what to do first, and the main figures."""
+def headline(data: ReportData) -> tuple[str, str, str]:
+    """Return the verdict, and in words what it comes to and what to do first."""
     record, verdict = data.record, data.record.verdict
     level = verdict.level if verdict else "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
     findings = verdict.findings if verdict else ()
     cameras = [finding for finding in findings if finding.kind.startswith("camera-")]
     changes = _changes(data)
     if level == "good":
-        title = "A good night"
-        words = (
-            "The findings below may wait."
-            if findings
-            else "There is nothing to repair."
-            if changes
-            else "There is nothing to do."
-        )
-        words = f"{changes} {words}".strip()
-    elif level == "degraded":
+        rest = "The findings below may wait." if findings else f"There is nothing to {'repair' if changes else 'do'}."
+        return level, "A good night", f"{changes} {rest}".strip()
+    if level == "degraded":
         title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
         cloud = "There is a cloud, but it is not as good as it should be. " if record.cloud else ""
-        words = f"{cloud}{_first_remedy(findings)} {changes}".strip()
-    else:
-        interrupted = any(finding.kind == "interrupted" for finding in findings)
-        title = "Interrupted" if interrupted else "No cloud this night"
-        words = _shared(record, cameras) or _first_remedy(findings) or "The reasons are below."
-    return Headline(level, title, words, tuple(_facts(data)))
+        return level, title, f"{cloud}{_first_remedy(findings)} {changes}".strip()
+    title = "Interrupted" if any(finding.kind == "interrupted" for finding in findings) else "No cloud this night"
+    return level, title, _shared(record, cameras) or _first_remedy(findings) or "The reasons are below."
 
 
 def _shared(record: RunRecord, cameras: list[Finding]) -> str:
@@ -94,7 +68,8 @@ def _first_remedy(findings: tuple[Finding, ...]) -> str:
     return f"First: {f'{first.about}: ' if first.subject else ''}{first.remedy}{end}"
 
 
-def _facts(data: ReportData) -> Iterator[Fact]:
+def facts(data: ReportData) -> Iterator[Fact]:
+    """Yield the main figures."""
     record = data.record
     usual, now = record.usual.figures if record.usual else {}, figures_of(record)
     whose = "reference" if record.usual and record.usual.reference else "usual"
@@ -102,25 +77,25 @@ def _facts(data: ReportData) -> Iterator[Fact]:
     def measured(name: str, unit: str, words: str) -> Fact:
         base = usual.get(name)
         compared = f"{whose}: {base:,.0f} {unit}".rstrip() if base else ""
-        return Fact(f"{now[name]:,.0f} {unit}".rstrip(), words, compared, _grade(now[name], base))
+        return f"{now[name]:,.0f} {unit}".rstrip(), words, compared, _grade(now[name], base)
 
     well, good = sum(camera.ok for camera in record.cameras), sum(pair.ok for pair in record.pairs)
-    yield Fact(f"{well} of {len(record.cameras)}", "cameras", grade="" if well == len(record.cameras) else "bad")
+    yield f"{well} of {len(record.cameras)}", "cameras", "", "" if well == len(record.cameras) else "bad"
     if most := max(len(record.pairs), round(usual.get(Measure.PAIRS, 0))):
-        yield Fact(f"{good} of {most}", "pairs of cameras", grade=_grade(good, usual.get(Measure.PAIRS)))
+        yield f"{good} of {most}", "pairs of cameras", "", _grade(good, usual.get(Measure.PAIRS))
     if record.cloud:
         yield measured(Measure.POINTS, "", "points")
     if record.poses and record.poses.unverified:
-        yield Fact("unverified", "calibration: too few matches to check it", grade="fair")
+        yield "unverified", "calibration: too few matches to check it", "", "fair"
     for stage, result in record.results.items():
         if stage in now:
             yield measured(stage, *result.AMOUNT)
         if (count := _change_count(result)) is not None:
             since, words = since_last_good(data, stage), f"change{'s' * (count != 1)} since the reference"
-            yield Fact(str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else "")
+            yield str(count), words, f"{count - len(since.known)} since {since.date}" if since and count else "", ""
     seconds = record.seconds.wall
     took = f"{seconds / 60:.0f} min" if seconds >= 100 else f"{seconds:.0f} s"
-    yield Fact(took, "from captures to cloud" if record.cloud else "until it was clear")
+    yield took, "from captures to cloud" if record.cloud else "until it was clear", "", ""
 
 
 def _change_count(result: SiteSummary) -> int | None:
@@ -191,61 +166,41 @@ def _pictures(data: ReportData, album: Pictures, finding: Finding, number: int) 
         yield from [(picture, name) for picture in of_pair if picture][:2]
 
 
-@dataclass(frozen=True)
-class CameraCard:
-    """A camera."""
-
-    camera: CameraRecord
-    number: int
-    """In the site file, from 1."""
-    state: str
-    badge: str
-    words: str
-    picture: Picture | None
-    keypoints: str
-    """How many keypoints and inliers its picture has."""
-    main: tuple[tuple[str, str, str], ...]
-    """Title, meaning and value of its main figures."""
-    figures: Mapping[str, Any]
+def cameras(data: ReportData) -> list[tuple[str, int, CameraRecord]]:
+    """Return state, number in the site file from 1, and record of each camera: those that gave nothing first, then those to look
+    at; else in the order of the site file."""
+    found = [(state_of(camera, data.record), k, camera) for k, camera in enumerate(data.record.cameras, 1)]
+    return sorted(found, key=lambda entry: ("bad", "warn", "good").index(entry[0]))
 
 
-def camera_cards(data: ReportData, album: Pictures) -> list[CameraCard]:
-    """Return the cameras: those that gave nothing first, then those to look at; else in the order of the site file."""
-    found = []
-    for k, camera in enumerate(data.record.cameras, 1):
-        state = state_of(camera, data.record)
-        numbers = {name: v for name, v in vars(camera.figures).items() if isinstance(v, int | float) and not isinstance(v, bool)}
-        points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
-        badge = camera.health.state if camera.health and not camera.health.ok else _BADGES[state]
-        main = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
-        if points is not None:
-            main.append((meaning("points").title, meaning("points").words, spoken(points)))
-        main += _shares(data, camera.id)
-        words, picture = _words(camera, data.record.reference is None), album.of_frame(camera.id, camera.id)
-        found.append(CameraCard(camera, k, state, badge, words, picture, _keypoints(camera, pairs), tuple(main), numbers))
-    return sorted(found, key=lambda card: ("bad", "warn", "good").index(card.state))
+def camera_figures(data: ReportData, camera: CameraRecord) -> tuple[list[tuple[str, str, str]], dict[str, float]]:
+    """Return title, meaning and value of a camera's main figures, and its other numbers by name."""
+    numbers = {name: v for name, v in vars(camera.figures).items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    points, pairs = numbers.pop("points", None), data.record.pairs_of(camera.id)
+    main = [("used pairs", "of its pairs, those matched densely", f"{sum(p.ok for p in pairs)} of {len(pairs)}")]
+    if points is not None:
+        main.append((meaning("points").title, meaning("points").words, spoken(points)))
+    for result in data.record.results.values():
+        for name, value in vars(result).items():
+            if isinstance(value, Mapping) and isinstance(share := value.get(camera.id), float):
+                main.append((meaning(name).title, meaning(name).words, f"{100 * share:.1f} %"))
+    return main, numbers
 
 
-def _keypoints(camera: CameraRecord, pairs: list[PairRecord]) -> str:
-    points, agreed = camera.figures.keypoints, [p.figures.inliers for p in pairs if p.matched]
+def keypoints(data: ReportData, camera: CameraRecord) -> str:
+    """Return how many keypoints and inliers a camera's picture has."""
+    points, agreed = camera.figures.keypoints, [p.figures.inliers for p in data.record.pairs_of(camera.id) if p.matched]
     known = [count for count in agreed if count]
     words = [f"{points:,} keypoints"] if points else []
     return ", ".join([*words, *([f"{sum(known):,} inliers in {len(known)} pairs"] if known else [])])
 
 
-def _words(camera: CameraRecord, alone: bool) -> str:
-    """Return how it was; "" for one that is well on a night without a reference."""
+def camera_words(data: ReportData, camera: CameraRecord) -> str:
+    """Return how a camera was; "" for one that is well on a night without a reference."""
+    alone = data.record.reference is None
     health = camera.health.text if camera.health and not (alone and camera.health.ok) else ""
     words = health if camera.ok else camera.reason or camera.outcome
     return "; ".join(filter(None, (words, camera.down.words(left_out=not camera.ok) if camera.down else "")))
-
-
-def _shares(data: ReportData, camera: str) -> Iterator[tuple[str, str, str]]:
-    """Yield a camera's shares in site-wide results."""
-    for result in data.record.results.values():
-        for name, value in vars(result).items():
-            if isinstance(value, Mapping) and isinstance(share := value.get(camera), float):
-                yield meaning(name).title, meaning(name).words, f"{100 * share:.1f} %"
 
 
 def pair_columns(data: ReportData) -> list[str]:

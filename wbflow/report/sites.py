@@ -19,8 +19,8 @@ from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.load import load_site
 from ..task import Task
 from .data import NIGHTS
-from .page import render
 from .pictures import data_url
+from .template import render
 
 
 @dataclass(frozen=True)
