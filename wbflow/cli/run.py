@@ -21,8 +21,8 @@ from .display import display
 
 if TYPE_CHECKING:
     from ..api import Run
+    from ..outcome.status import Status
     from ..records.record import Finding, RunRecord
-    from ..runner.planner import Plan
     from ..site.models import Site
 
 BACKENDS = ("processes", "loky", "threading", "dask")
@@ -89,6 +89,8 @@ def run(
     if work and len(sites) > 1:
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
+    from ..api import run as run_night
+
     quiet, several, records = quiet or as_json, bool(since) or len(sites) > 1, list[Any]()
 
     def run_site(path: Path) -> int:
@@ -96,7 +98,7 @@ def run(
         nights, codes = _nights(site, date, since), list[int]()
         if dry_run:
             for night in nights:
-                _print_plan(_plan(site, night, options["until"], options["force"]))
+                _print_status(_status(site, night, options["until"], options["force"]))
             return ExitCode.GOOD
         for night in nights:
             if codes and _is_over(options["stop_at"]):
@@ -104,7 +106,8 @@ def run(
                 echo(f"{left} not begun: --stop-at {options['stop_at']:%H:%M}", err=True)
                 codes.append(ExitCode.DEGRADED)
                 break
-            finished = _run_night(site, night, verbose, quiet, options)
+            with display(site.name, verbose, quiet) as shown:
+                finished = run_night(site, date=night, listen=shown.receive, watch=shown.receive, **options)
             codes.append(finished.record.exit_code)
             if as_json:
                 records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))
@@ -129,13 +132,6 @@ def _nights(site: Site, date: datetime.date | None, since: datetime.date | None)
 
 def _is_over(stop_at: datetime.datetime | None) -> bool:
     return stop_at is not None and stop_at <= datetime.datetime.now()
-
-
-def _run_night(site: Site, night: datetime.date | None, verbose: bool, quiet: bool, options: dict[str, Any]) -> Run:
-    from ..api import run as run_night
-
-    with display(site.name, verbose, quiet) as shown:
-        return run_night(site, date=night, listen=shown.receive, watch=shown.receive, **options)
 
 
 def for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
@@ -230,40 +226,33 @@ def status(site: Path, date: datetime.date | None, work: str | None, until: str 
     wbflow status site.yaml
     wbflow status site.yaml --date -1 --json
     """
-    plan = _plan(load(site, work), date, until)
-    if not as_json:
-        _print_plan(plan)
-        return
-    from ..outcome.status import explain, pairs_to_come, seconds_to_come, totals
-
-    lines = explain(plan)
-    known = {"totals": totals(lines), "cpu_seconds": seconds_to_come(lines), "pairs_to_come": pairs_to_come(plan)}
-    echo_json({"site": plan.site.name, "night": plan.night, "tasks": [asdict(line) for line in lines], **known})
+    status_of = _status(load(site, work), date, until)
+    if as_json:
+        echo_json(asdict(status_of))
+    else:
+        _print_status(status_of)
 
 
-def _plan(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Plan:
+def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
+    from ..outcome.status import explain
     from ..runner.context import Options, plan_run
 
     Options(until=until, force=force).check(site)
     plan = plan_run(site, date, until, force).plan
     plan.refresh()
-    return plan
-
-
-def _print_plan(plan: Plan) -> None:
-    """Print each task with what would become of it, and why."""
-    from ..outcome.status import explain, pairs_to_come, seconds_to_come, totals
-
-    lines = explain(plan)
     if plan.misfit:
         echo(f"the reference is not used: {plan.misfit}", err=True)
-    for line in lines:
+    return explain(plan)
+
+
+def _print_status(status: Status) -> None:
+    """Print each task with what would become of it, and why."""
+    for line in status.tasks:
         echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
-    if pairs_to_come(plan):
+    if status.pairs_to_come:
         echo("(tasks of pairs are listed once the pair graph is known)")
-    seconds = seconds_to_come(lines)
-    about = f"; about {seconds:.0f} CPU s, as far as is known" if seconds is not None else ""
-    echo(f"night of {plan.night}: {', '.join(f'{count} {state}' for state, count in totals(lines).items())}{about}")
+    about = f"; about {status.cpu_seconds:.0f} CPU s, as far as is known" if status.cpu_seconds is not None else ""
+    echo(f"night of {status.night}: {', '.join(f'{count} {state}' for state, count in status.totals.items())}{about}")
 
 
 @click.command()

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import islice
+from statistics import median
 
 from ..cache.layout import WorkFolder
 from ..pipeline.binding import bind
@@ -209,9 +210,3 @@ def _medians(figures: Iterable[dict[str, float]]) -> dict[str, float]:
         for name, value in entry.items():
             values.setdefault(name, []).append(value)
     return {name: median(found) for name, found in values.items()}
-
-
-def median(values: Sequence[float]) -> float:
-    """Of at least one value."""
-    ordered, middle = sorted(values), len(values) // 2
-    return ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2

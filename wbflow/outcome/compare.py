@@ -190,32 +190,25 @@ class Entry:
 
 
 def history(work: WorkFolder) -> list[Entry]:
-    """Every run, oldest first."""
+    """Return every run, oldest first."""
     with Ledger(work) as ledger:
-        return [_entry(work, run) for run in ledger.runs()]
+        known = [(run, RunFolder(work.run(run.run))) for run in ledger.runs()]
+    return [Entry(run, _verdict_of(folder), cleaned=not folder.paths.record.exists()) for run, folder in known]
 
 
-def _entry(work: WorkFolder, run: LedgerRun) -> Entry:
-    folder = RunFolder(work.run(run.run))
+def _verdict_of(folder: RunFolder) -> Verdict | None:
     try:
-        record = folder.record()
-        return Entry(run, record.verdict, cleaned=False)
+        return folder.record().verdict
     except NoSuchRun:
-        return Entry(run, None, cleaned=not folder.paths.record.exists())
+        return None
 
 
 def places(work: WorkFolder) -> list[dict[str, Any]]:
-    """Where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
-    return [_place(work, entry) for entry in history(work)] if work.root.exists() else []
-
-
-def _place(work: WorkFolder, entry: Entry) -> dict[str, Any]:
-    run, paths = entry.run, work.run(entry.run.run)
-    level = entry.verdict.level if entry.verdict else None
-    known = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
-    there = {
-        "folder": None if entry.cleaned else paths.folder,
-        "cloud": paths.cloud if paths.cloud.is_file() else None,
-        "report": paths.report if paths.report.is_file() else None,
-    }
-    return known | {name: str(path) if path else None for name, path in there.items()}
+    """Return where every run lies, oldest first, for programs: paths are None where there is nothing any more."""
+    found = []
+    for entry in history(work) if work.root.exists() else ():
+        run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
+        known = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
+        files = {"folder": paths.folder, "cloud": paths.cloud, "report": paths.report}
+        found.append(known | {name: str(path) if path.exists() else None for name, path in files.items()})
+    return found

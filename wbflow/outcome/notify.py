@@ -14,7 +14,6 @@ import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,20 +37,9 @@ class NotifyFailed(WbflowError):
     """The command could not be started, failed, or took too long."""
 
 
-@dataclass(frozen=True)
-class Reported:
-    """The state of the site that the command has last been called for."""
-
-    level: str = "good"
-    findings: tuple[str, ...] = ()
-    """Kind and subject of each."""
-
-    @staticmethod
-    def from_verdict(verdict: Verdict) -> Reported:
-        """Return the state of a night."""
-        if verdict.good:
-            return Reported()
-        return Reported(verdict.level, tuple(sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})))
+def _state(verdict: Verdict) -> list[str]:
+    """Return the level of a night, and kind and subject of each finding; nothing of a good night."""
+    return [] if verdict.good else [verdict.level, *sorted({" ".join((f.kind, *f.subject)) for f in verdict.findings})]
 
 
 def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: RunRecord) -> Occasion | None:
@@ -76,26 +64,22 @@ def notify(how: Notify, folder: Path, work: WorkFolder, run: RunPaths, record: R
         With the last line of its output.
     """
     assert record.verdict
-    state = Reported.from_verdict(record.verdict)
-    occasion = _occasion(state, _last(work), how.heartbeat)
+    state = _state(record.verdict)
+    occasion: Occasion | None = "heartbeat" if how.heartbeat else None
+    if state != _last(work):
+        occasion = "recovered" if not state else "failed" if record.verdict.level == "failed" else "degraded"
     if occasion:
         _call(how, folder, occasion, run, record)
-        write_signed(work.notified, _OF, {"level": state.level, "findings": state.findings})
+        write_signed(work.notified, _OF, {"state": state})
     return occasion
 
 
-def _occasion(state: Reported, last: Reported, heartbeat: bool) -> Occasion | None:
-    if state != last:
-        return "recovered" if state.level == "good" else "failed" if state.level == "failed" else "degraded"
-    return "heartbeat" if heartbeat else None
-
-
-def _last(work: WorkFolder) -> Reported:
+def _last(work: WorkFolder) -> list[str]:
     try:
-        data = read_signed(work.notified, _OF)
+        data = read_signed(work.notified, _OF) or {}
     except Damaged:  # nobody knows what was reported: what is wrong is reported once more
-        data = None
-    return Reported(str(data["level"]), tuple(map(str, data["findings"]))) if data else Reported()
+        data = {}
+    return list(map(str, data.get("state", ())))
 
 
 def summary(record: RunRecord) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..cache.store import Preimage, Receipt
@@ -31,52 +30,40 @@ class Line:
     """CPU time that it will take, by its last run or by the others of its stage; None where it won't run, or nobody knows."""
 
 
-def explain(plan: Plan) -> list[Line]:
+@dataclass(frozen=True)
+class Status:
+    """What is cached and what would run."""
+
+    site: str
+    night: str
+    tasks: tuple[Line, ...]
     """A line for every task that is known of, in the order of the pipeline."""
-    lines: dict[Task, Line] = {}
-    costs = _Costs(plan)
-    for task, state in plan.states.items():
-        lines[task] = Line(str(task), state.outcome, state.reason or "")
-    for task, spec in plan.ready.items():
-        lines[task] = Line(str(task), "would run", _why(plan, spec), costs.of(task))
-    for task in plan.waiting:
-        lines[task] = Line(str(task), "would run", _pending(plan, task), costs.of(task))
-    order = {stage.name: i for i, stage in enumerate(plan.stages())}
-    return [lines[task] for task in sorted(lines, key=lambda t: order[t.stage])]
-
-
-def totals(lines: Iterable[Line]) -> dict[str, int]:
+    totals: dict[str, int]
     """How many tasks are in each state."""
-    return dict(Counter(line.state for line in lines))
-
-
-def seconds_to_come(lines: Iterable[Line]) -> float | None:
+    cpu_seconds: float | None
     """CPU time of all that would run, as far as is known; None where nothing is."""
-    known = [line.seconds for line in lines if line.seconds is not None]
-    return sum(known) if known else None
+    pairs_to_come: bool
+    """Pairs will be matched that are not listed yet, because the pair graph is not there."""
 
 
-class _Costs:
-    """What tasks have cost the last time."""
-
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        self._of_stage: dict[str, list[float]] = {}
-        for task, state in plan.states.items():
-            if state.receipt:
-                self._of_stage.setdefault(task.stage, []).append(state.receipt.cpu)
-
-    def of(self, task: Task) -> float | None:
-        """CPU seconds: its own last ones, else what others of its stage take; None where nobody knows."""
-        if last := self._plan.cache.newest(task):
-            return last.cpu
-        others = self._of_stage.get(task.stage)
-        return sum(others) / len(others) if others else None
-
-
-def pairs_to_come(plan: Plan) -> bool:
-    """Will pairs be matched that are not listed yet, because the pair graph is not there?"""
-    return not plan.pairs_known() and stage_named(PAIRS) in plan.stages()
+def explain(plan: Plan) -> Status:
+    """Return what would become of each task of a plan, and why."""
+    lines = {task: Line(str(task), state.outcome, state.reason or "") for task, state in plan.states.items()}
+    costs: dict[str, list[float]] = {}
+    for task, state in plan.states.items():
+        if state.receipt:
+            costs.setdefault(task.stage, []).append(state.receipt.cpu)
+    whys = {task: _why(plan, spec) for task, spec in plan.ready.items()} | {task: _pending(plan, task) for task in plan.waiting}
+    for task, why in whys.items():
+        last, others = plan.cache.newest(task), costs.get(task.stage)
+        seconds = last.cpu if last else sum(others) / len(others) if others else None
+        lines[task] = Line(str(task), "would run", why, seconds)
+    order = {stage.name: i for i, stage in enumerate(plan.stages())}
+    ordered = tuple(lines[task] for task in sorted(lines, key=lambda t: order[t.stage]))
+    known = [line.seconds for line in ordered if line.seconds is not None]
+    pairs_to_come = not plan.pairs_known() and stage_named(PAIRS) in plan.stages()
+    totals = dict(Counter(line.state for line in ordered))
+    return Status(plan.site.name, plan.night, ordered, totals, sum(known) if known else None, pairs_to_come)
 
 
 def _why(plan: Plan, spec: TaskSpec) -> str:
