@@ -33,7 +33,7 @@ LAYERS = (
     {"errors", "task", "plain"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
-    {"runner", "reference"},
+    {"runner", "reference", "capture"},
     {"outcome", "report"},
     {"api"},
     {"cli"},

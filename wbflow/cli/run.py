@@ -44,6 +44,7 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 @common.sites_argument
 @date_option
 @click.option("--since", type=day, metavar="DAY", help="All nights from this day on that have captures, one after the other.")
+@click.option("--capture", "capture_first", is_flag=True, help="Take tonight's pictures first (see `wbflow capture`).")
 @work_option
 @common.jobs_option
 @common.until_option
@@ -65,6 +66,7 @@ def run(
     sites: tuple[Path, ...],
     date: datetime.date | None,
     since: datetime.date | None,
+    capture_first: bool,
     work: str | None,
     dry_run: bool,
     as_json: bool,
@@ -86,6 +88,9 @@ def run(
     """
     if date and since:
         raise UsageError("--date and --since exclude each other", remedy="give one of them: wbflow run SITE.yaml --since DAY")
+    if capture_first and (date or since or dry_run):
+        what = "--capture takes pictures now: it excludes --date, --since and --dry-run"
+        raise UsageError(what, remedy="wbflow run SITE.yaml --capture")
     if work and len(sites) > 1:
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
@@ -95,6 +100,8 @@ def run(
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
+        if capture_first:
+            _capture(site, quiet)
         nights, codes = _nights(site, date, since), list[int]()
         if dry_run:
             for night in nights:
@@ -211,6 +218,33 @@ def next_command(finished: Run, site: Path) -> str:
     if record.exit_code:
         return f"wbflow check {file}"
     return f"wbflow compare {file}" if len(finished.finished.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
+
+
+@click.command()
+@site_argument
+@click.option("-q", "--quiet", is_flag=True, help="Print only what went wrong.")
+def capture(site: Path, quiet: bool) -> None:
+    """Pictures of all cameras that have a `url`, at once, under the names that `run` looks for.
+
+    \b
+    wbflow capture site.yaml
+    wbflow run site.yaml --capture -q             both, for cron
+    """
+    sys.exit(_capture(load(site, None), quiet))
+
+
+def _capture(site: Site, quiet: bool) -> int:
+    """Take pictures; returns 0, 3 where some are missing, 1 where all are."""
+    from ..capture.take import Taken, capture
+
+    def print_taken(taken: Taken) -> None:
+        if taken.fault or not quiet:
+            echo(f"{taken.camera:10} {taken}", err=bool(taken.fault))
+
+    found = capture(site, print_taken)
+    if not any(taken.files for taken in found):
+        return ExitCode.FAILED
+    return ExitCode.DEGRADED if any(taken.fault for taken in found) else ExitCode.GOOD
 
 
 @click.command()

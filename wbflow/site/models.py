@@ -60,6 +60,12 @@ class Captures(Section):
 
     root: str = "."
     pattern: str
+    frames: int = Field(default=7, ge=1, le=500)
+    """So many pictures `wbflow capture` takes of each camera, ..."""
+    seconds: float = Field(default=60.0, ge=0, le=3600)
+    """... over so long."""
+    credentials: str | None = None
+    """File with user and password of each camera, for `wbflow capture`."""
 
     @field_validator("pattern")
     @classmethod
@@ -194,6 +200,18 @@ class CameraEntry(Section):
     mask: str | None = None
     privacy: list[list[Vector2]] = Field(default_factory=list)
     images: list[str] | None = None
+    url: str | None = None
+
+    @field_validator("url")
+    @classmethod
+    def _without_password(cls, url: str | None) -> str | None:
+        if url is None:
+            return None
+        if not re.match("(https?|rtsps?|file)://.", url):
+            raise _error("a url begins with http://, https://, rtsp://, rtsps://, or file:// for a folder that is written to")
+        if "@" in url.split("://", 1)[1].split("/", 1)[0]:
+            raise _error("user and password stand in the file that captures.credentials names, not in the url")
+        return url
 
     @model_validator(mode="after")
     def _lens(self) -> CameraEntry:

@@ -74,6 +74,19 @@ class Pattern:
         """What a camera's captures of a night would be called, for messages."""
         return str(self.root / self._filled(date).replace("{camera}", camera))
 
+    def name(self, camera: str, moment: datetime.datetime) -> Path:
+        """The path of a new capture: `*` becomes the time of day, where no {time} says it.
+
+        Raises ValueError for a pattern with `?` or `[`, which names nothing.
+        """
+        if re.search(r"[?\[]", self.text):
+            raise ValueError(f"{self.text} has ? or [ in it: no new capture can be called so")
+        timed = any(match.group(1) == "time" for match in _FIELD.finditer(self.text))
+        text = _FIELD.sub(lambda match: moment.strftime(match.group(2) or _FORMATS[match.group(1)]), self.text)
+        text = re.sub(r"\*\*/?", "", text)
+        text = text.replace("*", "" if timed else f"{moment:%H%M%S}", 1).replace("*", "")
+        return self.root / text.replace("{camera}", camera)
+
     def _wild(self, camera: str, date: datetime.date | None = None) -> str:
         """A pattern for `glob`: of one night, or of all."""
         return self._in_root(self._filled(date).replace("{camera}", glob.escape(camera)))

@@ -1,0 +1,153 @@
+"""`wbflow capture` against servers on this machine."""
+
+from __future__ import annotations
+
+import datetime
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from tests.helpers.camera_servers import PASSWORD, USER, http_camera, picture, rtsp_camera, writing_into
+from wbflow.capture import sources, take
+from wbflow.cli.main import main
+from wbflow.site.pattern import Pattern
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "PATIENCE", 1.5)
+    monkeypatch.setattr(take, "PATIENCE", 1.5)
+    monkeypatch.setattr(take, "_BETWEEN_TRIES", 0.1)
+    monkeypatch.delenv(take.CREDENTIALS, raising=False)
+
+
+@pytest.fixture
+def http() -> Iterator[str]:
+    with http_camera() as url:
+        yield url
+
+
+@pytest.fixture
+def rtsp() -> Iterator[str]:
+    with rtsp_camera() as url:
+        yield url
+
+
+def capture(folder: Path, urls: dict[str, str], pattern: str = "{camera}/{date}_*.jpg", **keys: object) -> Result:
+    settings = {"root": "captures", "pattern": pattern, "frames": 2, "seconds": 1.2, "credentials": "secret.yaml", **keys}
+    cameras = [{"id": name, "url": url} for name, url in urls.items()]
+    (folder / "captures").mkdir(exist_ok=True)
+    (folder / "site.yaml").write_text(yaml.safe_dump({"site": "yard", "captures": settings, "cameras": cameras}))
+    (folder / "secret.yaml").write_text(yaml.safe_dump({"*": {"user": USER, "password": PASSWORD}}))
+    return CliRunner().invoke(main, ["capture", str(folder / "site.yaml")])
+
+
+def taken(folder: Path, camera: str) -> list[Path]:
+    return sorted((folder / "captures" / camera).glob("*.jpg"))
+
+
+def test_all_kinds_of_cameras_at_once(tmp_path: Path, http: str, rtsp: str) -> None:
+    (tmp_path / "ftp").mkdir()
+    urls = {"gate": rtsp, "roof": rtsp, "mast": f"{http}/digest", "crane": f"{http}/mjpeg", "quay": f"file://{tmp_path}/ftp"}
+    begun = time.time()
+    with writing_into(tmp_path / "ftp", picture):
+        result = capture(tmp_path, urls)
+    assert result.exit_code == 0, result.output
+    for camera in urls:
+        files = taken(tmp_path, camera)
+        assert len(files) == 2
+        assert all(cv2.imread(str(file)) is not None and begun - 1 < file.stat().st_mtime < time.time() + 1 for file in files)
+        assert "2 of 2 pictures" in next(line for line in result.output.splitlines() if line.startswith(camera))
+    secret = [p for p in tmp_path.rglob("*") if p.is_file() and p.name != "secret.yaml" and PASSWORD.encode() in p.read_bytes()]
+    assert not secret
+    assert PASSWORD not in result.output
+
+
+@pytest.mark.parametrize(
+    ("way", "words"),
+    [
+        ("hang", "does not answer within"),
+        ("half", "half a picture"),
+        ("text", "something else than a picture"),
+        ("missing-login", "401"),
+        ("down", "cannot be reached"),
+    ],
+)
+def test_a_broken_camera_is_named_and_costs_itself(tmp_path: Path, http: str, way: str, words: str) -> None:
+    broken = {"missing-login": f"{http}/basic", "down": "http://127.0.0.1:9/snapshot"}.get(way, f"{http}/{way}")
+    keys = {"credentials": None} if way == "missing-login" else {}
+    result = capture(tmp_path, {"gate": f"{http}/snapshot", "roof": broken}, **keys)
+    assert result.exit_code == 3
+    assert len(taken(tmp_path, "gate")) == 2
+    assert not taken(tmp_path, "roof")
+    assert words in next(line for line in result.output.splitlines() if line.startswith("roof"))
+
+
+def test_a_stream_without_its_password_is_named_without_any(tmp_path: Path, rtsp: str) -> None:
+    result = capture(tmp_path, {"gate": rtsp}, credentials=None)
+    assert result.exit_code == 1
+    assert "cannot be opened" in result.output
+
+
+@pytest.mark.parametrize("kind", ["http", "rtsp"])
+def test_a_cameras_own_clock_is_believed_when_it_is_near(tmp_path: Path, kind: str) -> None:
+    serve, path = (http_camera, "/snapshot") if kind == "http" else (rtsp_camera, "")
+    for ahead, words in ((20.0, "by the camera"), (7200.0, r"by this machine, its clock is (1:59|2:00):\d\d ahead")):
+        folder = tmp_path / str(ahead)
+        folder.mkdir()
+        with serve(ahead) as url:
+            result = capture(folder, {"gate": f"{url}{path}"}, frames=1)
+        assert re.search(words, result.output)
+        (file,) = taken(folder, "gate")
+        believed = ahead if ahead < 60 else 0.0
+        assert file.stat().st_mtime == pytest.approx(time.time() + believed, abs=8)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name"),
+    [
+        ("{camera}/{date}_{time}*.jpg", "gate/2026-11-10_030405.jpg"),
+        ("{camera}-{date:%Y%m%d}*.jpg", "gate-20261110030405.jpg"),
+        ("**/{date:%Y}/{camera}.jpg", "2026/gate.jpg"),
+    ],
+)
+def test_new_captures_are_called_as_a_run_looks_for_them(pattern: str, name: str, tmp_path: Path) -> None:
+    named, moment = Pattern(tmp_path, pattern), datetime.datetime(2026, 11, 10, 3, 4, 5)
+    path = named.name("gate", moment)
+    assert path == tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    assert named.files("gate", moment.date()) == [path]
+
+
+def test_names_that_do_not_tell_pictures_apart_are_refused(tmp_path: Path, http: str) -> None:
+    result = capture(tmp_path, {"gate": f"{http}/snapshot"}, "{camera}/{date}.jpg")
+    assert result.exit_code == 2
+    assert "2 pictures would have 1 name" in result.output
+
+
+def test_a_pattern_that_names_nothing_is_refused(tmp_path: Path, http: str) -> None:
+    result = capture(tmp_path, {"gate": f"{http}/snapshot"}, "{camera}/{date}_?.jpg")
+    assert result.exit_code == 2
+    assert "? or [" in result.output
+
+
+def test_a_password_in_the_site_file_is_refused(tmp_path: Path) -> None:
+    result = capture(tmp_path, {"gate": f"http://{USER}:secret@camera/snapshot"})
+    assert result.exit_code == 2
+    assert "captures.credentials" in result.output
+
+
+def test_a_faulty_file_of_credentials_is_named_without_its_words(tmp_path: Path, http: str) -> None:
+    capture(tmp_path, {"gate": f"{http}/snapshot"})
+    (tmp_path / "secret.yaml").write_text("gate: swordfish")
+    result = CliRunner().invoke(main, ["capture", str(tmp_path / "site.yaml")])
+    assert result.exit_code == 2
+    assert "secret.yaml" in result.output
+    assert "swordfish" not in result.output

@@ -1,0 +1,1 @@
+"""From the cameras of a site to tonight's captures."""
