@@ -18,7 +18,7 @@ import numpy as np
 from .capture.background import merge
 from .capture.clock import running_clock
 from .capture.files import BadCapture, EmptyCapture, NotAnImage, WrongSize, decode, decoded, refuse_truncated
-from .capture.image_statistics import blur_px, image_statistics, weigh
+from .capture.image_statistics import blur_px, detail_px, image_statistics, weigh
 from .capture.privacy import around, blanked, private_area
 from .capture.signal import NOISY, Signal, denoised, put_right, remaining_noise, signal_of
 from .capture.straight import Straight, working_size
@@ -155,6 +155,7 @@ def _one_frame(
         **vars(image_statistics(background.image, allowed)),
         **vars(signal),
         blur_px=blur_px(background.image, allowed),
+        detail_px=detail_px(background.image, allowed, noise),
         noise_left=noise,
         coarseness=1 + (signal.blocking - 1) * width / camera.width,
         frames_used=len(images) - len(words),

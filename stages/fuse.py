@@ -101,26 +101,30 @@ def fuse(
         limits = (min_consistent_pairs, confidence)
         return _samples(frames[name], cameras[name], view_of(name), check, others, gains[name], limits, grid)
 
-    given = _collected(grid, list(cameras), accepted_of)
+    given, misfits = _collected(grid, list(cameras), accepted_of)
     loaded.cache_clear()
     parts = [_cloud(samples) for samples in grid.merged(neighbours)]
     del grid
     if not parts:
         figures = {"cameras": len(cameras), "min_consistent_pairs": min_consistent_pairs, "neighbours": neighbours}
         return Rejected(Reason.NO_SUPPORTED_POINT, figures)
-    return _joined(parts, given)
+    return _joined(parts, given, misfits)
 
 
-def _collected(grid: VoxelGrid, names: Sequence[str], accepted_of: Callable[[str, VoxelGrid], Samples]) -> dict[str, int]:
-    """Merge in the accepted samples of each view, in order, which sums depend on; returns how many points each has given."""
-    given = {}
+def _collected(
+    grid: VoxelGrid, names: Sequence[str], accepted_of: Callable[[str, VoxelGrid], Samples]
+) -> tuple[dict[str, int], dict[str, float]]:
+    """Merge in the accepted samples of each view, in order, which sums depend on; returns `Cloud.given` and `Cloud.misfits`."""
+    given, misfits = {}, {}
     views = parallel_map(lambda name: accepted_of(name, grid), names)
     for name in names:
         samples = next(views)
         given[name] = len(samples.points)
+        if given[name]:
+            misfits[name] = float(np.sqrt(np.median(samples.variance * samples.weight)))
         grid.add(samples)
         del samples
-    return given
+    return given, misfits
 
 
 def _samples(
@@ -164,10 +168,10 @@ def _cosines(camera: Camera, points: Float64s, normals: Float64s) -> Float64s:
     return np.asarray(np.abs(np.sum(rays * normals, axis=1)) / np.linalg.norm(rays, axis=1), dtype=np.float64)
 
 
-def _joined(parts: Sequence[Cloud], given: dict[str, int]) -> Cloud:
-    names = [field.name for field in fields(Cloud) if field.name != "given"]
+def _joined(parts: Sequence[Cloud], given: dict[str, int], misfits: dict[str, float]) -> Cloud:
+    names = [field.name for field in fields(Cloud) if field.name not in ("given", "misfits")]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Cloud(**arrays, given=given)
+    return Cloud(**arrays, given=given, misfits=misfits)
 
 
 def _cloud(merged: Samples) -> Cloud:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -18,6 +19,8 @@ _BLURRED, _DARK, _BRIGHT, _BLINDED = 0.6, 0.5, 1.8, 0.12
 _LONG_SIDE = 640
 _PREPARED_PX = 0.5
 """Noise is smoothed by so much before edges are looked for."""
+_SCALES, _SMOOTH = (1.0, 0.5, 0.25, 0.125), 1.5
+"""At which a picture's differences are looked at; and the factor between two of them that no detail makes."""
 _FAINT, _FEWEST_EDGES = 24.0, 50
 """Slopes (Sobel) below the first are noise; fewer edges than the second tell nothing."""
 
@@ -78,6 +81,43 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
 
 def _slope(grey: cv2.typing.MatLike) -> Float32s:
     return np.asarray(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), np.float32)
+
+
+def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:
+    """So many pixels lie between details that a picture (h, w, 3) resolves, in the coarser of rows and columns; 1 for its own.
+
+    Where a picture is sharp, grey levels two pixels apart differ little more than those one pixel apart; where it was blurred,
+    smeared or enlarged, twice as much.  The distance is the one at which the factor falls below `_SMOOTH`.
+
+    Parameters
+    ----------
+    image, usable : where the picture may be used.
+    noise : grey levels that are no detail.
+    """
+    grey = grey_levels(image).astype(np.float32)
+    found = []
+    for axis in (0, 1):
+        steps = [
+            _step(cv2.resize(grey, None, fx=f, fy=f, interpolation=cv2.INTER_AREA), usable, axis, noise * f) for f in _SCALES
+        ]
+        ratios = [min(far / max(near, 1e-3), 2.0) for near, far in pairwise(steps)]
+        below = next((k for k, ratio in enumerate(ratios) if ratio < _SMOOTH), len(ratios))
+        if below == 0:
+            found.append(1.0)
+        elif below == len(ratios):
+            found.append(2.0**below)
+        else:
+            found.append(float(2 ** (below - 1 + (ratios[below - 1] - _SMOOTH) / (ratios[below - 1] - ratios[below]))))
+    return max(found)
+
+
+def _step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> float:
+    """By how much neighbouring pixels of a picture (h, w) differ along an axis, root mean square, without its noise."""
+    h, w = grey.shape
+    inside = cv2.resize(usable.astype(np.uint8), (w, h), interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+    both = (inside[1:] & inside[:-1]) if axis == 0 else (inside[:, 1:] & inside[:, :-1])
+    squares = np.diff(grey, axis=axis)[both] ** 2
+    return float(np.sqrt(max(float(squares.mean()) - 2 * noise**2, 0.0))) if len(squares) else 0.0
 
 
 def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tuple[Float64s, list[str]]:

@@ -166,3 +166,6 @@ class Cloud:
     """(n,) standard deviation along the ray of the nearest camera that has the point, millimetres."""
     given: Mapping[str, int] = field(default_factory=dict)
     """Samples that each camera's view has given, before they were merged; empty of a cloud that was read from its file."""
+    misfits: Mapping[str, float] = field(default_factory=dict)
+    """Of the samples of each camera's view, the median of their standard deviation as views and surroundings show it over the
+    one that `noise_px` lets expect."""

@@ -86,6 +86,8 @@ class Frame:
     """How many times stronger edges are at the borders of the captures' coded blocks than within them."""
     blur_px: float = float("nan")
     """Standard deviation of the blur of the frame's sharper edges, pixels; nan where it has no edges."""
+    detail_px: float = 1.0
+    """So many pixels lie between details that the frame resolves, in the coarser direction."""
     coarseness: float = 1.0
     """`blocking` as far as it is left at working resolution."""
     cast: float = 1.0

@@ -127,7 +127,9 @@ class _Whole:
 
     poses: PosesSummary
     points: Mapping[str, int]
-    """By camera: what it has given to its cloud."""
+    """By camera: what it has given to its cloud..."""
+    misfits: Mapping[str, float]
+    """...and the error of these points over the expected one."""
     crowded: Mapping[str, str]
     """By camera: what the pair graph left out."""
     dense: frozenset[tuple[str, str]]
@@ -136,12 +138,15 @@ class _Whole:
     @staticmethod
     def from_plan(plan: Plan) -> _Whole:
         points: dict[str, int] = {}
+        misfits: dict[str, float] = {}
         for task, state in plan.states.items():
             if task.stage == FUSE:
-                points |= summary_of(state, FuseSummary).given
+                summary = summary_of(state, FuseSummary)
+                points |= summary.given
+                misfits |= summary.misfits
         pairs, dense = (summary_of(plan.states.get(Task(stage)), PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
         poses = summary_of(plan.states.get(Task(POSES)), PosesSummary)
-        return _Whole(poses, points, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
+        return _Whole(poses, points, misfits, {**pairs.crowded, **dense.crowded}, frozenset(_listed(plan, DENSE_PAIRS)))
 
 
 def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
@@ -158,7 +163,8 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     poses = whole.poses
     check = poses.pose_checks.get(camera)
     verified, source = check.get("verified") if check else None, poses.sources.get(camera)
-    figures = replace(record.figures, pose=check, verified=verified, pose_from=source, points=whole.points.get(camera))
+    given = {"points": whole.points.get(camera), "misfit": whole.misfits.get(camera)}
+    figures = replace(record.figures, pose=check, verified=verified, pose_from=source, **given)
     crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
     notes = (*record.notes, *([crowded] if crowded else []), *([moved.text] if moved else []))
     record = replace(record, figures=figures, notes=notes)

@@ -40,6 +40,10 @@ a yard 1.6 (88 % of its points right)."""
 NOISY = 10.0
 """So are those in which more grey levels of noise are left: with 13 a yard was right in 86 % of its points, with 6 in 95 %."""
 _SOFT: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
+LEAST_MISFIT, UNRESOLVED = 1.1, 2.2
+"""So are those with points whose errors are larger than expected by more than the first factor, and by more than the second times
+the pixels between details.  Fitted on a yard and a stadium: smeared by 5 px 2.0 (92 % of the points right), enlarged twice 2.2
+(90 %), smeared by 7 px 3.9 (86 %), enlarged three times 4.0 (78 %)."""
 SOFT_SHARE = 1 / 3
 """Of the cameras in use: fewer soft ones are a matter of these cameras."""
 MOST_LETTERS = 200
@@ -331,14 +335,16 @@ def check_pictures(night: Night) -> Iterator[Finding]:
     used = [camera for camera in night.record.cameras if camera.ok]
     soft = {camera.id: figures for camera in used if (figures := _soft_figures(camera))}
     if soft and len(soft) >= SOFT_SHARE * len(used):
-        worst = {name: max(figures[name] for figures in soft.values()) for name in _SOFT}
+        worst = {name: max(figures[name] for figures in soft.values()) for name in (*_SOFT, "detail_px")}
         yield finding("pictures-soft", tuple(soft), worst, None, None, cameras=_names(soft), **worst)
 
 
 def _soft_figures(camera: CameraRecord) -> dict[str, float]:
     """Return how soft a camera's pictures are; nothing where they are good."""
-    figures = {name: float(getattr(camera.figures, name) or 0.0) for name in _SOFT}
-    return figures if any(figures[name] > limit for name, limit in _SOFT.items()) else {}
+    figures = {name: float(getattr(camera.figures, name) or 0.0) for name in (*_SOFT, "detail_px")}
+    misfit = camera.figures.misfit or 0.0
+    unresolved = misfit > LEAST_MISFIT and misfit * figures["detail_px"] > UNRESOLVED
+    return figures if unresolved or any(figures[name] > limit for name, limit in _SOFT.items()) else {}
 
 
 def check_calibration(night: Night) -> Iterator[Finding]:
@@ -364,6 +370,7 @@ def _explanation(check: CalibrationCheck) -> str:
         "focal-lengths": lambda: f"all focal lengths {longer(amount[0])}",
         "pixel-shape": lambda: f"all horizontal focal lengths {longer(amount[0])}",
         "distortion": lambda: f"a radial distortion that is left in all pictures (k1 off by {amount[0]:+.3f})",
+        "distortion-factor": lambda: f"{1 + amount[0]:.2g} times the stated distortion in all pictures",
         "distortion-of-one": lambda: (
             f"a radial distortion that is left in the pictures of {cameras} (k1 off by {amount[0]:+.3f})"
         ),
@@ -374,6 +381,7 @@ def _explanation(check: CalibrationCheck) -> str:
         "moved": lambda: f"{cameras} moved by {100 * size:.1f} % of the distance between cameras",
         "poses": lambda: "other poses of several cameras, no lens and no single camera,",
         "exchanged": lambda: f"the poses of {cameras} exchanged",
+        "captures-exchanged": lambda: f"captures of {cameras or 'all cameras, each of the next one,'} exchanged",
         "positions-exchanged": lambda: f"the positions of {cameras} exchanged",
         "lenses-exchanged": lambda: f"the lenses of {cameras} exchanged",
         "axes-exchanged": lambda: "positions with x and y exchanged",

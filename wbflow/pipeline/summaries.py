@@ -53,6 +53,7 @@ class FrameSummary(Summary):
     combing: float | None = None
     blocking: float | None = None
     blur_px: float | None = None
+    detail_px: float | None = None
     coarseness: float | None = None
     cast: float | None = None
     colour: float | None = None
@@ -84,6 +85,7 @@ class CameraFigures(FeaturesSummary, FrameSummary):
     pose_from: str | None = None
     """stated, refined, corrected or solved."""
     points: int | None = None
+    misfit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -259,6 +261,8 @@ class FuseSummary(Summary):
     """Two opposite corners of the box around it."""
     given: Mapping[str, int] = field(default_factory=dict)
     """Samples by camera."""
+    misfits: Mapping[str, float] = field(default_factory=dict)
+    """Of each camera's samples: their standard deviation over the expected one, median."""
 
 
 @dataclass(frozen=True)
@@ -412,6 +416,8 @@ MEANINGS: Mapping[str, Meaning] = {
         "noise", "how much more unchanged surfaces differ than the points' own uncertainty says; 1: as it should be"
     ),
     "points": Meaning("points", "samples that its view has given to the cloud, before those of one place were merged"),
+    "misfit": Meaning("error of points", "as views and surroundings show it, over the one that matching lets expect; median"),
+    "detail_px": Meaning("detail, px", "so many pixels lie between details that the picture resolves, in the coarser direction"),
     "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
 }
 """By the name of the figure in run.json."""

@@ -1,4 +1,4 @@
-"""The blur of a picture is measured in pixels, whatever it shows and however dark or noisy it is."""
+"""Blur and lack of detail are measured in pixels, whatever a picture shows and however dark or noisy it is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic_site import small_yard
-from wbflow_stages.capture.image_statistics import blur_px
+from wbflow_stages.capture.image_statistics import blur_px, detail_px
 
 
 @pytest.fixture(scope="module")
@@ -35,3 +35,29 @@ def test_blur_is_told_to_a_third(picture: np.ndarray, sigma: float, contrast: fl
 
 def test_a_picture_without_edges_has_no_blur() -> None:
     assert np.isnan(measured(np.full((90, 160, 3), 120.0)))
+
+
+def detail(image: np.ndarray, noise: float = 0.0) -> float:
+    return detail_px(np.clip(image, 0, 255).astype(np.uint8), np.ones(image.shape[:2], bool), noise)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 0.4])
+@pytest.mark.parametrize("noise", [0.0, 5.0])
+def test_a_sharp_picture_resolves_its_pixels(picture: np.ndarray, contrast: float, noise: float) -> None:
+    noisy = np.random.default_rng(0).normal(0, noise, picture.shape)
+    assert detail(100 * (1 - contrast) + contrast * picture.astype(np.float64) + noisy, noise) == 1.0
+
+
+@pytest.mark.parametrize("size", [(9, 1), (1, 9)])
+def test_a_picture_smeared_in_one_direction_does_not(picture: np.ndarray, size: tuple[int, int]) -> None:
+    assert detail(cv2.blur(picture, size)) > 2.0
+
+
+@pytest.mark.parametrize("times", [3, 4])
+def test_nor_does_an_enlarged_one(picture: np.ndarray, times: int) -> None:
+    small = cv2.resize(picture, None, fx=1 / times, fy=1 / times, interpolation=cv2.INTER_AREA)
+    assert detail(cv2.resize(small, picture.shape[1::-1])) > 0.5 * times
+
+
+def test_a_picture_that_shows_nothing_lacks_no_detail() -> None:
+    assert detail(np.full((90, 160, 3), 120.0)) == 1.0

@@ -402,6 +402,16 @@ def test_cameras_that_deliver_one_picture_are_named_unless_it_shows_nothing() ->
     assert verdict_of(night(cameras=[showing(name, 0.5) for name in NAMES])).good
 
 
+@pytest.mark.parametrize(
+    ("detail_px", "misfit", "soft"),
+    [(1.0, 0.9, False), (3.0, 0.9, False), (1.0, 2.0, False), (2.2, 1.6, True), (3.6, 1.2, True)],
+)
+def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: float, misfit: float, soft: bool) -> None:
+    figures = CameraFigures(detail_px=detail_px, misfit=misfit)
+    found = verdict_of(night(cameras=[CameraRecord(name, "ok", figures=figures) for name in NAMES])).findings
+    assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
+
+
 def test_the_guide_lists_every_finding_with_its_meaning_and_remedy() -> None:
     guide = (Path(__file__).parents[3] / "sites" / "README.md").read_text()
     listed = [line for line in guide.splitlines() if line.startswith(tuple(f"| `{code}`" for code in FINDINGS))]
