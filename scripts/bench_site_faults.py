@@ -343,6 +343,10 @@ def exchanged_captures(order: Callable[[list[str]], list[str]]) -> Change:
     return change
 
 
+def two_exchanged(names: list[str]) -> list[str]:
+    return [names[1], names[0], *names[2:]]
+
+
 def same_picture_twice(poses: bool) -> Change:
     def change(site: Site) -> None:
         exchanged_captures(lambda names: [names[0], names[0], *names[2:]])(site)
@@ -407,7 +411,7 @@ ALL = ("yard", "carpark", "apron", "stadium", "yard-5")
 TWO = ("yard", "apron")
 YZ = np.diag([1.0, -1.0, -1.0])
 FOCAL = ("focal-lengths", "focal-lengths-and-distortion")
-BENT = ("distortion", "focal-lengths-and-distortion")
+BENT = ("distortion", "distortion-factor", "focal-lengths-and-distortion")
 ONE = ("turned", "moved", "camera-moved", "camera-unverified")
 
 
@@ -436,7 +440,7 @@ VARIATIONS = (
     _fault("k1 alone", distortion(0, only=(1, 2, 3, 4)), *BENT),
     _fault("principal points 6 px", principal(6, 0), "principal-points", on=ALL),
     _fault("principal points 4 px down", principal(0, 4), "principal-points"),
-    _fault("principal point of one 6 px", principal(6, 2, (2,)), "turned", "principal-point"),
+    _fault("principal point of one 6 px", principal(6, 2, (2,)), "principal-point", *ONE),
     _fault("lenses of two exchanged", exchange(("K", "distortion")), "lenses-exchanged", "focal-length"),
     # poses
     _fault("one turned by .5 degrees", turn((0, 0.5, 0), (1,)), *ONE, on=ALL),
@@ -495,8 +499,8 @@ VARIATIONS = (
     _fault("frames of all mirrored", pictures(lambda p: p[:, ::-1]), "mirrored-frames"),
     _fault("frames of one mirrored", pictures(lambda p: p[:, ::-1], (1,)), "mirrored-frames"),
     _fault("frames of one upside down", pictures(lambda p: p[::-1, ::-1], (1,)), "upside-down", "turned", "camera-moved"),
-    _fault("captures of two exchanged", exchanged_captures(lambda n: [n[1], n[0], *n[2:]]), "exchanged", on=ALL),
-    _fault("captures of all rotated", exchanged_captures(lambda n: [*n[1:], n[0]]), "exchanged"),
+    _fault("captures of two exchanged", exchanged_captures(two_exchanged), "captures-exchanged", on=ALL),
+    _fault("captures of all rotated", exchanged_captures(lambda n: [*n[1:], n[0]]), "captures-exchanged"),
     _fault("the same picture twice", same_picture_twice(True), "cameras-alike"),
     _fault("the same picture twice, poses solved", same_picture_twice(False), "cameras-alike"),
     _fault("one shows another scene", other_scene, "camera-no-usable-pair", "camera-foreign"),
@@ -508,7 +512,7 @@ VARIATIONS = (
     _fault("second night: millimetres", centres(lambda C: C * 1000), "units", night=2),
     _fault("second night: frames zoomed by 1.2", pictures(zoomed(1.2)), *FOCAL, night=2),
     _fault("second night: frames shifted by 6 px", pictures(shifted(6, 0)), "camera-shifted", night=2),
-    _fault("second night: captures of two exchanged", exchanged_captures(lambda n: [n[1], n[0], *n[2:]]), "exchanged", night=2),
+    _fault("second night: captures of two exchanged", exchanged_captures(two_exchanged), "captures-exchanged", night=2),
     _fault("second night: all blurred by 2 px", pictures(blurred(2.0)), "pictures-soft", night=2),
     # what no picture shows
     Variation("positions x 1.1", "invisible", centres(lambda C: C * 1.1), on=TWO,

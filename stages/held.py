@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .core.cameras import same_camera
-from .poses import solve_poses
+from .poses import solve_poses, stated_calibration
 from .reasons import Reason, Rejected
 from .types import Bools, Camera, CameraHealth, Float64s, Geometry, Pair, Placement, Poses, Survey, View
 
@@ -63,6 +63,8 @@ def hold_poses(
 ) -> Poses | Rejected:
     """The cameras of the reference: those that have turned are turned, those that were moved or are new are solved.
 
+    Where all stand as they stood the matches are the reference's, and so is the check of the calibration; else it is made anew.
+
     Parameters
     ----------
     pinned : the reference's poses.
@@ -86,6 +88,9 @@ def hold_poses(
     if not lost:
         return held
     around = {pair: g for pair, g in geometries.items() if set(pair) & set(lost) and set(pair) <= {*cameras, *lost}}
+    stated = {n: camera for n, camera in pinned.cameras.items() if n in views and pinned.sources.get(n) in {"stated", "refined"}}
+    still = {n: cameras[n] for n in stated if n in cameras}
+    held = replace(held, calibration=stated_calibration(stated, still, {*stated} - {*still}, geometries, tuple(views)))
     known = {n: replace(view, K=pinned.cameras[n].K, focal_known=True) for n, view in views.items() if n in pinned.cameras}
     main = {n: camera for n, camera in cameras.items() if camera.component == 0 and n in views}
     placements = {n: Placement(camera.R, camera.C, metric=pinned.metric) for n, camera in main.items()}

@@ -105,7 +105,7 @@ def solve_poses(
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
     believed = {name: placement for name, placement in placements.items() if name not in moved} | held
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
-    calibration = _calibration(known, cameras, set(moved), geometries, tuple(views))
+    calibration = stated_calibration(known, cameras, set(moved), geometries, tuple(views))
     geometries = {**geometries, **{pair: confirmed(geometries[pair]) for new in moved.values() for pair in new.pairs}}
     found = _solved(views, believed, geometries, survey, trusted, max_rotation_error_deg, max_epipolar_px)
     if isinstance(found, Rejected):
@@ -116,21 +116,24 @@ def solve_poses(
     return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
 
 
-def _calibration(
+def stated_calibration(
     known: Mapping[str, Camera],
     cameras: Mapping[str, Camera],
     moved: set[str],
     geometries: Mapping[Pair, Geometry],
     order: tuple[str, ...],
 ) -> CalibrationCheck | None:
-    """The stated calibration as a whole; what single cameras that were moved explain is no fault of the others.
+    """The stated calibration as a whole; what the pose of a single camera that was moved explains is no fault of the others.
 
-    known, cameras: as stated, and as they are within their standard deviations, without those that were moved.
-    geometries: of all pairs.
-    order: all cameras.
+    Parameters
+    ----------
+    known, cameras : as stated, and as they are within their standard deviations, without those that were moved.
+    moved : the cameras that were.
+    geometries : of all pairs.
+    order : all cameras, in the order of the site.
     """
     found = check_calibration({**known, **cameras}, geometries, order)
-    if moved and found is not None and found.contradicted and (not found.cause or moved & {*found.cameras}):
+    if moved and found is not None and found.contradicted and found.cause in ("", "turned", "moved", "poses"):
         return check_calibration(cameras, geometries, order)
     return found
 

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+import cv2
 import numpy as np
 
 from ..core.rotations import rotation_matrix
@@ -47,6 +48,8 @@ EXPLAINED, EXPLAINED_ALONE = 1.12, 1.5
 of others..."""
 SHARE, SHARE_ALONE = 0.6, 0.8
 """...and where it takes away this share of what the stated cameras lose over the matches' own geometry..."""
+HALF = 0.5
+"""...or, unless it is another pose of one camera, this share of what other poses of all take away: these explain nearly all."""
 LEAST_LOSS = 30.0
 """...and in all so many squared standard deviations (the matches of a pair count as `COUNTED` at most)."""
 COUNTED = 50
@@ -74,19 +77,29 @@ class _Matches:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A camera, and a radial distortion that is left in its frames."""
+    """A camera, and what is wrong with the distortion that was taken off its frames."""
 
     camera: Camera
     k1: float = 0.0
+    """Radial distortion that is left in."""
+    stated: Camera | None = None
+    """Whose distortion was taken off, by its K, in place of the camera's own; None: the right one was."""
 
     def straight(self, x: Float64s) -> Float64s:
-        """Pixels without the distortion that was left in."""
-        if self.k1 == 0:
+        """Pixels as they would be without distortion."""
+        if self.k1 == 0 and self.stated is None:
             return x
         K = self.camera.K
         focal = np.array([K[0, 0], K[1, 1]])
-        ray = (x - K[:2, 2]) / focal
+        ray = (x - K[:2, 2]) / focal if self.stated is None else _bent_otherwise(x, self.stated, self.camera)
         return np.asarray(K[:2, 2] + ray * (1 - self.k1 * (ray**2).sum(axis=1, keepdims=True)) * focal, dtype=np.float64)
+
+
+def _bent_otherwise(x: Float64s, stated: Camera, right: Camera) -> Float64s:
+    """Normalised coordinates (n, 2), by the right camera, of pixels whose distortion was taken off as the stated one has it."""
+    ray = np.column_stack([(x - stated.K[:2, 2]) / stated.K[[0, 1], [0, 1]], np.ones(len(x))])
+    captured = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), stated.K, stated.distortion)[0]
+    return np.asarray(cv2.undistortPoints(captured, right.K, right.distortion)[:, 0], dtype=np.float64)
 
 
 _World = Mapping[str, _Seen]
@@ -232,14 +245,19 @@ def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
 def _explanation(stated: _World, evidence: list[_Matches], own: float, alone: bool) -> _Explanation | None:
     """The cause that explains the matches best; of those that do so about as well the simplest.
 
-    Other poses of all cameras explain much: they are asked for only where nothing else brings the matches back.
+    Other poses of all cameras explain much: they are fitted only where nothing else brings the matches back, and named only
+    where nothing but the pose of one camera explains half of what they do.
     """
     found = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, alone)]
     loss, least = _loss(stated, evidence), min(explanation.loss for explanation in found)
     enough = least + max(0.1 * least, 0.05 * (loss - least))
     best = min(found, key=lambda e: (e.loss > enough, len(e.cause.about), e.loss))
     if best.loss > CONTRADICTED * own and not alone and len(stated) <= LARGEST_SITE:
-        best = min(best, _fit(_all_poses(stated, evidence), stated, evidence), key=lambda e: e.loss)
+        poses = _fit(_all_poses(stated, evidence), stated, evidence)
+        simple = best.cause.name not in ("turned", "moved")
+        if simple and loss - best.loss >= HALF * (loss - poses.loss) and best.loss < loss / CONTRADICTED:
+            return best
+        best = min(best, poses, key=lambda e: e.loss)
     return best if _explains(best, loss, own, evidence, alone) else None
 
 
@@ -292,6 +310,8 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
 
     yield of_all("focal-lengths", 1, _zoomed)
     yield of_all("distortion", 1, _bent)
+    if any(_is_bent(one.camera) for one in stated.values()):
+        yield of_all("distortion-factor", 1, _bent_more)
     if alone:
         return
     yield of_all("pixel-shape", 1, _stretched)
@@ -309,9 +329,19 @@ def _causes(stated: _World, evidence: list[_Matches], alone: bool) -> Iterator[_
         for convention in ("mirrored-frames", "upside-down"):
             yield of_one(convention, 0, lambda one, a, c=convention: replace(one, camera=CONVENTIONS[c](one.camera)), name)  # type: ignore[misc]
     if len(seen) <= LARGEST_SITE:
+        for step in (1, -1) if len(stated) > 2 else ():
+            yield _Cause("captures-exchanged", lambda w, _, step=step: _moved_on(w, step))  # type: ignore[misc]
         for one, other in combinations(seen, 2):
             for name, keys in EXCHANGED.items():
                 yield of_two(name, keys, one, other)
+
+
+def _moved_on(world: _World, step: int) -> _World:
+    """Each camera is the next one: a recorder counts its inputs from another number."""
+    names = list(world)
+    others = [names[(k + step) % len(names)] for k in range(len(names))]
+    keys = EXCHANGED["captures-exchanged"]
+    return {name: _like(world[name], world[other], keys) for name, other in zip(names, others, strict=True)}
 
 
 def _all_poses(stated: _World, evidence: list[_Matches]) -> _Cause:
@@ -354,6 +384,17 @@ def _bent(one: _Seen, k1: Float64s) -> _Seen:
     return replace(one, k1=float(k1[0]))
 
 
+def _is_bent(camera: Camera) -> bool:
+    return camera.lens is None and bool(camera.distortion.any())
+
+
+def _bent_more(one: _Seen, more: Float64s) -> _Seen:
+    """The stated distortion, and so many times more of it."""
+    camera = one.camera
+    bent = replace(camera, distortion=camera.distortion * (1 + more[0]))
+    return replace(one, camera=bent, stated=camera) if _is_bent(camera) else one
+
+
 def _shifted(one: _Seen, share: Float64s) -> _Seen:
     """share: of the width."""
     K = one.camera.K.copy()
@@ -363,7 +404,9 @@ def _shifted(one: _Seen, share: Float64s) -> _Seen:
 
 def _like(one: _Seen, other: _Seen, keys: tuple[str, ...]) -> _Seen:
     """With parts of another camera."""
-    return replace(one, camera=replace(one.camera, **{key: getattr(other.camera, key) for key in keys}))
+    was, alike = one.camera, replace(one.camera, **{key: getattr(other.camera, key) for key in keys})
+    bent = "distortion" in keys and was.lens is None and other.camera.lens is None
+    return replace(one, camera=alike, stated=was if bent and (_is_bent(was) or _is_bent(other.camera)) else None)
 
 
 def _flipped(camera: Camera, axes: int) -> Camera:
@@ -388,4 +431,10 @@ CONVENTIONS: Mapping[str, Callable[[Camera], Camera]] = {
     "upside-down": lambda c: _flipped(c, 2),
 }
 """How calibrations are misread: what would be right of what is stated."""
-EXCHANGED = {"exchanged": ("R", "C"), "positions-exchanged": ("C",), "lenses-exchanged": ("K",)}
+EXCHANGED = {
+    "exchanged": ("R", "C"),
+    "captures-exchanged": ("K", "distortion", "R", "C"),
+    "positions-exchanged": ("C",),
+    "lenses-exchanged": ("K", "distortion"),
+}
+"""What two cameras may have of each other."""

@@ -47,13 +47,14 @@ class CalibrationCheck:
     fundamental matrices: about one where the calibration is right."""
     contradicted: bool = False
     cause: str = ""
-    """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "distortion",
-    "focal-lengths-and-distortion", "principal-points", "poses" or a name of `CONVENTIONS`; of one "focal-length",
-    "distortion-of-one", "turned", "moved", "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
+    """What would explain it, "" for nothing: of all cameras "focal-lengths", "pixel-shape", "distortion", "distortion-factor",
+    "focal-lengths-and-distortion", "principal-points", "captures-exchanged", "poses" or a name of `CONVENTIONS`; of one
+    "focal-length", "distortion-of-one", "turned", "moved", "mirrored-frames", "upside-down"; of two a name of `EXCHANGED`."""
     cameras: tuple[str, ...] = ()
     """Those that it is about; () for all."""
     amount: tuple[float, ...] = ()
-    """By how much: logarithm of the focal lengths' factor, k1, shares of the width, radians, shares of the baseline."""
+    """By how much: logarithm of the focal lengths' factor, k1, how many times more distortion, shares of the width, radians,
+    shares of the baseline."""
     better: float = 1.0
     """So many times smaller the misfit would be."""
     off_px: float = 0.0

@@ -11,7 +11,7 @@ from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import angle_between_deg, rotation_matrix
 from wbflow_stages.held import hold_poses, turn_geometry
 from wbflow_stages.twoview.epipolar import symmetric_epipolar_distance
-from wbflow_stages.types import Camera, CameraHealth, Geometry, Poses
+from wbflow_stages.types import CalibrationCheck, Camera, CameraHealth, Geometry, Poses
 
 OK = CameraHealth("ok", "where it was")
 TURN = rotation_matrix(np.radians([0.1, -0.2, 0.05]))
@@ -80,6 +80,19 @@ def test_a_moved_camera_is_solved_from_the_others() -> None:
     for name in ("c0", "c1", "c3", "c4"):
         assert np.array_equal(found.cameras[name].R, site.cameras[name].R)
         assert np.array_equal(found.cameras[name].C, site.cameras[name].C)
+
+
+def test_captures_exchanged_since_are_found_out_tonight() -> None:
+    """Both cameras look elsewhere; the reference's calibration was right, and it is not what it says that is reported."""
+    site = make_pair_site(6)
+    right = replace(reference(site), calibration=CalibrationCheck(900, 6, True, 1.0))
+    one, other = site.cameras["c1"], site.cameras["c4"]
+    now = site.cameras | {"c1": replace(other, K=one.K), "c4": replace(one, K=other.K)}
+    healths = dict.fromkeys(site.cameras, OK) | dict.fromkeys(("c1", "c4"), CameraHealth("moved", "looks elsewhere"))
+    found = hold_poses(right, healths, site.views, tonight(site, now))
+    assert isinstance(found, Poses) and found.calibration is not None
+    assert found.calibration.contradicted and set(found.calibration.cameras) == {"c1", "c4"}
+    assert "exchanged" in found.calibration.cause
 
 
 def test_a_moved_camera_that_shares_nothing_with_the_others_is_left_out_with_the_reason() -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from tests.helpers.exact_pairs import PairSite, make_pair_site
+from tests.helpers.exact_pairs import PairSite, make_pair_site, pair_geometry
+from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.poses import solve_poses
 from wbflow_stages.sfm.calibration_check import check_calibration
@@ -97,6 +99,35 @@ def test_two_poses_that_were_exchanged_are_named(site: PairSite) -> None:
     assert check is not None and (check.cause, set(check.cameras)) == ("exchanged", {one, other})
 
 
+def test_captures_that_were_exchanged_are_named(site: PairSite) -> None:
+    """Lenses differ, so that exchanged poses alone explain less."""
+    lenses = [zoomed(1 + 0.1 * k) for k in range(len(site.cameras))]
+    pixels = {name: lens(name, camera) for lens, (name, camera) in zip(lenses, site.cameras.items(), strict=True)}
+    shown = {name: project(camera, site.X)[0] for name, camera in pixels.items()}
+    geometries = {pair: pair_geometry(pixels, site.views, shown, pair, 0.3) for pair in site.geometries}
+    one, other = list(pixels)[1], list(pixels)[4]
+    check = check_calibration(pixels | {one: pixels[other], other: pixels[one]}, geometries, tuple(pixels))
+    assert check is not None and (check.cause, set(check.cameras)) == ("captures-exchanged", {one, other})
+
+
+@pytest.mark.parametrize("factor", [-1.0, 3.0])
+def test_distortion_with_the_wrong_sign_or_size_is_named(site: PairSite, factor: float) -> None:
+    """Each lens has its own; what was taken off is so many times that."""
+    rng = np.random.default_rng(2)
+    right = {name: replace(c, distortion=np.array([rng.uniform(-0.2, -0.05), 0, 0, 0, 0])) for name, c in site.cameras.items()}
+    wrong = {name: replace(c, distortion=factor * c.distortion) for name, c in right.items()}
+    shown = {}
+    for name, camera in right.items():
+        ray = (project(camera, site.X)[0] - camera.K[:2, 2]) / camera.K[0, 0]
+        rays = np.column_stack([ray, np.ones(len(ray))])
+        captured = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.distortion)[0]
+        shown[name] = cv2.undistortPoints(captured, camera.K, wrong[name].distortion, P=camera.K)[:, 0]
+    geometries = {pair: _fitted(pair_geometry(right, site.views, shown, pair, 0.3)) for pair in site.geometries}
+    check = check_calibration(wrong, geometries, tuple(wrong))
+    assert check is not None and check.cause == "distortion-factor"
+    assert 1 + check.amount[0] == pytest.approx(1 / factor, abs=0.1)
+
+
 def test_poses_that_are_all_wrong_are_named(site: PairSite) -> None:
     rng = np.random.default_rng(4)
     cameras = {name: replace(c, R=rotation_matrix(rng.normal(0, 0.005, 3)) @ c.R) for name, c in site.cameras.items()}
@@ -144,6 +175,12 @@ def test_poses_carry_what_was_found(site: PairSite) -> None:
     poses = solve_poses(views, placements, site.geometries)
     assert isinstance(poses, Poses) and poses.calibration is not None
     assert poses.calibration.cause == "focal-lengths"
+
+
+def _fitted(geometry: Geometry) -> Geometry:
+    """With the fundamental matrix of its matches, whatever they are."""
+    F, _ = cv2.findFundamentalMat(geometry.x1, geometry.x2, cv2.FM_8POINT)
+    return replace(geometry, F=np.asarray(F))
 
 
 def _moved(geometry: Geometry, by: list[float]) -> np.ndarray:
