@@ -64,11 +64,11 @@ def init(folder: Path) -> None:
     """
     from ..outcome.init import write_site
 
-    made = write_site(folder)
-    echo(f"{made.file}: {len(made.cameras)} cameras: {', '.join(made.cameras)}")
-    for note in made.notes:
+    file, cameras, note = write_site(folder)
+    echo(f"{file}: {len(cameras)} cameras: {', '.join(cameras)}")
+    if note:
         echo(note)
-    echo(f"now try  wbflow check {made.file}  and  wbflow run {made.file}")
+    echo(f"now try  wbflow check {file}  and  wbflow run {file}")
 
 
 @click.command()

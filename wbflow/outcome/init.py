@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..cache.atomic import write_atomic
@@ -19,26 +19,8 @@ PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SITE_FILE = "site.yaml"
 
 
-@dataclass(frozen=True)
-class MadeSite:
-    """A site file that was written."""
-
-    file: Path
-    cameras: tuple[str, ...]
-    notes: tuple[str, ...]
-    """What a person should know of it."""
-
-
-@dataclass(frozen=True)
-class _Camera:
-    source: str
-    """Name of its folder, or of its photograph without suffix."""
-    photographs: tuple[str, ...]
-    """Relative to the folder of the site file."""
-
-
-def write_site(folder: Path) -> MadeSite:
-    """Write `site.yaml` into a folder of photographs.
+def write_site(folder: Path) -> tuple[Path, list[str], str]:
+    """Write `site.yaml` into a folder of photographs; returns the file, ids of its cameras, and which were made from other names.
 
     Photographs in the folder are one camera each; folders with photographs in it are one camera each, with several captures.
 
@@ -53,29 +35,25 @@ def write_site(folder: Path) -> MadeSite:
     if file.exists():
         raise UsageError(f"{file} is there already", remedy="move it away if a new one is wanted")
     found = _cameras(folder)
-    ids = _ids([camera.source for camera in found])
-    pattern = _pattern(folder, found, ids)
-    lines = [f"{identity}: {camera.source}" for identity, camera in zip(ids, found, strict=True) if identity != camera.source]
-    notes = (f"ids were made from names: {', '.join(lines)}",) if lines else ()
-    write_atomic(file, _text(_id(folder.resolve().name) or "site", found, ids, pattern).encode())
-    return MadeSite(file, tuple(ids), notes)
+    ids = _ids(name for name, _ in found)
+    renamed = [f"{identity}: {name}" for identity, (name, _) in zip(ids, found, strict=True) if identity != name]
+    cameras = dict(zip(ids, (photographs for _, photographs in found), strict=True))
+    pattern = None if renamed else _pattern([name for names in cameras.values() for name in names])
+    write_atomic(file, _text(_id(folder.resolve().name) or "site", cameras, pattern).encode())
+    return file, ids, f"ids were made from names: {', '.join(renamed)}" if renamed else ""
 
 
-def _cameras(folder: Path) -> list[_Camera]:
-    single = [_Camera(path.stem, (path.name,)) for path in _photographs(folder)]
-    folders = [
-        _Camera(inner.name, names)
-        for inner in sorted(folder.iterdir())
-        if inner.is_dir()
-        and not inner.name.startswith(".")
-        and (names := tuple(f"{inner.name}/{path.name}" for path in _photographs(inner)))
-    ]
+def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
+    """Return the name of each folder of photographs, or photograph without suffix, and its photographs seen from the folder."""
+    single = [(path.stem, [path.name]) for path in _photographs(folder)]
+    inner = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    folders = [(path.name, names) for path in inner if (names := [f"{path.name}/{file.name}" for file in _photographs(path)])]
     if single and folders:
-        what = f"{folder} holds photographs ({single[0].photographs[0]}) and folders of photographs ({folders[0].source}/)"
+        what = f"{folder} holds photographs ({single[0][1][0]}) and folders of photographs ({folders[0][0]}/)"
         raise UsageError(what, remedy="keep one kind: one photograph of each camera, or one folder for each camera")
     found = single or folders
     if len(found) < 2:
-        have = f"one camera only ({found[0].source})" if found else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
+        have = f"one camera only ({found[0][0]})" if found else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
         raise UsageError(f"{folder} holds {have}", remedy="two cameras that see the same things are needed at least")
     return found
 
@@ -90,7 +68,7 @@ def _id(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")[:90]
 
 
-def _ids(names: list[str]) -> list[str]:
+def _ids(names: Iterable[str]) -> list[str]:
     """An id for each name, all different."""
     found: list[str] = []
     for position, name in enumerate(names, 1):
@@ -103,25 +81,20 @@ def _ids(names: list[str]) -> list[str]:
     return found
 
 
-def _pattern(folder: Path, cameras: list[_Camera], ids: list[str]) -> str | None:
-    """A pattern that finds exactly each camera's photographs, where there is one."""
-    suffixes = {Path(name).suffix for camera in cameras for name in camera.photographs}
-    named = all(camera.source == identity for camera, identity in zip(cameras, ids, strict=True))
-    if not named or len(suffixes) > 1:
-        return None
-    suffix = suffixes.pop()
-    inside = "/" in cameras[0].photographs[0]
-    return f"{{camera}}/*{suffix}" if inside else f"{{camera}}{suffix}"
+def _pattern(photographs: list[str]) -> str | None:
+    """Return a pattern that finds exactly each camera's photographs, where there is one."""
+    suffixes = {Path(name).suffix for name in photographs}
+    inside = "/*" if "/" in photographs[0] else ""
+    return f"{{camera}}{inside}{suffixes.pop()}" if len(suffixes) == 1 else None
 
 
-def _text(site: str, cameras: list[_Camera], ids: list[str], pattern: str | None) -> str:
-    entries = [f"  - {json.dumps(identity)}" for identity in ids]
+def _text(site: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
+    listed = f" [{', '.join(map(json.dumps, cameras))}]"
     if pattern is None:
-        files = (json.dumps(list(camera.photographs), ensure_ascii=False) for camera in cameras)
-        entries = [f"  - {{id: {json.dumps(i)}, images: {names}}}" for i, names in zip(ids, files, strict=True)]
-    elif len(", ".join(map(json.dumps, ids))) < 110:
-        entries = []
-    listed = f" [{', '.join(map(json.dumps, ids))}]" if not entries else "".join(f"\n{entry}" for entry in entries)
+        files = {name: json.dumps(photographs, ensure_ascii=False) for name, photographs in cameras.items()}
+        listed = "".join(f"\n  - {{id: {json.dumps(name)}, images: {images}}}" for name, images in files.items())
+    elif len(listed) > 112:
+        listed = "".join(f"\n  - {json.dumps(name)}" for name in cameras)
     return _SITE.format(site=json.dumps(site), pattern=json.dumps(pattern or "{camera}"), cameras=listed)
 
 

@@ -358,44 +358,58 @@ def check_calibration(night: Night) -> Iterator[Finding]:
         yield finding("calibration-contradicted", check.cameras, figures, None, None, **words)
 
 
+_CAUSES: Mapping[str, str] = {
+    "focal-lengths": "all focal lengths {longer}",
+    "pixel-shape": "all horizontal focal lengths {longer}",
+    "distortion": "a radial distortion that is left in all pictures (k1 off by {first:+.3f})",
+    "distortion-factor": "{factor:.2g} times the stated distortion in all pictures",
+    "distortion-of-one": "a radial distortion that is left in the pictures of {cameras} (k1 off by {first:+.3f})",
+    "focal-lengths-and-distortion": "all focal lengths {longer} and k1 off by {last:+.3f}",
+    "principal-points": "all principal points shifted by {percent:.1f} % of the width",
+    "focal-length": "the focal length of {cameras} {longer}",
+    "turned": "{cameras} turned by {degrees:.2f} degrees",
+    "moved": "{cameras} moved by {percent:.1f} % of the distance between cameras",
+    "poses": "other poses of several cameras, no lens and no single camera,",
+    "exchanged": "the poses of {cameras} exchanged",
+    "captures-exchanged": "captures of {cameras} exchanged",
+    "positions-exchanged": "the positions of {cameras} exchanged",
+    "lenses-exchanged": "the lenses of {cameras} exchanged",
+    "axes-exchanged": "positions with x and y exchanged",
+    "t-for-positions": "positions that are read as the t of x = R X + t",
+    "rotations-transposed": "rotations that are read as camera to world, not world to camera",
+    "rotations-opengl": "rotations whose y and z axes point the other way (OpenGL's)",
+    "rotations-transposed-opengl": "rotations that are read as camera to world, with y and z pointing the other way",
+    "mirrored-x": "positions mirrored in x",
+    "mirrored-y": "positions mirrored in y",
+    "mirrored-z": "positions mirrored in z",
+    "mirrored-frames": "pictures of {cameras} mirrored",
+    "upside-down": "pictures of {cameras} turned by half a turn",
+}
+"""What explains matches best that contradict the stated calibration, by the check's word for it."""
+_EVERYBODY = {
+    "captures-exchanged": "all cameras, each of the next one,",
+    "mirrored-frames": "all cameras",
+    "upside-down": "all cameras",
+}
+"""Of causes that name cameras only where it is not all of them."""
+
+
 def _explanation(check: CalibrationCheck) -> str:
-    """What would explain the matches best, in words."""
-    amount, cameras = check.amount, " and ".join(check.cameras)
-    size = math.hypot(*amount)
-
-    def longer(log_scale: float) -> str:
-        return f"{100 * abs(math.expm1(log_scale)):.1f} % {'longer' if log_scale > 0 else 'shorter'}"
-
-    causes: dict[str, Callable[[], str]] = {
-        "focal-lengths": lambda: f"all focal lengths {longer(amount[0])}",
-        "pixel-shape": lambda: f"all horizontal focal lengths {longer(amount[0])}",
-        "distortion": lambda: f"a radial distortion that is left in all pictures (k1 off by {amount[0]:+.3f})",
-        "distortion-factor": lambda: f"{1 + amount[0]:.2g} times the stated distortion in all pictures",
-        "distortion-of-one": lambda: (
-            f"a radial distortion that is left in the pictures of {cameras} (k1 off by {amount[0]:+.3f})"
-        ),
-        "focal-lengths-and-distortion": lambda: f"all focal lengths {longer(amount[0])} and k1 off by {amount[1]:+.3f}",
-        "principal-points": lambda: f"all principal points shifted by {100 * size:.1f} % of the width",
-        "focal-length": lambda: f"the focal length of {cameras} {longer(amount[0])}",
-        "turned": lambda: f"{cameras} turned by {math.degrees(size):.2f} degrees",
-        "moved": lambda: f"{cameras} moved by {100 * size:.1f} % of the distance between cameras",
-        "poses": lambda: "other poses of several cameras, no lens and no single camera,",
-        "exchanged": lambda: f"the poses of {cameras} exchanged",
-        "captures-exchanged": lambda: f"captures of {cameras or 'all cameras, each of the next one,'} exchanged",
-        "positions-exchanged": lambda: f"the positions of {cameras} exchanged",
-        "lenses-exchanged": lambda: f"the lenses of {cameras} exchanged",
-        "axes-exchanged": lambda: "positions with x and y exchanged",
-        "t-for-positions": lambda: "positions that are read as the t of x = R X + t",
-        "rotations-transposed": lambda: "rotations that are read as camera to world, not world to camera",
-        "rotations-opengl": lambda: "rotations whose y and z axes point the other way (OpenGL's)",
-        "rotations-transposed-opengl": lambda: "rotations that are read as camera to world, with y and z pointing the other way",
-        "mirrored-frames": lambda: f"pictures of {cameras or 'all cameras'} mirrored",
-        "upside-down": lambda: f"pictures of {cameras or 'all cameras'} turned by half a turn",
-    }
-    cause = check.cause
-    if cause in ("mirrored-x", "mirrored-y", "mirrored-z"):
-        causes[cause] = lambda: f"positions mirrored in {cause[-1]}"
-    return f"{causes[cause]()} would fit {check.better:.1f} times better" if cause else "no single cause explains that"
+    """Return in words what would explain the matches best."""
+    if not check.cause:
+        return "no single cause explains that"
+    amount = check.amount or (0.0,)
+    size, scale = math.hypot(*amount), math.expm1(amount[0])
+    words = _CAUSES[check.cause].format(
+        cameras=" and ".join(check.cameras) or _EVERYBODY.get(check.cause, ""),
+        longer=f"{100 * abs(scale):.1f} % {'longer' if scale > 0 else 'shorter'}",
+        first=amount[0],
+        factor=1 + amount[0],
+        last=amount[-1],
+        percent=100 * size,
+        degrees=math.degrees(size),
+    )
+    return f"{words} would fit {check.better:.1f} times better"
 
 
 def check_poses(night: Night) -> Iterator[Finding]:
@@ -430,21 +444,13 @@ def check_survey(night: Night) -> Iterator[Finding]:
         yield finding("distances-contradicted", tuple(pair.split("--")), {"metres": found}, {"metres": stated}, None, **words)
     if poses.points_off:
         off, tolerated = max(poses.points_off.values())
-        yield finding(
-            "control-contradicted",
-            (),
-            {"off_m": off},
-            {"off_m": tolerated},
-            off=off,
-            tolerated=tolerated,
-            points=_names(poses.points_off),
-        )
+        figures, words = {"off_m": off}, {"off": off, "points": _names(poses.points_off)}
+        yield finding("control-contradicted", (), figures, {"off_m": tolerated}, None, tolerated=tolerated, **words)
     if "nearest" in poses.units_off:
         nearest, limit = poses.units_off["nearest"]
-        small = "kilometres" if nearest < limit else "millimetres"
-        yield finding(
-            "units-implausible", (), {"nearest_m": nearest}, {"nearest_m": limit}, nearest=nearest, limit=limit, unit=small
-        )
+        unit = "kilometres" if nearest < limit else "millimetres"
+        figures = {"nearest_m": nearest}
+        yield finding("units-implausible", (), figures, {"nearest_m": limit}, None, nearest=nearest, limit=limit, unit=unit)
 
 
 def _names(cameras: Iterable[str]) -> str:

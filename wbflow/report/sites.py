@@ -24,17 +24,6 @@ from .template import render
 
 
 @dataclass(frozen=True)
-class Night:
-    """One night of a site, by its last run."""
-
-    entry: Entry
-    level: str
-    """The verdict; "" where it is not known."""
-    href: str
-    """Its report; "" where it was removed."""
-
-
-@dataclass(frozen=True)
 class Row:
     """A site on the page."""
 
@@ -42,21 +31,21 @@ class Row:
     file: Path
     fault: str = ""
     """Why the site cannot be shown."""
-    nights: tuple[Night, ...] = ()
-    """Oldest first."""
+    nights: tuple[tuple[Entry, str, str], ...] = ()
+    """Of each night, oldest first: its last run, the level of its verdict, and the link to its report; "" where there is none."""
     picture: str = ""
     """The last cloud, as a data URL."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Those of the last night."""
-        verdict = self.nights[-1].entry.verdict if self.nights else None
+        verdict = self.nights[-1][0].verdict if self.nights else None
         return verdict.findings if verdict else ()
 
     @property
     def order(self) -> tuple[int, str]:
         """Sites that need attention come first."""
-        level = "failed" if self.fault else self.nights[-1].level if self.nights else ""
+        level = "failed" if self.fault else self.nights[-1][1] if self.nights else ""
         return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
 
 
@@ -98,10 +87,10 @@ def _row(file: Path, folder: Path) -> Row:
     return Row(site.name, site.file, "", tuple(nights), _picture(work))
 
 
-def _night(work: WorkFolder, entry: Entry, folder: Path) -> Night:
+def _night(work: WorkFolder, entry: Entry, folder: Path) -> tuple[Entry, str, str]:
     report = work.run(entry.run.run).report
     href = Path(os.path.relpath(report, folder)).as_posix() if report.is_file() else ""
-    return Night(entry, entry.verdict.level if entry.verdict else "", href)
+    return entry, entry.verdict.level if entry.verdict else "", href
 
 
 def _picture(work: WorkFolder) -> str:
