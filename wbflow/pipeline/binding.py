@@ -104,7 +104,7 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
 def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[str]:
     """The methods of a stage's table that read a file of this name.  Raises FunctionError."""
     need = stage.offers.get(name)
-    if stage.method is None or need is None or not is_file(need):
+    if stage.method is None or need is None or need.kind != "file":
         return []
     return [method for method, dotted in reader.table(stage.method.table).items() if name in _asked(reader.signature(dotted))]
 
@@ -125,13 +125,8 @@ def _chosen(stage: Stage, values: Mapping[str, Any], parameters: Mapping[str, Pa
 def _handed_on(own: Signature, stage: Stage) -> set[str]:
     """Inputs that a stage's function hands to the method that it chooses: those that it names, and files, which go with the
     parameters that it only passes through."""
-    files = {name for name, need in stage.offers.items() if is_file(need)} if own.takes_any else set()
+    files = {name for name, need in stage.offers.items() if need.kind == "file"} if own.takes_any else set()
     return (_asked(own) & {*stage.inputs, *stage.offers}) | files
-
-
-def is_file(need: Source) -> bool:
-    """Is it a file that the stage's section names?"""
-    return need.kind == "file"
 
 
 def _asked(signature: Signature) -> set[str]:

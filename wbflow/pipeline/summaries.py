@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import AliasChoices, Field, ValidationError, model_serializer, model_validator
 
 from ..plain import Plain
-from ..records.findings import HealthState
+from ..records.findings import Health, HealthState
 
 
 class Summary(Plain):
@@ -89,15 +89,12 @@ class CameraFigures(FeaturesSummary, FrameSummary):
 
 
 @dataclass(frozen=True)
-class HealthSummary(Summary):
+class HealthSummary(Health, Summary):
     """How a camera is, compared with the reference (`stages.types.CameraHealth`)."""
 
     state: HealthState = "ok"
-    text: str = ""
-    figures: Mapping[str, Any] = field(default_factory=dict)
-    expected: Mapping[str, Any] = field(default_factory=dict)
-    remedy: str = ""
     corrected: bool = False
+    """It has shifted, and its pose is known from the reference."""
 
 
 @dataclass(frozen=True)

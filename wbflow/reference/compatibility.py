@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..cache.store import Receipt
-from ..pipeline.binding import Binding, is_file
+from ..pipeline.binding import Binding
 from ..pipeline.names import FRAMES
 from ..pipeline.stages import Adapt, Reuse, Stage
 from ..records.reference_folder import Reference
@@ -36,7 +36,9 @@ def misfit(reference: Reference, plan: Plan) -> str:
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
         bound = plan.bound(stage)
-        files = {name: plan.named.get(file_of_stage(stage.name, name)) for name, need in bound.inputs.items() if is_file(need)}
+        files = {
+            name: plan.named.get(file_of_stage(stage.name, name)) for name, need in bound.inputs.items() if need.kind == "file"
+        }
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
             receipt = plan.cache.by_key(task, reference.artifacts[task].key)

@@ -61,12 +61,10 @@ class Pinned:
     """Stages that are to be done again."""
     known: Mapping[str, Health] = field(default_factory=dict)
     """What is wrong with cameras by what is known of their captures."""
-    _healths: dict[str, Health] = field(default_factory=dict, repr=False)
+    _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
     """By view, of those that have been looked at tonight."""
     _useless: set[str] = field(default_factory=set, repr=False)
     """Views that show nothing of the site, as far as is known."""
-    _corrected: set[str] = field(default_factory=set, repr=False)
-    """Views whose pose is known from the reference, though they have shifted."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
     """Views whose frame is that of the reference itself."""
     _force: bool | None = field(default=None, repr=False)
@@ -174,12 +172,8 @@ class Pinned:
         """A task has ended: that may have been the health of a camera."""
         state = self.states[task]
         if task.stage == HEALTH and state.usable:
-            (view,), found = task.subject, summary_of(state, HealthSummary)
-            self._healths[view] = Health(found.state, found.text, found.figures, found.expected, found.remedy)
-            if found.corrected:
-                self._corrected.add(view)
-            if found.state in USELESS:
-                self._useless.add(view)
+            self._healths[task.subject[0]] = health = summary_of(state, HealthSummary)
+            self._useless |= set(task.subject) if health.state in USELESS else set()
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """The key of tonight's frame of a camera."""
@@ -191,7 +185,6 @@ class Pinned:
         self._force = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
-            self._corrected.discard(task.subject[0])
             if camera_of(task.subject[0]) not in self.known:
                 self._useless.discard(task.subject[0])
         if self.reference and (pinned := self.reference.artifacts.get(task)) and not self.cache.by_key(task, pinned.key):
@@ -227,7 +220,7 @@ class Pinned:
         if self.reference is None or camera_of(camera) not in self.reference.placed:
             return _LOST
         state = self.state_of(camera)
-        if self._corrected.intersection(self._views_of(camera)):
+        if any(health.corrected for view in self._views_of(camera) if (health := self._healths.get(view))):
             return _TURNED
         return _STILL if state == "ok" else _LOST
 

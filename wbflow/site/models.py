@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property, reduce
@@ -289,15 +289,6 @@ class Measure(StrEnum):
     BRIGHTNESS = "brightness"
 
 
-_LIMITS: Mapping[str, float] = {
-    Measure.POINTS: 0.7,
-    Measure.PAIRS: 0.7,
-    Measure.COVERAGE: 0.7,
-    Measure.CAMERAS: 1.0,
-    Measure.BRIGHTNESS: 0.35,
-}
-
-
 def _date(value: Any) -> str:
     if isinstance(value, datetime.date):
         return value.isoformat()
@@ -310,18 +301,24 @@ def _date(value: Any) -> str:
 class Expected(Section):
     """What a good night gives: shares of what is usual, or, above 1, least counts."""
 
-    points: float | None = Field(default=None, ge=0)
-    pairs: float | None = Field(default=None, ge=0)
-    coverage: float | None = Field(default=None, ge=0)
-    cameras: float | None = Field(default=None, ge=0)
-    brightness: float | None = Field(default=None, ge=0, le=1)
+    points: float = Field(default=0.7, ge=0)
+    pairs: float = Field(default=0.7, ge=0)
+    coverage: float = Field(default=0.7, ge=0)
+    cameras: float = Field(default=1.0, ge=0)
+    brightness: float = Field(default=0.35, ge=0, le=1)
     since: Annotated[str, BeforeValidator(_date)] = ""
     """Earlier nights (ISO 8601) don't count as usual; "" where all do."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _stated(cls, data: Any) -> Any:
+        """A key without a value is as if it were not there."""
+        return {key: value for key, value in data.items() if value is not None} if isinstance(data, dict) else data
+
     def limit(self, name: str) -> float:
-        """The least share, or count, of a figure that a good night has."""
-        value: float | None = getattr(self, name, None)
-        return _LIMITS.get(name, 0.0) if value is None else value
+        """The least share, or count, of a figure that a good night has; 0 where anything is good."""
+        value: float = getattr(self, name, 0.0)
+        return value
 
 
 class Notify(Section):

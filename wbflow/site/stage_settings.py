@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.fingerprint import FunctionError
-from ..cache.untrusted import is_file as is_file_on_disk
+from ..cache.untrusted import is_file
 from ..errors import printable
-from ..pipeline.binding import Binding, bind, is_file, method_parameters, methods_with_file
+from ..pipeline.binding import Binding, bind, method_parameters, methods_with_file
 from ..pipeline.functions import FunctionReader
 from ..pipeline.names import FUSE
 from ..pipeline.stages import COMPONENT, STAGES, Stage
@@ -119,7 +119,7 @@ class _Section:
         found: dict[str, Path] = {}
         chosen, key = bound.method or bound.function, self.chooser if bound.method else "use"
         required = {argument.name for argument in chosen.signature.arguments if argument.required}
-        for name in [name for name, need in bound.inputs.items() if is_file(need)]:
+        for name in [name for name, need in bound.inputs.items() if need.kind == "file"]:
             stated, location = values.pop(name, None), ("stages", self.stage.name, name)
             if stated is None:
                 if name in required:
@@ -128,7 +128,7 @@ class _Section:
                 self._problem(name, f"{printable(repr(stated), 80)} is no path", _FILE.format(name=name))
             else:
                 found[name] = beside(stated, location, self.problems)
-                if not is_file_on_disk(found[name]):
+                if not is_file(found[name]):
                     remedy = similar(found[name]) or "check the path; it is relative to the site file"
                     self._problem(name, f"there is no file {printable(found[name])}", remedy)
         return found
