@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
@@ -81,7 +82,7 @@ def test_all_kinds_of_cameras_at_once(tmp_path: Path, http: str, rtsp: str) -> N
 )
 def test_a_broken_camera_is_named_and_costs_itself(tmp_path: Path, http: str, way: str, words: str) -> None:
     broken = {"missing-login": f"{http}/basic", "down": "http://127.0.0.1:9/snapshot"}.get(way, f"{http}/{way}")
-    keys = {"credentials": None} if way == "missing-login" else {}
+    keys: dict[str, Any] = {"credentials": None} if way == "missing-login" else {}
     result = capture(tmp_path, {"gate": f"{http}/snapshot", "roof": broken}, **keys)
     assert result.exit_code == 3
     assert len(taken(tmp_path, "gate")) == 2
