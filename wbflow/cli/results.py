@@ -12,6 +12,7 @@ from ..pipeline.exports import EXPORTS
 from .common import (
     PATH,
     date_option,
+    day,
     echo,
     echo_json,
     json_option,
@@ -135,6 +136,37 @@ def compare(nights: tuple[Path, ...], as_json: bool, work: str | None) -> None:
         echo(row)
     if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
+
+
+@click.command()
+@site_argument
+@click.argument("words", metavar="[FINDING]", nargs=-1)
+@click.option("--until", type=day, metavar="DAY", help="The last night that it holds for (default: until it is dropped).")
+@click.option("--note", default="", metavar="TEXT", help="Why.")
+@click.option("--drop", is_flag=True, help="Take it back.")
+def acknowledge(site: Path, words: tuple[str, ...], until: datetime.date | None, note: str, drop: bool) -> None:
+    """A finding that somebody knows of no longer degrades a night, nor notifies; it stays in the report.
+
+    \b
+    wbflow acknowledge site.yaml                  lists what is found, and what is acknowledged
+    wbflow acknowledge site.yaml camera-lost crane-2 --until 2026-12-04 --note "new cable on Friday"
+    wbflow acknowledge site.yaml camera-lost crane-2 --drop
+    """
+    from ..outcome import acknowledge as known
+    from ..records.run_folder import newest_runs
+
+    loaded, finding = load(site, None), " ".join(words)
+    if finding and drop:
+        known.drop(loaded, finding)
+        echo(f"{finding} counts again")
+    elif finding:
+        echo(f"{finding}: {known.add(loaded, finding, until, note).words}; from the next run on")
+    else:
+        newest = next((record for _, record in newest_runs(loaded.work_folder)), None)
+        for found in newest.verdict.findings if newest and newest.verdict else ():
+            echo(f"{known.name_of(found)}: {found.text}")
+        for one in known.read(loaded):
+            echo(f"{one.finding}: {one.words}")
 
 
 @click.command()

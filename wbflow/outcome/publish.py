@@ -16,7 +16,7 @@ from ..cache.atomic import in_words
 from ..cache.cleanup import clean
 from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import ply_bytes, with_comments
-from ..errors import WbflowError
+from ..errors import UsageError, WbflowError
 from ..pipeline.names import FRAMES, FUSE, POSES
 from ..pipeline.stages import stage_named
 from ..pipeline.summaries import PosesSummary
@@ -32,6 +32,8 @@ from ..runner.planner import Plan
 from ..runner.spec import summary_of
 from ..site.models import Site
 from ..task import Task
+from . import acknowledge
+from .acknowledge import Acknowledgement
 from .artifacts import FinishedRun, function
 from .baseline import Baseline
 from .notify import metrics
@@ -110,7 +112,14 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
     in_motion = context.captures_in_motion()
     cameras_now = (replace(camera, captures_in_motion=tuple(in_motion.get(camera.id, ()))) for camera in record.cameras)
     record = replace(record, cameras=tuple(cameras_now))
-    record = judge_run(record, plan, Baseline.before(place, run, record.date), worked.interrupted, journal.behind())
+    record = judge_run(
+        record,
+        plan,
+        Baseline.before(place, run, record.date),
+        worked.interrupted,
+        journal.behind(),
+        _acknowledged(plan.site, journal),
+    )
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     page = _report(plan, record, journal, cameras, unfinished)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
@@ -154,6 +163,15 @@ def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
                 yield stage.name, name, data
         except (WbflowError, ValueError, ImportError) as error:
             journal.warn(f"not all of its files could be made: {error}", task=Task(stage.name))
+
+
+def _acknowledged(site: Site, journal: Journal) -> tuple[Acknowledgement, ...]:
+    """Return what somebody knows of; a file that cannot be read is a warning."""
+    try:
+        return acknowledge.read(site)
+    except UsageError as error:
+        journal.warn(f"{error.where} {error.what}", remedy=error.remedy)
+        return ()
 
 
 def _report(plan: Plan, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:

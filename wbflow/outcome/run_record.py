@@ -163,8 +163,8 @@ def _camera(plan: Plan, camera: str, whole: _Whole) -> CameraRecord:
     poses = whole.poses
     check = poses.pose_checks.get(camera)
     verified, source = check.get("verified") if check else None, poses.sources.get(camera)
-    given = {"points": whole.points.get(camera), "misfit": whole.misfits.get(camera)}
-    figures = replace(record.figures, pose=check, verified=verified, pose_from=source, **given)
+    points, misfit = whole.points.get(camera), whole.misfits.get(camera)
+    figures = replace(record.figures, pose=check, verified=verified, pose_from=source, points=points, misfit=misfit)
     crowded, moved = whole.crowded.get(camera), poses.issues_of("moved").get(camera)
     notes = (*record.notes, *([crowded] if crowded else []), *([moved.text] if moved else []))
     record = replace(record, figures=figures, notes=notes)

@@ -24,6 +24,7 @@ from ..runner.planner import Plan
 from ..runner.spec import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
+from .acknowledge import Acknowledgement, split
 from .baseline import Baseline, figures_of, reference_usual, settings_of, with_appearance
 from .run_record import root_cause
 
@@ -72,6 +73,8 @@ class Facts:
     """What the object store does not have yet."""
     calibration_change: str = ""
     """How lenses and poses differ from those of the reference, which is out of use for that."""
+    acknowledged: tuple[Acknowledgement, ...] = ()
+    """What somebody knows of."""
 
     @staticmethod
     def from_plan(plan: Plan, interrupted: bool, behind: Finding | None = None) -> Facts:
@@ -87,7 +90,14 @@ class Facts:
         return Facts(failed, product, missing, interrupted, stopped, behind, plan.calibration_change)
 
 
-def judge_run(record: RunRecord, plan: Plan, baseline: Baseline, interrupted: bool, behind: Finding | None = None) -> RunRecord:
+def judge_run(
+    record: RunRecord,
+    plan: Plan,
+    baseline: Baseline,
+    interrupted: bool,
+    behind: Finding | None = None,
+    acknowledged: tuple[Acknowledgement, ...] = (),
+) -> RunRecord:
     """Return the record with what it is compared with, how its cameras are, its verdict and its exit code.
 
     Parameters
@@ -102,13 +112,16 @@ def judge_run(record: RunRecord, plan: Plan, baseline: Baseline, interrupted: bo
         Was it stopped from outside?
     behind
         What the object store does not have yet.
+    acknowledged
+        What somebody knows of.
     """
     expected, settings = plan.site.settings.expect, settings_of(plan.site)
     usual = baseline.usual(settings, expected.since)
     if plan.reference and not plan.reference.automatic:
         usual = reference_usual(plan.cache.work, plan.reference.run, settings, usual)
     record = replace(record, settings=settings, usual=usual)
-    return judge(record, Facts.from_plan(plan, interrupted, behind), baseline, expected)
+    facts = replace(Facts.from_plan(plan, interrupted, behind), acknowledged=acknowledged)
+    return judge(record, facts, baseline, expected)
 
 
 def judge(record: RunRecord, facts: Facts, baseline: Baseline, expected: Expected) -> RunRecord:
@@ -128,10 +141,11 @@ def judge(record: RunRecord, facts: Facts, baseline: Baseline, expected: Expecte
     record = with_appearance(record, expected)
     record = replace(record, cameras=tuple(_with_down(camera, record, baseline) for camera in record.cameras))
     night = Night(record, facts, expected)
-    found = tuple(finding for check in CHECKS for finding in check(night))
+    every = (finding for check in CHECKS for finding in check(night))
+    found, acknowledged = split(every, facts.acknowledged, record.date)
     level = _level(night, found)
     code = ExitCode.INTERRUPTED if facts.interrupted else _EXIT_CODES[level]
-    return replace(record, verdict=Verdict(level, found), exit_code=code)
+    return replace(record, verdict=Verdict(level, found, acknowledged), exit_code=code)
 
 
 @dataclass(frozen=True)

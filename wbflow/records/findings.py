@@ -312,6 +312,8 @@ class Verdict(Plain):
     level: Level
     findings: tuple[Finding, ...] = ()
     """What is to be looked at, the most important first; none of a good night."""
+    acknowledged: tuple[Finding, ...] = ()
+    """What somebody knows of: it does not count; its remedy says who, and until when."""
 
     @property
     def good(self) -> bool:

@@ -73,7 +73,8 @@ def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
 
 def fit_to_pin(record: RunRecord) -> bool:
     """Is a run good enough to be pinned without being named?"""
-    return record.exit_code == ExitCode.GOOD and record.cloud is not None
+    known = record.verdict.acknowledged if record.verdict else ()
+    return record.exit_code == ExitCode.GOOD and record.cloud is not None and not known
 
 
 def prepare(context: RunContext, journal: Journal) -> None:

@@ -1,0 +1,74 @@
+"""Findings that somebody knows of."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.toy_site import ToySite
+
+LOST = ("camera-lost", "crane")
+
+
+@pytest.fixture
+def site(toy: ToySite, tmp_path: Path) -> ToySite:
+    """A site whose camera `crane` delivers nothing."""
+    toy.capture("crane").unlink()
+    toy.dated, toy.backend = True, "threading"
+    toy.keys = {"notify": {"command": f"echo $WBFLOW_EVENT >> {tmp_path / 'calls'}"}}
+    toy.write()
+    for night in ("2026-11-01", "2026-11-02", "2026-11-03"):
+        toy.night(night)
+        toy.capture("crane", night).unlink()
+    return toy
+
+
+def events(site: ToySite) -> list[str]:
+    calls = site.folder.parent / "calls"
+    return calls.read_text().split() if calls.exists() else []
+
+
+def test_a_known_finding_neither_degrades_a_night_nor_notifies(site: ToySite) -> None:
+    site.run("--date", "2026-11-01", code=3)
+    assert "camera-lost crane" in site.wbflow("acknowledge").stdout
+    done = site.wbflow("acknowledge", *LOST, "--until", "2026-11-02", "--note", "new cable")
+    assert done.returncode == 0, done.stderr
+    before = events(site)
+    record = site.run("--date", "2026-11-02", code=0)
+    (known,) = record["verdict"]["acknowledged"]
+    assert (known["kind"], known["subject"]) == ("camera-lost", ["crane"])
+    assert "until 2026-11-02: new cable" in known["remedy"]
+    page = (site.work / "runs" / "latest" / "report.html").read_text()
+    assert "new cable" in page
+    assert events(site)[len(before) :] in ([], ["recovered"])
+    assert not (site.work / "reference" / "reference.json").exists(), "a night without a camera is not pinned by itself"
+    assert site.run("--date", "2026-11-03", code=3)["verdict"]["findings"], "it has expired"
+    assert events(site)[-1] == "degraded"
+
+
+def test_what_is_dropped_counts_again(site: ToySite) -> None:
+    site.wbflow("acknowledge", *LOST)
+    site.run("--date", "2026-11-01", code=0)
+    assert site.wbflow("acknowledge", *LOST, "--drop").returncode == 0
+    site.run("--date", "2026-11-01", code=3)
+    assert "is not acknowledged" in site.wbflow("acknowledge", *LOST, "--drop").stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [(("no-cloud",), "camera-lost"), (("camera-gone", "gate"), "camera-lost"), (("camera-lost", "tower"), "its cameras are")],
+)
+def test_what_cannot_be_acknowledged_is_refused(site: ToySite, words: tuple[str, ...], remedy: str) -> None:
+    done = site.wbflow("acknowledge", *words)
+    assert done.returncode == 2
+    assert remedy in done.stderr
+
+
+def test_a_faulty_file_costs_the_acknowledgements_not_the_night(site: ToySite) -> None:
+    (site.folder / "site.acknowledged").write_text(json.dumps({"finding": 3}))
+    record = site.run("--date", "2026-11-01", code=3)
+    assert record["verdict"]["findings"]
+    log = (site.work / "runs" / "latest" / "log.jsonl").read_text()
+    assert "nothing is acknowledged" in log
