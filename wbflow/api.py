@@ -23,7 +23,7 @@ from .cache.owner import claim
 from .errors import UsageError
 from .outcome.artifacts import FinishedRun, function, task_named
 from .outcome.publish import mend_ledger, run_pipeline
-from .records.events import Event, Listener, Watcher
+from .records.events import Event, Listener
 from .records.record import CameraRecord, PairRecord, RunRecord
 from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
 from .runner.context import Options, plan_run
@@ -155,7 +155,6 @@ def run(
     time_limit: float | None = None,
     stop_at: datetime.datetime | None = None,
     listen: Listener | None = None,
-    watch: Watcher | None = None,
 ) -> Run:
     """Do a night's work: from captures to cloud and report.  What has not changed is taken from the cache.
 
@@ -183,8 +182,8 @@ def run(
         Seconds that a task may take; derived from what its stage took earlier, if not given.
     stop_at : datetime, optional
         Local time from which on only what is there already is put together and published.
-    listen, watch : callable, optional
-        Called with every event as it happens; with what is planned, and each task that begins.
+    listen : callable, optional
+        Called with every event as it happens, also with what is planned, and each task that begins.
 
     Returns
     -------
@@ -207,7 +206,7 @@ def run(
     options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, _bytes(memory), time_limit, stop_at)
     options.check(site)
     try:
-        return _run(site, options, listen or (lambda event: None), watch)
+        return _run(site, options, listen or (lambda event: None))
     except OSError as error:
         raise disk_fault(error, site.work) from error
 
@@ -244,12 +243,12 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     return Run(FinishedRun.open(place, RunFolder.of(place, run_id)))
 
 
-def _run(site: Site, options: Options, listen: Listener, watch: Watcher | None) -> Run:
+def _run(site: Site, options: Options, listen: Listener) -> Run:
     place = site.work_folder
     with hold_to_write(place, options.wait) as mirror, terminate_as_interrupt():
         warning = claim(place, site.name, site.file)
         name, started = new_run(place)
-        journal = Journal(mirror.listening(listen) if mirror else listen, watch, started)
+        journal = Journal(mirror.listening(listen) if mirror else listen, started)
         if mirror:
             journal.behind = mirror.behind
         if warning:

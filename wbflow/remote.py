@@ -33,7 +33,7 @@ from .cache.layout import RunPaths, WorkFolder
 from .cache.lock import Locked, hold
 from .cache.signed import Damaged, read_signed, write_signed
 from .errors import ExitCode, WbflowError, counted, printable
-from .records.events import Event, Listener, TaskEvent
+from .records.events import Event, Listener, Signal, TaskEvent
 from .records.findings import Finding, finding
 from .task import Task
 
@@ -231,7 +231,7 @@ class Mirror:
     def listening(self, listen: Listener) -> Listener:
         """Return a listener that receives everything, and sends results as tasks finish."""
 
-        def receive(event: Event) -> None:
+        def receive(event: Event | Signal) -> None:
             listen(event)
             if isinstance(event, TaskEvent) and event.fresh and event.key:
                 self._waiting.append((event.task, event.key))

@@ -15,7 +15,6 @@ from .atomic import clear, sync_folder
 
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
-_LOOK_BACK = 7
 
 
 def run_id(moment: datetime.datetime) -> str:
@@ -191,10 +190,6 @@ class WorkFolder:
         links = {self.latest.name, self.latest_good.name}  # folders in a copy of the work folder
         names = [path.name for path in self.runs.glob("*") if path.name not in links and not path.is_symlink()]
         return sorted(name for name in names if not name.startswith(".") and self.run(name).record.is_file())
-
-    def newest_runs(self) -> list[str]:
-        """Those in which an earlier form of a product is looked for (there are nights that make none), newest first."""
-        return self.run_ids()[: -_LOOK_BACK - 1 : -1]
 
     def links(self) -> list[Path]:
         """Whatever leads to a run, now."""

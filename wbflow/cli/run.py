@@ -114,7 +114,7 @@ def run(
                 codes.append(ExitCode.DEGRADED)
                 break
             with display(site.name, verbose, quiet) as shown:
-                finished = run_night(site, date=night, listen=shown.receive, watch=shown.receive, **options)
+                finished = run_night(site, date=night, listen=shown.receive, **options)
             codes.append(finished.record.exit_code)
             if as_json:
                 records.append(json.loads(finished.finished.folder.paths.record.read_bytes()))

@@ -95,12 +95,8 @@ Event = TaskEvent | WarningEvent
 Signal = PlannedEvent | StartedEvent
 """For whoever watches a run, and in no log."""
 
-Listener = Callable[[Event], None]
-"""Receives every event as it happens."""
-
-
-Watcher = Callable[[Signal], None]
-"""Receives what is planned and begun, too."""
+Listener = Callable[[Event | Signal], None]
+"""Receives every event as it happens, and what is planned and begun."""
 
 
 def _task(task: Task | None) -> dict[str, Any]:

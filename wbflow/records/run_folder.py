@@ -11,7 +11,6 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -195,7 +194,7 @@ class UnfinishedRun:
         Products can be read only, so that no program writes through one name what is then read under the other; wbflow itself
         only ever puts new files in the place of old ones.  Raises OSError.
         """
-        path, earlier = self.paths.folder / name, (self.work.run(run).folder / name for run in self._earlier)
+        path, earlier = self.paths.folder / name, (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
         if not _link(path, next((place for place in earlier if place.is_file()), None), data):
             write_atomic(path, data)
         with contextlib.suppress(OSError):  # a file system without rights: nothing depends on them
@@ -235,11 +234,6 @@ class UnfinishedRun:
     def paths(self) -> RunPaths:
         """Where it is put together."""
         return self.work.unfinished_run(self.name)
-
-    @cached_property
-    def _earlier(self) -> list[str]:
-        """The newest runs, newest first."""
-        return self.work.newest_runs()
 
 
 def turn_links(work: WorkFolder) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..records.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, Watcher, now
+from ..records.events import Event, Listener, PlannedEvent, StartedEvent, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
@@ -23,8 +23,6 @@ class Journal:
     """Everything that has happened in a run, and what it has cost: each event is kept for the log, and given to the listener."""
 
     listen: Listener
-    watch: Watcher | None = None
-    """Receives also what is planned and begun."""
     started: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
     events: list[Event] = field(default_factory=list)
     repairs: dict[str, None] = field(default_factory=dict)
@@ -50,14 +48,12 @@ class Journal:
                 self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
     def planned(self, plan: Plan) -> None:
-        """Tell the watcher how much there is to do."""
-        if self.watch:
-            self.watch(PlannedEvent(plan.counts()))
+        """Tell the listener how much there is to do."""
+        self.listen(PlannedEvent(plan.counts()))
 
     def begun(self, task: Task) -> None:
-        """Tell the watcher that a worker has begun a task."""
-        if self.watch:
-            self.watch(StartedEvent(task))
+        """Tell the listener that a worker has begun a task."""
+        self.listen(StartedEvent(task))
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
         """Add a warning of something that went wrong and that the run has survived.

@@ -68,7 +68,7 @@ def test_a_first_night_tells_what_there_is_before_it_looks_at_the_code(toy: ToyS
 
     monkeypatch.setattr(Plan, "refresh", looking)
     monkeypatch.setenv("TOY_FAULTS", str(toy.folder / "faults"))
-    wbflow.run(toy.file, backend="threading", jobs=1, until="frames", watch=heard.append)
+    wbflow.run(toy.file, backend="threading", jobs=1, until="frames", listen=heard.append)
     assert heard[0] == PlannedEvent({"frames": 4})
     assert heard[1] == "looked at"
 
