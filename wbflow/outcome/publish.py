@@ -30,6 +30,7 @@ from ..runner.journal import Journal
 from ..runner.loop import Worked, work
 from ..runner.planner import Plan
 from ..runner.spec import summary_of
+from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
 from . import acknowledge
@@ -141,11 +142,11 @@ def _place_comments(crs: str) -> tuple[str, ...]:
     """Return where on Earth the coordinates begin: the coordinate system as PROJ reads it, its origin in words."""
     if not crs:
         return ()
-    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
-    if not {"lat_0", "lon_0", "h_0"} <= set(named):
+    origin = origin_of(crs)
+    if origin is None:
         return (f"crs {crs}",)
-    origin = f"latitude {named['lat_0']} longitude {named['lon_0']} height {named['h_0']}"
-    return f"crs {crs}", f"x y z are metres east, north and up of {origin} (WGS 84)"
+    words = "latitude {!r} longitude {!r} height {!r}".format(*origin)
+    return f"crs {crs}", f"x y z are metres east, north and up of {words} (WGS 84)"
 
 
 def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:

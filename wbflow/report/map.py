@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..pipeline.stages import STAGES
 from ..records.record import CameraRecord, PairRecord
+from ..site.geodesy import origin_of
 from ..task import Task
 from .data import ReportData, objects_of, since_last_good, state_of
 from .pictures import data_url, split
@@ -75,6 +76,8 @@ class Scene:
     """m, or "" where the scale is not known."""
     north: str
     """Name of the direction of the world's y."""
+    place: list[float] | None
+    """Latitude, longitude and height of the world's origin, where the site is on the map."""
 
     def to(self, point: Sequence[float]) -> Vector:
         """Return a point of the world in the frame of the page."""
@@ -83,7 +86,7 @@ class Scene:
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
         cameras, marks = [vars(camera) for camera in self.cameras], [vars(thing) for thing in self.objects]
-        axes = {"rows": self.rows.tolist(), "origin": self.origin.tolist(), "unit": self.unit}
+        axes = {"rows": self.rows.tolist(), "origin": self.origin.tolist(), "unit": self.unit, "place": self.place}
         box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
         return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": marks}
 
@@ -112,7 +115,7 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     everything = np.array([low, high, *(c.C for c in cameras), *(o.at for o in objects)])
     unit = "m" if not record.poses or record.poses.metric else ""
     extent = _vector(everything.min(axis=0)), _vector(everything.max(axis=0))
-    return Scene(rows, origin, cameras, objects, *extent, _vector(middle), radius, unit, "N" if crs else "y")
+    return Scene(rows, origin, cameras, objects, *extent, _vector(middle), radius, unit, "N" if crs else "y", origin_of(crs))
 
 
 def _last_cloud(data: ReportData) -> list[Vector]:

@@ -27,6 +27,12 @@ class LocalFrame:
         return [float(v) for v in self._transformer.transform(longitude, latitude, height)]
 
 
+def origin_of(crs: str) -> list[float] | None:
+    """Latitude, longitude and height that a world's coordinates begin at; None for a local one."""
+    named = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
+    return [float(named[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(named) else None
+
+
 def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
     """The frame of all geodetic positions of a site; None where there are none."""
     positions = list(file.positions())

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.helpers import made_up_run
@@ -21,6 +22,7 @@ from wbflow.records.record import Finding, RunRecord, Verdict
 from wbflow.runner.spec import Cause
 
 webdriver = pytest.importorskip("selenium.webdriver")
+Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
 HOSTILE = ["gate", "\"><script>document.title='taken'</script>", "o'clock\n&amp; {{ 7 * 7 }}", "</script><b>", "yard-2", "yard-3"]
@@ -141,6 +143,54 @@ def test_a_click_on_a_camera_flies_to_it(browser: Any) -> None:
     assert browser.find_element("css selector", ".inset img").is_displayed(), "what it saw stands beside"
     browser.execute_script("document.querySelector('[data-do=home]').click()")
     until(browser, "return view.root.dataset.flown === ''")
+
+
+def press(browser: Any, does: str) -> None:
+    browser.execute_script(f"document.querySelector('[data-do={does}]').click()")
+
+
+def test_clicked_points_give_distance_height_and_area_and_a_link_brings_them_back(browser: Any, page: Path) -> None:
+    settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
+    press(browser, "measure")
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    for across, down in ((0, 0), (40, 6), (10, 30)):
+        webdriver.ActionChains(browser, duration=0).move_to_element_with_offset(canvas, across, down).click().perform()
+    assert browser.execute_script("return measure.points.length") == 3
+    worlds = [np.array(w) for w in browser.execute_script("return measure.points.map(q => measure.world(q.p))")]
+    named = dict(browser.execute_script("return measure.figures().map(f => [f[0], f[1]])"))
+    assert named["distance"] == pytest.approx(float(np.linalg.norm(worlds[2] - worlds[1])), abs=1e-6)
+    assert named["up"] == pytest.approx(float((worlds[2] - worlds[1])[2]), abs=1e-6)
+    assert named["across"] == pytest.approx(float(np.linalg.norm((worlds[2] - worlds[1])[:2])), abs=1e-6)
+    (a, b) = ((worlds[k] - worlds[0])[:2] for k in (1, 2))
+    assert named["area"] == pytest.approx(abs(float(a[0] * b[1] - a[1] * b[0])) / 2, abs=1e-6)
+    shown = browser.find_element("css selector", ".measured").text
+    assert "distance" in shown
+    assert "±" in shown
+    press(browser, "link")
+    link = browser.find_element("css selector", "[data-do=link]").get_attribute("data-copied")
+    pose = browser.execute_script(POSE)
+    canvas.send_keys(Keys.BACKSPACE)
+    assert browser.execute_script("return measure.points.length") == 2
+    canvas.send_keys(Keys.ENTER)
+    assert browser.execute_script("return measure.points.length") == 3
+    canvas.send_keys(Keys.ESCAPE)
+    assert browser.execute_script("return measure.points.length") == 0
+    settled(browser, lambda: browser.execute_script("view.turn(0.5, 0.1)"))
+    browser.execute_script("location.hash = ''; location.hash = arguments[0]", link.partition("#")[2])
+    until(browser, "return measure.points.length === 3")
+    settled(browser, lambda: None)
+    assert [float(v) for v in browser.execute_script(POSE).split()] == pytest.approx([float(v) for v in pose.split()], abs=2e-3)
+    press(browser, "measure")
+    browser.execute_script("history.replaceState(null, '', location.pathname); Object.assign(view, view.home); view.draw()")
+
+
+def test_only_what_lies_between_two_heights_is_drawn(browser: Any) -> None:
+    whole, _ = settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
+    move = "const s = document.querySelector('[data-clip=low]'); s.value = arguments[0]; s.dispatchEvent(new Event('input'))"
+    upper, _ = settled(browser, lambda: browser.execute_script(move, 400))
+    assert 0 < upper < whole
+    again, _ = settled(browser, lambda: browser.execute_script(move, 0))
+    assert again == whole
 
 
 def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night: RunRecord) -> None:

@@ -58,6 +58,29 @@
   };
   for (const button of $$("[data-do]")) button.addEventListener("click", () => does[button.dataset.do](button));
 
+  const measure = window.measure = new Measure(view, scene, root.parentNode), [lowest, highest] = $$("[data-clip]");
+  view.keys = key => key === "Enter" ? (measure.addMiddle(), true) : key === "Backspace" ? (measure.undo(), true) : key === "Escape" ? (does.measure(), true) : false;
+  Object.assign(does, {
+    measure: () => { measure.active = !measure.on; $("[data-do=measure]").setAttribute("aria-pressed", String(measure.on)); $(".place", root).textContent = ""; },
+    copy: b => copied(b, measure.text() || $(".place", root).textContent),
+    link: b => { history.replaceState(null, "", measure.hash()); copied(b, location.href); },
+  });
+  function copied(button, text) {
+    navigator.clipboard?.writeText(text).catch(() => {}); button.dataset.copied = text; button.classList.add("done"); setTimeout(() => button.classList.remove("done"), 900);
+  }
+  function clips() { // what stands between the two heights is drawn
+    const cut = v => view.span[0] + (view.span[1] - view.span[0]) * v / 1000, [low, high] = [+lowest.value, +highest.value];
+    view.clip = low <= 0 && high >= 1000 ? null : [low <= 0 ? -1e9 : cut(low), high >= 1000 ? 1e9 : cut(high)]; view.draw();
+  }
+  for (const slider of [lowest, highest]) slider.addEventListener("input", clips);
+  function openLink() {
+    const found = measure.read(location.hash);
+    if (!found) return;
+    if (found.points.length) { if (!measure.on) does.measure(); measure.points = []; for (const p of found.points) measure.add(p); }
+    colour(found.colour || "photograph"); view.onCamera(view.chosen);
+  }
+  addEventListener("hashchange", openLink);
+
   const inset = $(".inset", root);
   view.onCamera = cam => { // what it saw, beside the cloud as it sees it
     const shot = cam && $$(".card").find(card => $("[data-fly]", card)?.dataset.fly === cam.id);
@@ -120,6 +143,8 @@
       } catch (error) { message.textContent = `the points cannot be shown here: ${error.message}`; root.dataset.state = "failed"; return; }
     }
     root.dataset.state = view.sets.length ? "ready" : "empty";
-    if (location.hash.startsWith("#colour=")) colour(location.hash.slice(8));
+    const heights = view.sets[0]?.points.at.filter((_, k) => k % 3 === 2).sort() || [0, 1];
+    view.span = [heights[Math.floor(0.001 * heights.length)], heights[Math.ceil(0.999 * (heights.length - 1))]];
+    if (location.hash.startsWith("#colour=")) colour(location.hash.slice(8)); else openLink();
   })();
 })();

@@ -60,14 +60,15 @@ function pixelsOf(points, mode) {
 
 // Draws the first `count` points of a set as squares of their voxel's size, the nearest in front.
 // eye, right, up, ahead: where from, in the axes of the points; focal: pixels.
-function splat(frame, points, pixels, count, camera, grow) {
+// clip: lowest and highest height that is drawn; null: all.
+function splat(frame, points, pixels, count, camera, clip, grow) {
   const {width, height, depth, image} = frame, at = points.at;
-  const [ex, ey, ez] = camera.eye, [rx, ry, rz] = camera.right, [ux, uy, uz] = camera.up, [fx, fy, fz] = camera.ahead;
+  const [low, high] = clip || [-Infinity, Infinity], [ex, ey, ez] = camera.eye, [rx, ry, rz] = camera.right, [ux, uy, uz] = camera.up, [fx, fy, fz] = camera.ahead;
   const focal = camera.focal, cx = width / 2, cy = height / 2, near = camera.near, size = 0.62 * points.voxel * grow * focal;
   for (let i = 0, j = 0; i < count; i++, j += 3) {
     const x = at[j] - ex, y = at[j + 1] - ey, z = at[j + 2] - ez;
     const w = x * fx + y * fy + z * fz;
-    if (w < near) continue;
+    if (w < near || at[j + 2] < low || at[j + 2] > high) continue;
     const q = focal / w, u = cx + (x * rx + y * ry + z * rz) * q, v = cy - (x * ux + y * uy + z * uz) * q;
     if (!(u >= 0 && v >= 0 && u < width && v < height)) continue;
     const half = size / w, colour = pixels[i];

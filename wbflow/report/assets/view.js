@@ -12,7 +12,7 @@ class CloudView {
     this.root = root; this.scene = scene; this.sets = []; this.mode = "photograph"; this.size = [root.clientWidth, root.clientHeight];
     this.canvas = root.querySelector("canvas.points"); this.over = root.querySelector("canvas.over");
     this.pen = this.canvas.getContext("2d"); this.ink = this.over.getContext("2d");
-    this.showCameras = true; this.chosen = null; this.dirty = false; this.budget = 150000;
+    this.clip = null; this.showCameras = true; this.chosen = null; this.dirty = false; this.budget = 150000;
     this.home = this.start(); Object.assign(this, this.home); this.frames = [];
     new ResizeObserver(() => this.resize()).observe(root);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
@@ -66,7 +66,7 @@ class CloudView {
       if (set.name === "change" && this.mode !== "change") continue;
       const pixels = set.pixels[this.mode] ||= set.name === "change" ? changeColours(set.points) : pixelsOf(set.points, this.mode);
       const count = quick && set.name !== "change" ? Math.min(set.points.n, Math.round(this.budget)) : set.points.n;
-      splat(frame, set.points, pixels, count, camera, Math.sqrt(set.points.n / Math.max(1, count)) * (set.name === "change" ? 1.3 : 1));
+      splat(frame, set.points, pixels, count, camera, this.clip, Math.sqrt(set.points.n / Math.max(1, count)) * (set.name === "change" ? 1.3 : 1));
       drawn += count;
     }
     if (!quick || this.budget > 250000) shade(frame, 12);
@@ -120,6 +120,7 @@ class CloudView {
       this.spots.push({x: spot[0], y: spot[1], w: spot[2], mark});
     }
     ink.globalAlpha = 1;
+    this.onOverlay?.(ink, camera);
     this.compass(ink, camera);
   }
   word(text, x, y) {
@@ -164,6 +165,7 @@ class CloudView {
     }, {passive: false});
     canvas.addEventListener("dblclick", e => { const p = this.under(e); if (p) this.fly({...this.pose(), target: p, distance: this.distance * 0.6}); });
     canvas.addEventListener("keydown", e => {
+      if (this.picks && this.keys?.(e.key)) { e.preventDefault(); return; }
       const does = {ArrowLeft: () => this.turn(-0.1, 0), ArrowRight: () => this.turn(0.1, 0), ArrowUp: () => this.turn(0, 0.08), ArrowDown: () => this.turn(0, -0.08),
         "+": () => this.zoom(0.85), "-": () => this.zoom(1.18), "0": () => this.reset(), Escape: () => this.reset()}[e.key];
       if (does) { e.preventDefault(); does(); }
@@ -191,6 +193,7 @@ class CloudView {
     return plus(plus(plus(camera.eye, camera.ahead, depth), camera.right, (x - this.size[0] / 2) * q), camera.up, (this.size[1] / 2 - y) * q);
   }
   click(e) {
+    if (this.picks) { this.picks(this.under(e)); return; }
     const found = this.nearest(e);
     if (found?.cam) this.flyTo(found.cam);
     else if (found?.mark) this.flyToMark(found.mark);
