@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any
 from .cache.atomic import bytes_of, disk_fault
 from .cache.layout import WorkFolder
 from .cache.owner import claim
+from .cache.plugins import load
 from .errors import UsageError
-from .outcome.artifacts import FinishedRun, function, task_named
+from .outcome.artifacts import FinishedRun, task_named
 from .outcome.publish import mend_ledger, run_pipeline
 from .records.events import Event, Listener
 from .records.record import CameraRecord, PairRecord, RunRecord
@@ -95,7 +96,7 @@ class Run:
         """
         from .pipeline.exports import CLOUD_OBJECT
 
-        made: open3d.geometry.PointCloud = function(CLOUD_OBJECT)(self.finished.cloud())
+        made: open3d.geometry.PointCloud = load(CLOUD_OBJECT)(self.finished.cloud())
         return made
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import importlib
 import importlib.util
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 
 from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
+from ..cache.plugins import load
 from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
@@ -103,7 +103,7 @@ class FinishedRun:
         if path is None or not path.is_file():
             raise Gone(f"run {self.folder.id} made no cloud: {self.record.reason or 'it was not asked to'}")
         try:
-            return function(CLOUD_TABLE.restore)(read_ply(path))
+            return load(CLOUD_TABLE.restore)(read_ply(path))
         except ValueError as error:
             raise Gone(str(error), remedy="run the night again") from None
 
@@ -137,12 +137,6 @@ def task_named(name: str) -> Task:
     return Task(stage, tuple(subject.split("--")) if subject else ())
 
 
-def function(dotted: str) -> Any:
-    """A function by its dotted name, package.module:function."""
-    module, _, name = dotted.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
 class MissingExtra(WbflowError):
     """Packages that an export needs are not installed; the message says how to get them."""
 
@@ -172,7 +166,7 @@ def export(run: FinishedRun, out: Path, forms: frozenset[str]) -> Iterator[Path]
         results = {name: _result(run, stages) for name, stages in row.inputs.items()}
         day = datetime.date.fromisoformat(run.record.date)
         try:
-            for name, data in function(row.function)(**results, **({"day": day} if row.dated else {})):
+            for name, data in load(row.function)(**results, **({"day": day} if row.dated else {})):
                 write_atomic(out / name, data)
                 yield out / name
         except ValueError as error:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..cache.layout import WorkFolder
+from ..cache.plugins import load
 from ..cache.untrusted import read_outside
 from ..errors import ExitCode, printable
 from ..pipeline.exports import DECODE
@@ -20,7 +21,6 @@ from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.context import RunContext, plan_run
 from ..site.captures import CaptureFile, expected
 from ..site.models import Camera, Site
-from .artifacts import function
 
 Severity = Literal["error", "warning"]
 
@@ -104,8 +104,8 @@ def _look_at(file: CaptureFile) -> tuple[tuple[int, int], str | None]:
     if not file.digest:
         return (0, 0), f"{file.name} {file.fault}"
     try:
-        capture = function(SITE_TYPES["captures"])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
-        image = function(DECODE)(capture)
+        capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_outside(file.path), dtype=np.uint8))
+        image = load(DECODE)(capture)
     except (ValueError, OSError) as error:
         return (0, 0), str(error)
     return (image.shape[1], image.shape[0]), None

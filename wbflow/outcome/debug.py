@@ -26,7 +26,6 @@ from ..runner.spec import Impossible, Input, State, Stored, TaskSpec, Waiting
 from ..runner.worker import arguments_of
 from ..site.models import Site
 from ..task import Task
-from .artifacts import function
 
 SCRIPT = "run.py"
 
@@ -138,7 +137,7 @@ def _write(how: Input, value: Any, folder: Path, name: str, cache: Cache) -> Any
         file = f"{name}{table.suffix}"
         shutil.copyfile(cache.work.task(how.task) / how.file, folder / file)
         return {"table": file, "restore": table.restore}
-    return function(PLAIN_FILES)(value, folder, name)
+    return load(PLAIN_FILES)(value, folder, name)
 
 
 TASK_FILE = "task.json"
@@ -169,7 +168,7 @@ def keep(folder: Path, result: Any) -> str:
     """Write the result beside the script, and say how it compares with what the cache has."""
     task = _task(folder)
     before = task["outcome"], task["reason"]
-    nothing: Any = function(REJECTED)
+    nothing: Any = load(REJECTED)
     if isinstance(result, nothing):
         same = before == ("rejected", str(result.reason))
         return f"rejected, {'as in the cache' if same else f'in the cache: {before[0]}'}"
@@ -186,7 +185,7 @@ def keep(folder: Path, result: Any) -> str:
 def _input(node: Any, folder: Path) -> Any:
     if isinstance(node, dict) and "table" in node:
         return load(node["restore"])(columns_of((folder / node["table"]).read_bytes()))
-    return function(FROM_PLAIN_FILES)(node, folder)
+    return load(FROM_PLAIN_FILES)(node, folder)
 
 
 def _task(folder: Path) -> dict[str, Any]:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
+from ..cache.plugins import load
 from ..cache.ply import ply_bytes
 from ..errors import UsageError
 from ..pipeline.exports import DEMO_FILES, DEMO_NIGHTS
-from .artifacts import function
 
 MANIFEST = "demo.json"
 EDITABLE = ("site.yaml", "cameras.json")
@@ -42,7 +42,7 @@ def write_demo(folder: Path, *, scene: str = "yard", **options: Any) -> None:
     UsageError
         An unknown scene or light, or no captures.
     """
-    _write(folder, lambda: function(DEMO_FILES)(scene, **options))
+    _write(folder, lambda: load(DEMO_FILES)(scene, **options))
 
 
 def write_nights(folder: Path, nights: int, **options: Any) -> None:
@@ -50,7 +50,7 @@ def write_nights(folder: Path, nights: int, **options: Any) -> None:
 
     options: those of `wbflow_demo.files.demo_nights`: frames, small, cameras, seed.
     """
-    _write(folder, lambda: function(DEMO_NIGHTS)(nights, **options))
+    _write(folder, lambda: load(DEMO_NIGHTS)(nights, **options))
 
 
 def _write(folder: Path, render: Callable[[], Any]) -> None:

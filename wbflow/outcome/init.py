@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..cache.atomic import write_atomic
+from ..cache.plugins import load
 from ..cache.untrusted import Unreadable, read_outside
 from ..errors import UsageError
 from ..site.locations import is_name
-from .artifacts import function
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 """Suffixes of files that are taken for photographs, whatever their case."""
@@ -145,7 +145,7 @@ def write_calibration(
     except Unreadable as error:
         raise UsageError(f"{pictures}: {error.what}", remedy="name a folder of photographs, or a video") from None
     try:
-        made, words = function(FILES)(camera, data, board, model)
+        made, words = load(FILES)(camera, data, board, model)
     except ValueError as error:
         remedy = "5 sharp pictures and more, with the board near, far, turned, and in every corner of the picture"
         raise UsageError(f"{pictures}: {error}", remedy=remedy) from None

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.atomic import write_atomic
+from ..cache.plugins import load
 from ..errors import UsageError
 from ..pipeline.exports import PAIR_FILES, PAIR_RESULTS
 from ..pipeline.names import DISPARITY, FRAMES, POSES
 from ..report.template import render
 from ..site.load import load_site
 from ..site.models import Site
-from .artifacts import FinishedRun, function
+from .artifacts import FinishedRun
 
 PAIR = ("left", "right")
 
@@ -63,7 +64,7 @@ def write_pair(run: FinishedRun, out: Path) -> tuple[Path, ...]:
     results = {name: run.made(stage, PAIR) for name, stage in PAIR_RESULTS.items()}
     if left is None or right is None or next(iter(results.values())) is None:
         return ()
-    made, summary = function(PAIR_FILES)(left, right, **results)
+    made, summary = load(PAIR_FILES)(left, right, **results)
     figures = run.record.pairs[0].to_json() | summary
     made["index.html"] = _page(list(made), figures).encode()
     made["pair.json"] = json.dumps(figures, indent=1).encode()

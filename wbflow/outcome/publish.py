@@ -15,6 +15,7 @@ from ..cache import artifact
 from ..cache.atomic import in_words
 from ..cache.cleanup import clean
 from ..cache.layout import WorkFolder, cloud_name
+from ..cache.plugins import load
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import UsageError, WbflowError
 from ..pipeline.names import FRAMES, FUSE, POSES
@@ -35,7 +36,7 @@ from ..site.models import Site
 from ..task import Task
 from . import acknowledge
 from .acknowledge import Acknowledgement
-from .artifacts import FinishedRun, function
+from .artifacts import FinishedRun
 from .baseline import Baseline
 from .notify import metrics
 from .run_record import run_record
@@ -134,7 +135,7 @@ def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
     """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, where nobody has kept that form."""
     receipt = plan.states[Task(POSES)].receipt
     kept = plan.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
-    cameras: dict[str, Any] = json.loads(kept or function(stage_named(POSES).products.cameras)(artifact.decode(poses)))
+    cameras: dict[str, Any] = json.loads(kept or load(stage_named(POSES).products.cameras)(artifact.decode(poses)))
     return cameras
 
 
@@ -159,7 +160,7 @@ def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
         if not (stage.products.files and state and state.usable and state.receipt):
             continue
         try:
-            for name, content in function(stage.products.files)(plan.cache.load(Task(stage.name), state.receipt)):
+            for name, content in load(stage.products.files)(plan.cache.load(Task(stage.name), state.receipt)):
                 data = content if isinstance(content, bytes) else bytes(ply_bytes(content, comments=("made by wbflow",)))
                 yield stage.name, name, data
         except (WbflowError, ValueError, ImportError) as error:
