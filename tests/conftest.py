@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.site import captures
 
 SLOWEST = (
     "wbflow/test_yard.py",
@@ -31,4 +32,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     """A toy site of four cameras."""
     monkeypatch.syspath_prepend(str(HELPERS))
+    monkeypatch.setattr(captures, "STILL_SECONDS", 0.0)  # its captures were written just now, and are complete
     return ToySite(tmp_path / "site", ["gate", "roof", "mast-1", "crane"])

@@ -23,7 +23,7 @@ from ..pipeline.stages import stage_named
 from ..pipeline.summaries import PosesSummary
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger
-from ..records.record import RunRecord
+from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import UnfinishedRun
 from ..reference.create import fit_to_pin, pin, prepare
 from ..runner.context import Options, RunContext
@@ -111,9 +111,8 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
         unfinished.write(name, data)
         files.setdefault(stage, []).append(name)
     record = run_record(run, plan, journal.started, journal.seconds(own_process), journal.peak_rss_mb, files)
-    in_motion = context.captures_in_motion()
-    cameras_now = (replace(camera, captures_in_motion=tuple(in_motion.get(camera.id, ()))) for camera in record.cameras)
-    record = replace(record, cameras=tuple(cameras_now))
+    harmful, harmless = context.captures_in_motion()
+    record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     record = judge_run(
         record,
         plan,
@@ -129,6 +128,15 @@ def publish(run: str, context: RunContext, worked: Worked, journal: Journal, own
         context.site.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return FinishedRun(place, folder, record, tasks, plan.cache)
+
+
+def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmless: Mapping[str, list[str]]) -> CameraRecord:
+    """Return a camera with its captures that have changed during the run."""
+    replaced = [
+        f"{name} was overwritten during the run; it was read as a whole, and `captures` has the digest of what was used"
+        for name in harmless.get(camera.id, ())
+    ]
+    return replace(camera, captures_in_motion=tuple(harmful.get(camera.id, ())), notes=(*camera.notes, *replaced))
 
 
 def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:

@@ -177,7 +177,7 @@ FINDINGS: Mapping[str, FindingType] = {
         ),
         FindingType(
             "captures-in-motion",
-            "Captures were replaced, or still grew, while the run worked on them.",
+            "Captures still grew after 10 s of waiting, or were replaced though their names have a date, while the run worked.",
             "run the night again; have captures complete before the run begins, and each night's under names of its own",
             "captures changed while the night was worked on: {captures}; run.json has the digests of those that were used",
         ),

@@ -15,7 +15,7 @@ from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.stages import STAGES, stage_named
 from ..records.reference_folder import BadReference, Reference, read_reference
-from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night
+from ..site.captures import CaptureFile, as_now, expected, find_captures, find_named, in_motion, look_again, night, when_complete
 from ..site.models import Site
 from ..site.staleness import look_at
 from ..task import camera_of, component_name
@@ -106,6 +106,8 @@ class RunContext:
     plan: Plan
     replaced: set[Path] = field(default_factory=set)
     """Files that were found changed after their digests had been taken."""
+    growing: frozenset[Path] = frozenset()
+    """Captures that were still being written when the run began."""
 
     def remember(self) -> None:
         """Keep what was learnt of files, for the next run.  Raises OSError."""
@@ -124,9 +126,19 @@ class RunContext:
             if file.path == path:
                 self.plan.named[name] = as_now(file, self.digests)
 
-    def captures_in_motion(self) -> dict[str, list[str]]:
-        """Captures that were replaced, or grew, since the run began: their names, by camera."""
-        return in_motion(self.captures, self.replaced, self.digests)
+    def captures_in_motion(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+        """Captures that have changed since the run began, by camera: those that should not have, and those that may.
+
+        A camera whose captures' names say no date overwrites one and the same file: each is read as a whole, and once it is
+        complete the next one harms nothing.
+        """
+        changed = in_motion(self.captures, self.replaced, self.digests)
+        if self.site.captures.dated:
+            return changed, {}
+        unfinished = {file.name for files in self.captures.values() for file in files if file.path in self.growing}
+        harmful = {camera: [name for name in names if name in unfinished] for camera, names in changed.items()}
+        harmless = {camera: [name for name in names if name not in unfinished] for camera, names in changed.items()}
+        return harmful, harmless
 
 
 def plan_run(
@@ -152,7 +164,8 @@ def plan_run(
     digests, seen = Digests(work.captures_memo), Seen(work.seen_memo)
     look_again(site)
     found_date = night(site, date)
-    delivered = look_at(site, found_date, find_captures(site, found_date, digests), digests, seen)
+    found, growing = when_complete(find_captures(site, found_date, digests), digests)
+    delivered = look_at(site, found_date, found, digests, seen)
     lost = [camera for camera in site.cameras if not delivered.captures[camera.id]]
     reference, misfit = _reference(site, work)
     plan = Plan(
@@ -169,7 +182,7 @@ def plan_run(
         stale=delivered.stale,
         night_given=date is not None,
     )
-    return RunContext(site, found_date, delivered.captures, digests, seen, delivered.notes, plan)
+    return RunContext(site, found_date, delivered.captures, digests, seen, delivered.notes, plan, growing=growing)
 
 
 def _reference(site: Site, work: WorkFolder) -> tuple[Reference | None, str]:

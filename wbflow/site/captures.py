@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import functools
 import threading
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -31,6 +32,8 @@ class CaptureFile:
 
 ANSWER_SECONDS = 120.0
 """A camera's folder that takes longer to list and read does not answer: its mount is dead."""
+STILL_SECONDS, MOST_SECONDS, _POLL_SECONDS = 0.5, 10.0, 0.05
+"""A capture that is being written is waited for until it has stood still so long; for all together at most so long."""
 LATER_SECONDS = 5.0
 """The same once another camera's folder has not answered: most cameras share one mount."""
 T = TypeVar("T")
@@ -185,6 +188,32 @@ def as_now(file: CaptureFile, digests: Digests) -> CaptureFile:
         return replace(file, digest=digests.of(file.path))
     except OSError:  # gone since
         return replace(file, digest="")
+
+
+def when_complete(
+    captures: Mapping[str, list[CaptureFile]], digests: Digests
+) -> tuple[dict[str, list[CaptureFile]], frozenset[Path]]:
+    """Return captures once those that are being written stand still, and which still grew after `MOST_SECONDS`.
+
+    A capture is taken for complete when nothing was written to it for `STILL_SECONDS`.
+    """
+    end = time.monotonic() + MOST_SECONDS
+    waited: set[Path] = set()
+    files = [file for mine in captures.values() for file in mine if file.digest]
+    while (growing := {file.path for file in files if _is_written(file.path)}) and time.monotonic() < end:
+        waited |= growing
+        files = [file for file in files if file.path in growing]
+        time.sleep(_POLL_SECONDS)
+    now = {name: [as_now(f, digests) if f.path in waited else f for f in mine] for name, mine in captures.items()}
+    return now, frozenset(growing)
+
+
+def _is_written(path: Path) -> bool:
+    """Was a file written to just now?  One of the future says nothing: its disk has another clock."""
+    try:
+        return 0 <= time.time() - path.stat().st_mtime < STILL_SECONDS
+    except OSError:
+        return False
 
 
 def in_motion(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:

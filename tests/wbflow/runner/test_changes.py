@@ -12,6 +12,15 @@ from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.artifact import file_digest
 from wbflow.cache.digests import Digests
 from wbflow.runner import loop
+from wbflow.site import captures
+
+OVERWRITTEN = "roof.txt was overwritten during the run; it was read as a whole, and `captures` has the digest of what was used"
+
+
+def notes_of(record: dict[str, Any], name: str) -> list[str]:
+    """Of a camera's captures."""
+    notes = next(list(camera["notes"]) for camera in record["cameras"] if camera["id"] == name)
+    return [note for note in notes if note.startswith(f"{name}.txt")]
 
 
 @pytest.fixture
@@ -38,8 +47,7 @@ def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
 ) -> None:
     before = toy.capture("roof").read_text()
     after_looking(toy.capture("roof"), 1)
-    (finding,) = toy.run(code=3)["verdict"]["findings"]
-    assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
+    assert notes_of(toy.run(), "roof") == [OVERWRITTEN]
     replaced = toy.cloud
     monkeypatch.undo()
     monkeypatch.syspath_prepend(str(HELPERS))
@@ -51,9 +59,13 @@ def test_what_it_holds_now_is_used_and_kept_under_its_own_digest(
     assert "frames roof" in toy.ran()
 
 
+@pytest.mark.parametrize("dated", [True, False])
 def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_used(
-    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dated: bool
 ) -> None:
+    """It degrades the night where each night has names of its own; others overwrite their captures all the time."""
+    monkeypatch.syspath_prepend(str(HELPERS))
+    toy = ToySite(tmp_path / "site", ["gate", "roof", "mast-1", "crane"], dated=dated)
     used = file_digest(toy.capture("roof"))
     work = loop.work
 
@@ -63,10 +75,45 @@ def test_what_is_replaced_after_it_was_read_is_named_with_the_bytes_that_were_us
         return worked
 
     monkeypatch.setattr("wbflow.outcome.publish.work", work_then_replace)
-    record = toy.run(code=3)
-    (finding,) = record["verdict"]["findings"]
+    record = toy.run(code=3 if dated else 0)
+    if dated:
+        (finding,) = record["verdict"]["findings"]
+        assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
+    assert notes_of(record, "roof") == ([] if dated else [OVERWRITTEN])
+    assert record["cameras"][1]["captures"] == {toy.capture("roof").name: used}
+
+
+def test_a_capture_that_is_being_written_is_waited_for(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(captures, "STILL_SECONDS", 0.2)
+    looks = iter(range(4))
+    still = captures._is_written
+
+    def written(path: Path) -> bool:
+        if path == toy.capture("roof") and next(looks, None) is not None:
+            path.write_text(f"{path.read_text()}, and more of it")
+        return still(path)
+
+    monkeypatch.setattr(captures, "_is_written", written)
+    record = toy.run()
+    assert record["cameras"][1]["captures"] == {"roof.txt": file_digest(toy.capture("roof"))}
+    assert (toy.capture("roof").read_text().count("more of it"), notes_of(record, "roof")) == (4, [])
+
+
+def test_one_that_grows_for_ever_is_waited_for_no_longer_than_is_stated_and_degrades_the_night(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(captures, "MOST_SECONDS", 0.3)
+    monkeypatch.setattr(captures, "_is_written", lambda path: path == toy.capture("roof"))
+    work = loop.work
+
+    def work_while_it_grows(*arguments: Any) -> Any:
+        worked = work(*arguments)
+        toy.capture("roof").write_text("a view from roof, and more of it")
+        return worked
+
+    monkeypatch.setattr("wbflow.outcome.publish.work", work_while_it_grows)
+    (finding,) = toy.run(code=3)["verdict"]["findings"]
     assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
-    assert record["cameras"][1]["captures"] == {"roof.txt": used}
 
 
 def test_a_file_that_keeps_changing_costs_its_camera_only(toy: ToySite, after_looking: Callable[[Path, int], None]) -> None:
