@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -103,30 +104,28 @@ class ReportData:
         return self._reference.date if self._reference else ""
 
     @cached_property
-    def _earlier_cameras(self) -> tuple[str, Mapping[str, Any]]:
-        """The last earlier night whose cameras were placed, and these."""
+    def _earlier_cameras(self) -> tuple[Mapping[str, Any], str]:
+        """The cameras of the last earlier night on which they were placed, and which night that was."""
         for record in self.earlier:
-            try:
+            with suppress(NoSuchRun):
                 if cameras := RunFolder.of(self.work, record.run).cameras():
-                    return record.date, cameras
-            except NoSuchRun:
-                continue
-        return "", {}
+                    return cameras, record.date
+        return {}, ""
+
+    def _placements(self) -> Iterator[tuple[Mapping[str, Any], str]]:
+        """Yield what is known of where cameras stand, the best first, and where that is from if not from tonight."""
+        yield self.cameras, ""
+        if self._reference:
+            yield self._reference.cameras, f"stood here on {self._reference.date}"
+        yield self._earlier_cameras[0], f"stood here on {self._earlier_cameras[1]}"
+        placed = (camera for camera in self.site.cameras if camera.placement.C is not None)
+        stated = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
+        yield stated, "stands here by the site file"
 
     def placement(self, camera: str) -> tuple[Mapping[str, Any], str] | None:
         """Return a camera as cameras.json has it, and where that is from if not from tonight."""
-        sources = [(self.cameras, "")]
-        if self._reference:
-            sources.append((self._reference.cameras, f"stood here on {self._reference.date}"))
-        sources.append((self._earlier_cameras[1], f"stood here on {self._earlier_cameras[0]}"))
-        for cameras, note in sources:
-            if (entry := cameras.get(camera)) and entry.get("C"):
-                return entry, note
-        stated = next((c for c in self.site.cameras if c.id == camera), None)
-        if stated and stated.placement.C is not None:
-            lens = {"K": stated.lens.K, "width": stated.lens.width, "height": stated.lens.height}
-            return {"C": stated.placement.C, "R": stated.placement.R, **lens}, "stands here by the site file"
-        return None
+        known = ((cameras.get(camera), note) for cameras, note in self._placements())
+        return next(((entry, note) for entry, note in known if entry and entry.get("C")), None)
 
     def report_of(self, run: str) -> str:
         """Return the link to another run's report."""
