@@ -198,7 +198,8 @@ def check_cameras(night: Night) -> Iterator[Finding]:
     for camera in night.record.cameras:
         trouble = _trouble(camera, night.record)
         if trouble and trouble.kind == "camera-no-usable-pair":
-            trouble = None if camera.id in excused else _blamed(trouble, blamed.get(camera.id))
+            may_be_dense = not night.facts.product and camera.figures.pose_from == "stated"  # along rows that its pose predicts
+            trouble = None if camera.id in excused or may_be_dense else _blamed(trouble, blamed.get(camera.id))
         if trouble:
             down = camera.down
             lasted = f"; {down.words(left_out=not camera.ok)}" if down and down.nights > 1 else ""

@@ -412,6 +412,15 @@ def test_pictures_without_detail_are_soft_where_their_points_show_it(detail_px: 
     assert [finding.kind for finding in found] == (["pictures-soft"] if soft else [])
 
 
+def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_matching_was_tried() -> None:
+    cameras = [replace(one, figures=replace(one.figures, pose_from="stated")) for one in map(camera, NAMES)]
+    tried = [pair(*names, outcome="rejected" if "mast" in names else "ok", matched="mast" not in names) for names in PAIRS]
+    until_poses = verdict_of(night(cameras=cameras, pairs=tried, facts=Facts(product=False))).findings
+    to_the_end = verdict_of(night(cameras=cameras, pairs=tried)).findings
+    kinds = [[f.kind for f in found].count("camera-no-usable-pair") for found in (until_poses, to_the_end)]
+    assert kinds == [0, 1]
+
+
 def test_the_guide_lists_every_finding_with_its_meaning_and_remedy() -> None:
     guide = (Path(__file__).parents[3] / "sites" / "README.md").read_text()
     listed = [line for line in guide.splitlines() if line.startswith(tuple(f"| `{code}`" for code in FINDINGS))]
