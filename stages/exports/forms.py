@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..io.rasters import pfm, png, stepped
-from ..types import Camera, Cloud, DepthMap, Frame, Geometry, Poses
+from ..types import Camera, Changes, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
     import open3d
@@ -125,6 +125,28 @@ def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
 
 def _main_cameras(poses: Poses) -> dict[str, Camera]:
     return {name: camera for name, camera in poses.cameras.items() if camera.component == 0}
+
+
+def geojson(poses: Poses, changes: Changes | None) -> Files:
+    """cameras.geojson, and where nights were compared changes.geojson: longitude, latitude, height above the ellipsoid."""
+    place = _georeference(poses)
+    if place is None:
+        raise ValueError("the site is not on the map: state positions by latitude, longitude and height")
+    features = []
+    for name, camera in _main_cameras(poses).items():
+        east, north, _ = camera.R[2]
+        heading = round(float(np.degrees(np.arctan2(east, north))) % 360, 2)
+        features.append(_feature(place, camera.C, {"camera": name, "heading_deg": heading}))
+    yield "cameras.geojson", _json({"type": "FeatureCollection", "features": features})
+    if changes is not None and changes.compared:
+        found = [_feature(place, (c.x, c.y, c.z), {"change": name, **vars(c)}) for name, c in changes.changes.items()]
+        yield "changes.geojson", _json({"type": "FeatureCollection", "features": found})
+
+
+def _feature(place: Georeference, at: Any, properties: dict[str, Any]) -> dict[str, Any]:
+    """A point of the world as a feature (RFC 7946)."""
+    coordinates = [round(float(value), digits) for value, digits in zip(place.degrees(at), (8, 8, 3), strict=True)]
+    return {"type": "Feature", "geometry": {"type": "Point", "coordinates": coordinates}, "properties": properties}
 
 
 def _georeference(poses: Poses) -> Georeference | None:

@@ -7,6 +7,7 @@ its PROJ string lies at the centre of the earth.  UTM is known everywhere; heigh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyproj
@@ -23,6 +24,13 @@ class Georeference:
 
     epsg: int
     steps: str
+    geographic: str
+    """Steps to longitude, latitude (degrees) and height above the ellipsoid."""
+
+    def degrees(self, x: Any) -> tuple[float, float, float]:
+        """A world point as longitude, latitude (degrees, WGS 84) and height above the ellipsoid."""
+        longitude, latitude, height = pyproj.Transformer.from_pipeline(self.geographic).transform(*(float(v) for v in x))
+        return longitude, latitude, height
 
     def points(self, X: Float64s) -> Float64s:
         """(n, 3) float64 world points as easting, northing and height above the ellipsoid, metres."""
@@ -52,4 +60,5 @@ def georeference(crs: str) -> Georeference:
         raise ValueError(f"UTM does not reach latitude {latitude:g}")
     zone = int((longitude + 180) // 6) % 60 + 1
     south = " +south" if latitude < 0 else ""
-    return Georeference((32700 if south else 32600) + zone, f"{upward} +step +proj=utm +zone={zone}{south} +ellps=WGS84")
+    steps = f"{upward} +step +proj=utm +zone={zone}{south} +ellps=WGS84"
+    return Georeference((32700 if south else 32600) + zone, steps, f"{upward} {unit}")

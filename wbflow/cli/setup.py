@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..errors import ExitCode, UsageError
-from .common import PATH, echo, jobs_option, stop, verbose_option
+from .common import PATH, echo, echo_json, jobs_option, stop, verbose_option
 
 _PLAIN = ("yard", "day", "standard", "standard")
 """Scene, light, lenses and surfaces of a demo of several nights."""
@@ -161,3 +161,16 @@ def stages(stage: str | None) -> None:
         raise UsageError(f"there is no stage {stage!r}", remedy=remedy)
     reader = FunctionReader()
     echo("\n\n".join("\n".join(describe(row, reader)) for row in chosen or STAGES))
+
+
+@click.command()
+def schema() -> None:
+    """The JSON schema of a site file: editors complete and check keys by it.
+
+    \b
+    wbflow schema > site.schema.json
+    # yaml-language-server: $schema=site.schema.json      (first line of a site file)
+    """
+    from ..site.models import site_schema
+
+    echo_json(site_schema())

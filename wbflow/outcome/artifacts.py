@@ -16,7 +16,7 @@ from ..cache.ply import read_ply
 from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, UsageError, WbflowError
 from ..pipeline.exports import EXPORTS, EXTRAS, Export
-from ..pipeline.names import FRAMES, FUSE, POSES
+from ..pipeline.names import FRAMES, FUSE
 from ..pipeline.stages import CLOUD_TABLE, STAGES, stage_named
 from ..records.events import TaskEvent
 from ..records.record import CloudRecord, RunRecord
@@ -185,6 +185,5 @@ def require(row: Export, *, georeferenced: bool) -> None:
 def _result(run: FinishedRun, stages: tuple[str, ...]) -> Any:
     if stages == (FUSE,):
         return run.cloud()
-    if stages == (POSES,):
-        return run.made(POSES)
-    return run.of_pairs(*stages) if stage_named(stages[0]).scope == "pair" else run.of_cameras(*stages)
+    scope = stage_named(stages[0]).scope
+    return run.made(stages[0]) if scope == "site" else run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)

@@ -21,7 +21,8 @@ class Export:
     function: str
     """Dotted: package.module:function."""
     inputs: Mapping[str, tuple[str, ...]]
-    """By argument name: the cloud, the poses, or of every camera or pair (as a mapping) what the first of these stages gave."""
+    """By argument name: the cloud, what a stage of the site gave (None: nothing), or of every camera or pair (as a mapping) what
+    the first of these stages gave."""
     dated: bool = False
     """Takes the night's date, too, as `day`."""
     extra: str = ""
@@ -76,6 +77,13 @@ EXPORTS: tuple[Export, ...] = (
         "wbflow_stages.exports.forms:orthophoto",
         {"cloud": _CLOUD, "poses": _POSES, "frames": (FRAMES,)},
         extra_on_the_map="geo",
+    ),
+    Export(
+        "geojson",
+        "Cameras and changes as GeoJSON, of a site on the map.",
+        "wbflow_stages.exports.forms:geojson",
+        {"poses": _POSES, "changes": ("changes",)},
+        extra="geo",
     ),
     Export(
         "colmap",

@@ -19,6 +19,7 @@ from pydantic_core import PydanticCustomError
 from ..cache.atomic import bytes_of
 from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
+from ..pipeline.stages import STAGES
 from ..task import camera_of
 from .calibration.calibrated import Lens, Placement, lens_fault
 from .locations import Document, Location, SiteProblem
@@ -260,14 +261,14 @@ def _bytes(value: Any) -> int | None:
         raise _error(str(error)) from None
 
 
-Nights = Annotated[int | None, BeforeValidator(_nights)]
+Nights = Annotated[int | None, BeforeValidator(_nights, json_schema_input_type=int | Literal["all"] | None)]
 
 
 class KeepEntry(Section):
     """What stays on disk after a run."""
 
     nights: Nights = None
-    bytes: Annotated[int | None, BeforeValidator(_bytes)] = None
+    bytes: Annotated[int | None, BeforeValidator(_bytes, json_schema_input_type=int | str | None)] = None
     clouds: Nights = None
     reports: Nights = None
 
@@ -382,6 +383,15 @@ class SiteFile(Section):
         """Every position in the file with its location."""
         yield from ((("cameras", k, "pose"), camera.pose) for k, camera in enumerate(self.cameras) if camera.pose)
         yield from ((("control_points", k), point) for k, point in enumerate(self.control_points))
+
+
+def site_schema() -> dict[str, Any]:
+    """Return the JSON schema of a site file."""
+    schema = SiteFile.model_json_schema()
+    cameras = schema["properties"]["cameras"]
+    cameras["items"] = {"anyOf": [{"type": "string"}, cameras["items"]]}
+    schema["properties"]["stages"]["properties"] = {stage.name: {"type": ["object", "boolean"]} for stage in STAGES}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A site of wbflow", **schema}
 
 
 @dataclass(frozen=True)

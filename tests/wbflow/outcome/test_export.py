@@ -143,6 +143,22 @@ def test_a_site_on_the_map_gives_a_laz_and_a_geotiff_with_their_place(site: Path
     assert np.median(np.abs(there[:3] - written)) < 20, "of walls only the upper edge is seen"
 
 
+def test_cameras_of_a_site_on_the_map_are_geojson_and_of_others_are_refused(site: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    assert "not on the map" in wbflow_export(site, tmp_path / "no", "--geojson").output
+    on_map = placed_on_the_map(site, tmp_path / "site")
+    assert wbflow_export(on_map, tmp_path / "out", "--geojson").exit_code == 0
+    data = json.loads((tmp_path / "out" / "cameras.geojson").read_text())
+    solved = json.loads((site / ".wbflow" / "yard" / "runs" / "latest" / "cameras.json").read_text())
+    found = {f["properties"]["camera"]: f["geometry"]["coordinates"] for f in data["features"]}
+    assert found.keys() == solved.keys()
+    for name, (longitude, latitude, height) in found.items():
+        east, north, up = solved[name]["C"]
+        assert (latitude - ORIGIN[0]) * 111_200 == pytest.approx(north, rel=0.01, abs=0.05)
+        assert (longitude - ORIGIN[1]) * 111_320 * np.cos(np.radians(ORIGIN[0])) == pytest.approx(east, rel=0.01, abs=0.05)
+        assert height == pytest.approx(ORIGIN[2] + up, abs=0.01)
+
+
 def placed_on_the_map(site: Path, copy: Path) -> Path:
     """A copy of a site whose cameras are said to have been found by latitude and longitude."""
     from dataclasses import replace
