@@ -44,7 +44,7 @@ SITE_TYPES = {
 Scope = Literal["camera", "pair", "site"]
 Of = Literal["own", "left", "right", "every", "around", "near"]
 Condition = Callable[[Any], bool]
-"""A question to the site (`site.site.Site`)."""
+"""A question to the site (`site.models.Site`)."""
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from ..cache.store import Receipt
 from ..pipeline.binding import Binding
 from ..pipeline.names import FRAMES
-from ..pipeline.stages import Adapt, Reuse, Stage
+from ..pipeline.stages import Adapt, Stage
 from ..records.reference_folder import Reference
-from ..runner.spec import Files, Value, input_digests, stated, stated_of_site
+from ..runner.spec import Files, Joined, Value, input_digests, stated, stated_of_site
 from ..site.captures import file_of_stage
 from ..site.models import Site
-from ..task import Task, camera_of
+from ..task import camera_of
 
 if TYPE_CHECKING:
     from ..runner.planner import Plan
@@ -52,8 +52,8 @@ def misfit(reference: Reference, plan: Plan) -> str:
 
 def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, settings: Mapping[str, Any]) -> str:
     then, task = receipt.preimage, receipt.preimage.task
-    if then.function in _adaptations(stage.reuse):
-        return ""
+    if any(isinstance(how, Adapt) and how.function == then.function for how in (stage.reuse.shifted, stage.reuse.moved)):
+        return ""  # it was made from the result of an earlier reference
     if then.function not in {bound.function.dotted, stage.reuse.aggregate}:
         return f"{stage.name}: function {then.function} → {bound.function.dotted}"
     now = {**bound.defaults(), **settings}
@@ -63,21 +63,14 @@ def _changed(receipt: Receipt, stage: Stage, site: Site, bound: Binding, setting
             return f"parameter {stage.name}.{name} {then.parameters.get(name)} → {value}"
     for name, need in bound.inputs.items():
         if need.kind == "site" and need.name in _COMPARED:
-            everywhere = need.of == "every" or need.name == "survey"
-            said = stated_of_site(site, need.name) if everywhere else _stated(site, need.name, task)
-            if said is None:
+            said: Value | Joined
+            if need.of == "every" or need.name == "survey":
+                said = stated_of_site(site, need.name)
+            elif view := next((view for view in site.views if view.id == task.subject[0]), None):
+                said = stated(view, need.name)
+            else:
                 return f"the views of camera {camera_of(task.subject[0])}"
             for entry, digest in input_digests({name: said}).items():
                 if then.inputs.get(entry) != digest:
                     return f"what the site file says of {entry}"
     return ""
-
-
-def _stated(site: Site, what: str, task: Task) -> Value | None:
-    """None of a view that its camera has no longer."""
-    return next((stated(view, what) for view in site.views if view.id == task.subject[0]), None)
-
-
-def _adaptations(reuse: Reuse) -> set[str]:
-    """Functions that make a result of a stage from that of an earlier reference."""
-    return {place.function for place in (reuse.shifted, reuse.moved) if isinstance(place, Adapt)}

@@ -44,6 +44,11 @@ def rotation_fault(R: Matrix, tolerance: float = 1e-3) -> str:
     return ""
 
 
+def centre(R: Matrix, t: Vector) -> Vector:
+    """The centre of the camera x = R X + t."""
+    return [-sum(R[j][i] * t[j] for j in range(3)) for i in range(3)]
+
+
 def turned(R: Matrix, turn: Matrix) -> Matrix:
     """The product turn R."""
     columns = list(zip(*R, strict=True))

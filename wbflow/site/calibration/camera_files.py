@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..locations import CalibrationError, Document, Location, SiteError, parse_yaml
-from ..rotations import Matrix, rotation_fault, turned
+from ..rotations import Matrix, centre, rotation_fault, turned
 from .calibrated import REMEDY, Calibrated, Faulty, calibrated
 
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx", "K", "k")
@@ -122,8 +122,8 @@ def _kalibr(data: dict[str, Any]) -> dict[str, Calibrated]:
             continue
         if k and R is not None:
             R, t = _chained(name, entry, R, t)
-        C = [-sum(R[j][i] * t[j] for j in range(3)) for i in range(3)] if R else None
-        found[str(name)] = camera = _kalibr_camera(str(name), entry, {"R": R, "C": C} if len(data) > 1 else {})
+        pose = {"R": R, "C": centre(R, t)} if R and len(data) > 1 else {}
+        found[str(name)] = camera = _kalibr_camera(str(name), entry, pose)
         if topic := _text(entry.get("rostopic")).strip("/"):
             found[topic] = camera
     return found

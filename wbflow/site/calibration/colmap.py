@@ -15,7 +15,7 @@ from typing import Any
 
 from ...cache.untrusted import Unreadable, is_file, read_outside
 from ..locations import CalibrationError, SiteError, read_text
-from ..rotations import Matrix
+from ..rotations import Matrix, centre
 from .calibrated import Calibrated, calibrated
 
 _LAYOUTS: dict[str, tuple[str, int, int]] = {
@@ -73,8 +73,7 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             raise CalibrationError(f"{what} is of camera {number}, which {file} lacks", where=where, remedy=_REMEDY)
         try:
             R = _quaternion_to_rotation(*pose[:4])
-            C = [-sum(R[j][i] * pose[4 + j] for j in range(3)) for i in range(3)]  # of x = R X + t
-            found[name] = calibrated({**lenses[number], "R": R, "C": C})
+            found[name] = calibrated({**lenses[number], "R": R, "C": centre(R, pose[4:])})
         except (TypeError, IndexError, ValueError) as error:
             raise CalibrationError(f"{what}: {error}", where=where, remedy=_REMEDY) from None
     return found
