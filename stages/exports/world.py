@@ -29,7 +29,8 @@ class Georeference:
 
     def degrees(self, x: Any) -> tuple[float, float, float]:
         """A world point as longitude, latitude (degrees, WGS 84) and height above the ellipsoid."""
-        longitude, latitude, height = pyproj.Transformer.from_pipeline(self.geographic).transform(*(float(v) for v in x))
+        east, north, up = (float(value) for value in x)
+        longitude, latitude, height = pyproj.Transformer.from_pipeline(self.geographic).transform(east, north, up)
         return longitude, latitude, height
 
     def points(self, X: Float64s) -> Float64s:
