@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -270,11 +270,6 @@ FINDINGS: Mapping[str, FindingType] = {
     )
 }
 """Everything that a verdict can say."""
-
-
-def findings_table() -> Iterator[tuple[str, str, str]]:
-    """Yield code, meaning and remedy of every finding, for the documentation."""
-    return ((row.code, row.meaning, row.remedy) for row in FINDINGS.values())
 
 
 def finding(

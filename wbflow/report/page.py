@@ -96,7 +96,7 @@ def _content(data: ReportData) -> dict[str, Any]:
         "camera_figures": partial(camera_figures, data),
         "keypoints": partial(keypoints, data),
         "bars": camera_bars(data),
-        "columns": columns,
+        "columns": [meaning(name) for name in columns],
         "pairs": [(pair, [getattr(pair.figures, name) for name in columns]) for pair in record.pairs],
         "tried": partial(tried, data),
         "pair_pictures": pair_pictures(data, album),

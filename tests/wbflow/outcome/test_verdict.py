@@ -13,7 +13,7 @@ from wbflow.errors import ExitCode
 from wbflow.outcome.baseline import Baseline, appearance_of, usual_of
 from wbflow.outcome.verdict import Facts, judge
 from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
-from wbflow.records.findings import FINDINGS, findings_table
+from wbflow.records.findings import FINDINGS
 from wbflow.records.record import (
     CameraRecord,
     CloudRecord,
@@ -424,7 +424,7 @@ def test_a_stated_camera_without_matches_has_no_usable_pair_only_where_dense_mat
 def test_the_guide_lists_every_finding_with_its_meaning_and_remedy() -> None:
     guide = (Path(__file__).parents[3] / "sites" / "README.md").read_text()
     listed = [line for line in guide.splitlines() if line.startswith(tuple(f"| `{code}`" for code in FINDINGS))]
-    assert listed == [f"| `{code}` | {meaning} | {remedy} |" for code, meaning, remedy in findings_table()]
+    assert listed == [f"| `{row.code}` | {row.meaning} | {row.remedy} |" for row in FINDINGS.values()]
 
 
 CONTRADICTED = tuple(PoseIssue("contradicted", name, "by 5.0 degrees") for name in ("gate", "mast"))
