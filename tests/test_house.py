@@ -187,7 +187,7 @@ DEEPER = {
 """Rooms that are deeper still: none may become so, and none of these deeper."""
 
 
-ON_THEIR_OWN = {"stages.exports.las", "stages.fusion.surface_support", "wbflow.cache.owner"}
+ON_THEIR_OWN = {"stages.exports.las", "stages.fusion.surface_support", "wbflow.outcome.systemd", "wbflow.cache.owner"}
 """Modules under 60 lines with one importer that are an idea of their own."""
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..errors import ExitCode, UsageError
-from .common import PATH, echo, echo_json, jobs_option, stop, verbose_option
+from .common import PATH, echo, echo_json, jobs_option, load, stop, verbose_option
 
 _PLAIN = ("yard", "day", "standard", "standard")
 """Scene, light, lenses and surfaces of a demo of several nights."""
@@ -52,7 +52,8 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
 
 @click.command()
 @click.argument("folder", metavar="[FOLDER]", type=PATH, default=Path())
-def init(folder: Path) -> None:
+@click.option("--systemd", is_flag=True, help="Of a site that is there: write a service and a timer that run it every night.")
+def init(folder: Path, systemd: bool) -> None:
     """Write a site file from a folder of photographs.
 
     FOLDER (this one, if none is named) holds one photograph of each camera, or one folder for each camera with its photographs
@@ -61,7 +62,15 @@ def init(folder: Path) -> None:
     \b
     wbflow init photographs        (photographs/gate.jpg, photographs/roof.jpg, ...)
     wbflow init photographs        (photographs/gate/1.jpg, photographs/roof/1.jpg, ...)
+    wbflow init /srv/harbour --systemd
     """
+    if systemd:
+        from ..outcome.systemd import write_units
+
+        units = write_units(load(folder, None))
+        echo("\n".join(map(str, units)))
+        echo(f"now try  sudo systemctl link {' '.join(map(str, units))}  and  sudo systemctl enable --now {units[-1].name}")
+        return
     from ..outcome.init import write_site
 
     file, cameras, note = write_site(folder)
