@@ -49,7 +49,8 @@ of others..."""
 SHARE, SHARE_ALONE = 0.6, 0.8
 """...and where it takes away this share of what the stated cameras lose over the matches' own geometry..."""
 HALF = 0.5
-"""...or, unless it is another pose of one camera, this share of what other poses of all take away: these explain nearly all."""
+"""...or, unless it is another pose of one camera, this share of what other poses of all take away, which explain nearly all.
+Set by design, judged on two yards: exchanged captures, distortion's sign, and heights left out get their own names."""
 LEAST_LOSS = 30.0
 """...and in all so many squared standard deviations (the matches of a pair count as `COUNTED` at most)."""
 COUNTED = 50
