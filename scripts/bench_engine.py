@@ -182,7 +182,7 @@ def measured(subject: Subject, fresh: Subject, rows: list[Row], count: Callable[
     count : callable
         How many tasks it has, once it has run.
     work : Path, optional
-        The work folder, of wbflow: what the tasks have used themselves is told apart.
+        The work folder, of wbflow: what the tasks have used themselves is distinguished.
     """
 
     def add(what: str, of: Subject, tasks: int) -> None:

@@ -80,12 +80,12 @@ def plan(cameras: int) -> Iterator[Row]:
         (folder / "site.yaml").write_text(json.dumps(site))
         _wbflow("run", folder / "site.yaml", "--until", "features")
         cpu, wall = _wbflow("run", folder / "site.yaml", "--until", "pairs")
-        told = json.loads((folder / ".wbflow" / "plan" / "runs" / "latest" / "run.json").read_bytes())
-        for stage, seconds in told["seconds"]["stages"].items():
+        reported = json.loads((folder / ".wbflow" / "plan" / "runs" / "latest" / "run.json").read_bytes())
+        for stage, seconds in reported["seconds"]["stages"].items():
             yield Row(cameras, stage, seconds["tasks"], seconds["cpu"], seconds["wall"])
         yield Row(cameras, "whole run, with report", 2, cpu, wall)
         cpu, wall = _wbflow("run", folder / "site.yaml", "--dry-run")
-        yield Row(cameras, "plan", len(told["pairs"]), cpu, wall)
+        yield Row(cameras, "plan", len(reported["pairs"]), cpu, wall)
 
 
 def overlap(cameras: int) -> Iterator[Row]:

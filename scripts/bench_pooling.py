@@ -99,7 +99,7 @@ def of_runs(demo: Path, runs: list[Path], pairs: list[str]) -> None:
         left, right = pair.split("--")
         truth = truth_of(cameras[left], _depth(demo, left), cameras[right], _depth(demo, right))
         scale = nights[0][left].view.width / cameras[left].width
-        told(pair, truth.at(scale), [(frames[left], frames[right]) for frames in nights])
+        reported(pair, truth.at(scale), [(frames[left], frames[right]) for frames in nights])
 
 
 def of_the_dark(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
@@ -107,7 +107,7 @@ def of_the_dark(size: tuple[int, int], nights: int, pairs: list[str]) -> None:
     site = render("yard", cameras=8, size=size, captures=nights, light="dark")
     for pair in pairs:
         left, right = (site[name] for name in pair.split("--"))
-        told(
+        reported(
             pair,
             truth_of(left.camera, left.depth, right.camera, right.depth),
             [(frame(left, k), frame(right, k)) for k in range(nights)],
@@ -120,7 +120,7 @@ def frame(camera: DemoCamera, night: int) -> Frame:
     return clean_frame([Capture("picture.jpg", picture)], camera.lens, Capture("mask.png", mask), resolution=None)
 
 
-def told(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
+def reported(pair: str, truth: Truth, frames: list[tuple[Frame, Frame]]) -> None:
     """Print what each night says, and what all nights up to it do together."""
     print(f"{pair}: {truth.angle_deg:.1f} degrees, {len(truth.x1)} true correspondences")
     matched: list[Matches] = []

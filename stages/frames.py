@@ -1,6 +1,6 @@
 """A camera's captures of one night become one clean frame: upright, undistorted, at working resolution, moving things removed.
 
-Image files from the field arrive empty, cut short, black or from another camera.  Each such case is told apart here, by name,
+Image files from the field arrive empty, cut short, black or from another camera.  Each such case is distinguished here, by name,
 because what the operator has to do about it differs.
 """
 

@@ -101,7 +101,7 @@ def solve_poses(
     cameras = adjusted.cameras
     if rejected := without_baseline(views, cameras, geometries, min_angle_deg, all(placements[n].metric for n in cameras)):
         return rejected
-    told = PoseConstraints.of(tuple(cameras), seen).evidence(cameras)
+    evidence = PoseConstraints.of(tuple(cameras), seen).evidence(cameras)
     held = {name: replace(placements[name], R=c.R, C=c.C, sigma_m=0.0, sigma_deg=0.0) for name, c in cameras.items()}
     believed = {name: placement for name, placement in placements.items() if name not in moved} | held
     trusted = {name: camera for name, camera in stated.items() if name not in moved} | cameras
@@ -113,7 +113,7 @@ def solve_poses(
     uncertain = (PoseIssue("uncertain", name, row_px=px) for name, px in _uncertain(adjusted, geometries).items())
     found = replace(found, issues=(*found.issues, *uncertain), calibration=calibration)
     found = check_survey(found, views, placements, survey)
-    return _checked(found, (known, cameras, trusted), moved, seen, told, max_epipolar_px)
+    return _checked(found, (known, cameras, trusted), moved, seen, evidence, max_epipolar_px)
 
 
 def stated_calibration(
@@ -143,7 +143,7 @@ def _checked(
     stages: tuple[Mapping[str, Camera], Mapping[str, Camera], Mapping[str, Camera]],
     moved: Mapping[str, NewPose],
     seen: Mapping[Pair, Geometry],
-    told: list[Evidence],
+    evidence: list[Evidence],
     max_epipolar_px: float,
 ) -> Poses:
     """What the images say of known poses, with the cameras that were found.
@@ -156,10 +156,10 @@ def _checked(
     max_epipolar_px : see `solve_poses`.
     """
     known, cameras, trusted = stages
-    checks = check_cameras(cameras, seen, told)
-    unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in told) and not checks[n].verified]
-    common = _common(unclear, told)
-    contradiction = _doubt(unclear, cameras, seen, told) if unclear else ""
+    checks = check_cameras(cameras, seen, evidence)
+    unclear = [n for n in cameras if any(n in e.cameras and e.contradicts for e in evidence) and not checks[n].verified]
+    common = _common(unclear, evidence)
+    contradiction = _doubt(unclear, cameras, seen, evidence) if unclear else ""
     off = {name: _moved(known[name], found.cameras.get(name), name, seen) for name in moved}
     suspects = {name: _suspicion(name, check, found.metric) for name, check in off.items()}
     pair_checks = _pair_checks(found, _fit(cameras, seen, max_epipolar_px))
@@ -173,7 +173,7 @@ def _checked(
         issues=(
             *(PoseIssue("moved", name, text) for name, text in suspects.items()),
             *found.issues,
-            *(PoseIssue("unverified", name, _doubtful(name, cameras, seen, told)) for name in common),
+            *(PoseIssue("unverified", name, _doubtful(name, cameras, seen, evidence)) for name in common),
             *(PoseIssue("contradicted", name, contradiction) for name in (unclear if not common else ())),
         ),
     )
@@ -288,22 +288,22 @@ def _moved(stated: Camera, solved: Camera | None, name: str, geometries: Mapping
 def _suspicion(name: str, check: PoseCheck, metric: bool) -> str:
     what = f"the known pose of {name} contradicts the images"
     if np.isnan(check.off_m):
-        return f"{what}; by how much cannot be told: it is left out. Has it been moved?"
+        return f"{what}; by how much is open: it is left out. Has it been moved?"
     length = f"{check.off_m:.3f} {'m' if metric else 'units'}"
     return f"{what}: it seems off by {length} and {check.off_deg:.2f} degrees; solved anew from the others. Has it been moved?"
 
 
-def _common(names: list[str], told: list[Evidence]) -> list[str]:
+def _common(names: list[str], evidence: list[Evidence]) -> list[str]:
     """The camera that all of several contradictions have in common, if it is one."""
-    against = [e.cameras for e in told if e.contradicts]
+    against = [e.cameras for e in evidence if e.contradicts]
     common = [name for name in names if all(name in constraint for constraint in against)]
     return common if len(names) > 1 and len(against) > 1 and len(common) == 1 else []
 
 
-def _doubtful(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], told: list[Evidence]) -> str:
+def _doubtful(name: str, cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]) -> str:
     """How far the pairs of a camera are from its known pose."""
     mine = {pair: geometry for pair, geometry in geometries.items() if name in pair}
-    against = [pair for pair in mine if any(e.cameras == pair and e.contradicts for e in told)]
+    against = [pair for pair in mine if any(e.cameras == pair and e.contradicts for e in evidence)]
     worst = max((epipolar_error_px(cameras, pair, mine[pair]) for pair in against), default=float("nan"))
     by = f" by up to {worst:.1f} px" if against else ""
     most = _most_turned(cameras, {pair: mine[pair] for pair in against})
@@ -316,15 +316,15 @@ def _most_turned(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geomet
     return max((turned_deg(cameras, pair, geometry) for pair, geometry in geometries.items()), default=float("nan"))
 
 
-def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], told: list[Evidence]) -> str:
+def _doubt(names: list[str], cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry], evidence: list[Evidence]) -> str:
     """What is known of poses of which some are wrong, and what would tell which."""
-    contradicting = {e.cameras for e in told if e.contradicts}
+    contradicting = {e.cameras for e in evidence if e.contradicts}
     pairs = {pair: geometry for pair, geometry in geometries.items() if set(pair) <= set(names)}
     most = _most_turned(cameras, {pair: g for pair, g in pairs.items() if pair in contradicting} or pairs)
     by = f" by {most:.1f} degrees" if most > TURNED_DEG else ""
     if len(names) == 1:
         return f"the known pose of {names[0]} is unverified: as many of its pairs contradict it{by} as agree. It stays in use."
-    what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong cannot be told."
+    what = f"the known poses of {_listed(names)} contradict each other{by}: which is wrong is open."
     what += " They stay in use, unverified: the matches may be of look-alikes."
     if len(names) == len(cameras) > 2:
         return f"{what} Is this the calibration of these captures?"

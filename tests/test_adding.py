@@ -111,7 +111,7 @@ def test_a_stage_touches_five_files(tree: Path) -> None:
     cameras = record(site)["cameras"]
     assert all(0 < float(str(camera["shadow"])) < 1 for camera in cameras)
     assert len(list((site.work / "cache" / "shadows").glob("*/*.json"))) == len(cameras)
-    said = subprocess.run(site.command("stages", "shadows"), env=site.env(), capture_output=True, text=True, check=True).stdout
-    assert "darkest = 0.3" in said
+    message = subprocess.run(site.command("stages", "shadows"), env=site.env(), capture_output=True, text=True, check=True).stdout
+    assert "darkest = 0.3" in message
     change_stages(site, shadows=False)
     assert "shadows" not in site.wbflow("status").stdout

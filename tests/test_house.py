@@ -225,12 +225,12 @@ def test_table() -> None:
 
 def literals(tree: ast.Module) -> Iterator[str]:
     """Strings of a module, without docstrings."""
-    told = set()
+    reported = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            told.add(node.value)
+            reported.add(node.value)
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in told:
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in reported:
             yield node.value
 
 
@@ -315,7 +315,7 @@ def test_functions_with_more_than_three_parameters_explain_them() -> None:
     assert silent == []
 
 
-def test_whoever_is_told_that_something_cannot_be_meant_is_told_what_to_type() -> None:
+def test_whoever_is_reported_that_something_cannot_be_meant_is_reported_what_to_type() -> None:
     raised = [
         (file, node.lineno, {word.arg for word in node.keywords})
         for file in ENGINE_FILES

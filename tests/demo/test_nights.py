@@ -36,8 +36,8 @@ def file(name: str) -> bytes:
 
 
 def nights() -> list[dict[str, Any]]:
-    told: list[dict[str, Any]] = json.loads(file("truth/nights.json"))["nights"]
-    return told
+    reported: list[dict[str, Any]] = json.loads(file("truth/nights.json"))["nights"]
+    return reported
 
 
 def frames(camera: str, night: int) -> list[bytes]:
@@ -75,22 +75,22 @@ def test_each_night_has_its_own_light() -> None:
 
 @pytest.mark.parametrize(("night", "camera"), [(3, "crane-2"), (5, "mast-2")])
 def test_a_turned_camera_sees_the_yard_where_its_true_pose_says(night: int, camera: str) -> None:
-    told, stated = nights()[night - 1]["cameras"][camera], json.loads(file("cameras.json"))[camera]
-    R, K = np.array(told["R"]), np.array(stated["K"])
+    reported, stated = nights()[night - 1]["cameras"][camera], json.loads(file("cameras.json"))[camera]
+    R, K = np.array(reported["R"]), np.array(stated["K"])
     assert np.allclose(R @ np.array(stated["R"]).T, turned_axes(event_of(night, camera), K[0, 0]))
     angle = np.degrees(np.linalg.norm(cv2.Rodrigues(R @ np.array(stated["R"]).T)[0]))
-    assert angle == pytest.approx(told["angle_deg"], abs=1e-5)
+    assert angle == pytest.approx(reported["angle_deg"], abs=1e-5)
     before, now = (Camera(K, r, np.array(stated["C"]), 96, 54) for r in (np.array(stated["R"]), R))
     ahead = (before.C + 10 * before.R[2])[None]
     moved = project(now, ahead)[0] - project(before, ahead)[0]
-    assert np.allclose(moved[0], told["shift_px"], atol=1e-3)
-    assert np.linalg.norm(moved) == pytest.approx(3.0, abs=0.01) or told["angle_deg"] == pytest.approx(0.5, abs=1e-5)
+    assert np.allclose(moved[0], reported["shift_px"], atol=1e-3)
+    assert np.linalg.norm(moved) == pytest.approx(3.0, abs=0.01) or reported["angle_deg"] == pytest.approx(0.5, abs=1e-5)
     if camera == "mast-2":  # the same light as in the second night: the pictures themselves say it, too
         first, second = (np.median([decoded(f).mean(axis=2) for f in frames(camera, n)], axis=0) for n in (2, 5))
         window = cv2.createHanningWindow((96, 44), cv2.CV_32F)
         first, second = (cv2.Laplacian(image[10:].astype(np.float32), cv2.CV_32F) for image in (first, second))
         shift, _ = cv2.phaseCorrelate(first, second, window)
-        assert np.hypot(*(np.array(shift) - told["shift_px"])) < 0.8
+        assert np.hypot(*(np.array(shift) - reported["shift_px"])) < 0.8
 
 
 def test_changes_are_where_the_depth_has_changed() -> None:

@@ -78,9 +78,9 @@ def bowl(points: int) -> Cloud:
 def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: Any) -> RunRecord:
     """A night in which the last camera shows another place, the one before it is gone, and one pair was rejected."""
     well = CameraFigures(brightness=110.0, sharpness=0.2, keypoints=6000, frames_used=3)
-    told = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
-    told[-1] = replace(told[-1], health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
-    told[-2] = CameraRecord(ids[-2], "failed", "the capture ends after 1,000 bytes")
+    reported = [CameraRecord(name, "ok", figures=well, health=Health("ok", "where it was")) for name in ids]
+    reported[-1] = replace(reported[-1], health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
+    reported[-2] = CameraRecord(ids[-2], "failed", "the capture ends after 1,000 bytes")
     figures = PairFigures(matches=400, inliers=500, angle_deg=12.0, epipolar_px=0.3, density=0.5)
     steps = (1, 2, 3)
     pairs = [PairRecord(a, ids[k + s], "ok", matched=True, figures=figures) for s in steps for k, a in enumerate(ids[:-s])]
@@ -101,7 +101,7 @@ def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: 
         TaskCounts(ran=len(ids)),
         Seconds(600.0, 900.0),
         400,
-        tuple(told),
+        tuple(reported),
         tuple(pairs),
         CloudRecord("cloud.ply", 900, ((-8.0, -8.0, -1.0), (8.0, 8.0, 2.0))),
         poses=PosesSummary(),
@@ -114,8 +114,8 @@ def site(folder: Path, ids: list[str]) -> Site:
     """A site file with as many cameras."""
     (folder / "captures").mkdir(parents=True, exist_ok=True)
     plain = [f"c{k}" for k in range(len(ids))]
-    told = {"site": "bowl", "captures": {"root": "captures", "pattern": "{camera}.jpg"}, "cameras": plain}
-    (folder / "site.yaml").write_text(json.dumps(told))
+    reported = {"site": "bowl", "captures": {"root": "captures", "pattern": "{camera}.jpg"}, "cameras": plain}
+    (folder / "site.yaml").write_text(json.dumps(reported))
     return load_site(folder / "site.yaml", folder / "work")
 
 
@@ -148,8 +148,8 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         earlier.write_cameras(cameras(ids))
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
-    told = build_report(described, Cache(work), night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
-    return unfinished.publish(night, events, told).paths.report
+    reported = build_report(described, Cache(work), night, events, cameras(ids) if night.cloud else {}, unfinished.paths.folder)
+    return unfinished.publish(night, events, reported).paths.report
 
 
 def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes]) -> list[Event]:

@@ -44,8 +44,8 @@ def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(
     for k, (a, b) in enumerate(places):
         turn = (0.5 * np.sin(k), 0.5 * np.cos(2 * k), 0.1 * k)
         cv2.imwrite(str(tmp_path / "pictures" / f"{k}.png"), seen(texture, rays, turn, (a, b, 0.36 + 0.02 * k)))
-    said = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
-    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *said, "--out", str(tmp_path)])
+    message = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
+    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *message, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     found = read_calibration(tmp_path / "gate.json")["gate"].lens
     lens = Lens(np.array(found.K), np.array(found.distortion), None, found.width, found.height, found.model)
@@ -53,8 +53,8 @@ def test_a_folder_of_pictures_becomes_a_calibration_with_residuals_and_coverage(
     assert lens.K[[0, 1], [0, 1]] == pytest.approx(LENS.K[[0, 1], [0, 1]], rel=0.01)
     assert lens.K[:2, 2] == pytest.approx(LENS.K[:2, 2], abs=4.0)
     assert lens.distortion[0] == pytest.approx(LENS.distortion[0], abs=0.04)
-    told = json.loads((tmp_path / "gate.json").read_text())["gate"]
-    assert max(told["residuals_px"].values()) < 0.3 and told["covered"] > 0.4
+    reported = json.loads((tmp_path / "gate.json").read_text())["gate"]
+    assert max(reported["residuals_px"].values()) < 0.3 and reported["covered"] > 0.4
     assert (tmp_path / "gate-coverage.png").stat().st_size > 1000
 
 
@@ -87,7 +87,7 @@ def boards_around(count: int, farthest_deg: float) -> tuple[list[Float64s], list
     return boards, corners
 
 
-def test_a_fisheye_is_told_by_boards_that_lie_beside_it() -> None:
+def test_a_fisheye_is_reported_by_boards_that_lie_beside_it() -> None:
     K, coefficients, residuals = fit_lens(*boards_around(10, 80), (WIDTH, HEIGHT), "fisheye")
     assert np.sqrt(np.mean(np.concatenate(residuals) ** 2)) < 0.06
     found = Lens(K, coefficients, None, WIDTH, HEIGHT, "fisheye")

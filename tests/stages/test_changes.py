@@ -96,7 +96,7 @@ def test_what_no_camera_sees_tonight_is_unknown_and_has_not_vanished() -> None:
     assert np.sum(found.label == VANISHED) == 0
 
 
-def test_a_low_step_is_told_by_distance_and_a_lower_one_is_lost_in_the_noise() -> None:
+def test_a_low_step_is_reported_by_distance_and_a_lower_one_is_lost_in_the_noise() -> None:
     slab: Box = ((2.0, -3.0, 0.0), (4.0, -1.0, 0.06))
     change = the_only(compared(night(CRATE, slab, seed=1), night(CRATE)))
     assert change.height == pytest.approx(0.06, abs=0.02)
@@ -174,8 +174,8 @@ def test_changes_are_written_for_people_and_programs() -> None:
     found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
     files: dict[str, Any] = dict(changes_files(found))
     assert list(files) == ["changes.ply", "changes.json", "change-1.jpg"]
-    told = json.loads(files["changes.json"])
-    (row,) = told["changes"]
+    reported = json.loads(files["changes.json"])
+    (row,) = reported["changes"]
     assert (row["number"], row["kind"], row["picture"]) == (1, "new", "change-1.jpg")
     assert np.linalg.norm(np.subtract(row["position"], (2.9, -1.8, 0.45))) < 0.15
     columns = files["changes.ply"]

@@ -118,7 +118,7 @@ def repeated_windows(seed: int) -> tuple[Features, Features]:
     return view(xy, frames, order), view(xy @ A.T + shift + rng.normal(0, 0.3, xy.shape), frames * np.sqrt(0.67), order)
 
 
-def test_repeated_windows_are_told_apart_by_the_pattern_that_they_form() -> None:
+def test_repeated_windows_are_distinguished_by_the_pattern_that_they_form() -> None:
     left, right = repeated_windows(3)
     structural, mutual = match(left, right), match(left, right, matcher="mutual")
     assert isinstance(structural, Matches) and isinstance(mutual, Matches)

@@ -56,7 +56,7 @@ def test_where_nights_disagree_nothing_is_known() -> None:
     assert not np.isfinite(pool_depths(nights, agree=0.1).depth[:10]).any()
 
 
-def test_better_nights_count_for_more_and_all_partners_are_told() -> None:
+def test_better_nights_count_for_more_and_all_partners_are_reported() -> None:
     nights = {"sharp": night(0, 0.02, ("roof", "mast")), "hazy": night(1, 0.4, ("mast",)), "haze": night(2, 0.4, ("crane",))}
     pooled = pool_depths(nights)
     assert set(pooled.partners) == {"roof", "mast", "crane"}

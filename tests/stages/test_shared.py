@@ -27,7 +27,7 @@ def test_neighbours_share_more_than_cameras_far_apart() -> None:
     assert found.angle_deg[0] < found.angle_deg[2]
 
 
-def test_a_pair_that_the_cameras_contradict_is_not_told_of() -> None:
+def test_a_pair_that_the_cameras_contradict_is_not_reported_of() -> None:
     checks = {"c0--c1": PairCheck(False, "no", "contradicts-cameras"), "c1--c2": PairCheck(True)}
     assert ("c0", "c1") not in pairs(replace(PLACED, pair_checks=checks))
     assert ("c1", "c2") in pairs(replace(PLACED, pair_checks=checks))

@@ -74,8 +74,8 @@ def test_wrong_use_and_a_held_work_folder_are_exceptions(toy: ToySite) -> None:
     )
     with hold(WorkFolder(toy.work).lock, wait=False):
         command = [sys.executable, "-c", code, str(toy.file)]
-        told = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
-    assert told.strip() == Locked.__name__
+        reported = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
+    assert reported.strip() == Locked.__name__
 
 
 def test_importing_wbflow_imports_nothing_heavy() -> None:
@@ -83,7 +83,7 @@ def test_importing_wbflow_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
-def test_a_report_that_cannot_be_built_is_told_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_report_that_cannot_be_built_is_reported_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def broken(*_: object) -> str:
         raise KeyError("ink")
 
@@ -95,7 +95,7 @@ def test_a_report_that_cannot_be_built_is_told_of(toy: ToySite, monkeypatch: pyt
     assert "ink" in (warning.trace or "")
 
 
-def test_a_ledger_that_is_no_file_is_told_of_and_made_again(toy: ToySite) -> None:
+def test_a_ledger_that_is_no_file_is_reported_of_and_made_again(toy: ToySite) -> None:
     toy.work.mkdir(parents=True)
     WorkFolder(toy.work).ledger.mkdir()
     run = wbflow.run(toy.file, jobs=1)
@@ -105,7 +105,7 @@ def test_a_ledger_that_is_no_file_is_told_of_and_made_again(toy: ToySite) -> Non
     assert toy.wbflow("run", "-q").stderr == ""
 
 
-def test_a_ledger_that_cannot_be_written_is_told_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ledger_that_cannot_be_written_is_reported_of(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise sqlite3.OperationalError("disk I/O error")
 
@@ -116,7 +116,7 @@ def test_a_ledger_that_cannot_be_written_is_told_of(toy: ToySite, monkeypatch: p
     assert warning.what == "the ledger was not written: disk I/O error"
 
 
-def test_a_damaged_artifact_that_was_made_again_is_told_of(toy: ToySite) -> None:
+def test_a_damaged_artifact_that_was_made_again_is_reported_of(toy: ToySite) -> None:
     wbflow.run(toy.file, jobs=1)
     victim = next(WorkFolder(toy.work).task(Task("fuse")).glob("*.ply"))
     victim.write_bytes(victim.read_bytes()[:-1] + b"x")

@@ -39,23 +39,23 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("command", sorted(main.commands))
 def test_every_help_shows_what_to_type(command: str) -> None:
-    said = CliRunner().invoke(main, [command, "--help"]).output
-    assert re.search(rf"^  wbflow {command}\b", said, re.MULTILINE)
+    message = CliRunner().invoke(main, [command, "--help"]).output
+    assert re.search(rf"^  wbflow {command}\b", message, re.MULTILINE)
 
 
 def test_defaults_are_shown() -> None:
-    said = " ".join(CliRunner().invoke(main, ["run", "--help"]).output.split())
-    assert "[default: processes]" in said
-    assert "(all cores)" in said
+    message = " ".join(CliRunner().invoke(main, ["run", "--help"]).output.split())
+    assert "[default: processes]" in message
+    assert "(all cores)" in message
 
 
 def test_every_export_of_the_table_is_an_option_with_its_help() -> None:
-    said = " ".join(CliRunner().invoke(main, ["export", "--help"], terminal_width=200).output.split())
+    message = " ".join(CliRunner().invoke(main, ["export", "--help"], terminal_width=200).output.split())
     assert EXPORTS
-    assert all(f"--{row.name} {row.help}" in said for row in EXPORTS)
+    assert all(f"--{row.name} {row.help}" in message for row in EXPORTS)
 
 
-def test_a_command_that_there_is_not_is_told_with_the_nearest() -> None:
+def test_a_command_that_there_is_not_is_reported_with_the_nearest() -> None:
     result = CliRunner().invoke(main, ["histroy", "site.yaml"])
     assert result.exit_code == 2
     assert "did you mean  wbflow history?" in result.output
@@ -67,9 +67,9 @@ def test_check_knows_what_is_no_site_and_what_a_folder_is_called(toy: ToySite) -
     assert "1 camera: a cloud needs two or more" in toy.wbflow("check").stdout
     toy.cameras[:] = ["gat", "roof"]
     toy.write()
-    said = toy.wbflow("check").stdout
-    assert "camera gat: there is no capture" in said
-    assert "did you mean 'gate'? There are captures of it" in said
+    message = toy.wbflow("check").stdout
+    assert "camera gat: there is no capture" in message
+    assert "did you mean 'gate'? There are captures of it" in message
 
 
 def test_a_run_that_finds_everything_cached_loads_no_vision(toy: ToySite) -> None:
@@ -94,7 +94,7 @@ def test_a_site_file_with_errors_ends_with_2_and_writes_nothing(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("run", "nowhere.yaml"), "cannot be read"),
         (("run",), "Missing argument"),
@@ -108,20 +108,20 @@ def test_a_site_file_with_errors_ends_with_2_and_writes_nothing(tmp_path: Path) 
         (("fly",), "No such command"),
     ],
 )
-def test_wrong_usage_ends_with_2_and_no_traceback(toy: ToySite, arguments: tuple[str, ...], said: str) -> None:
+def test_wrong_usage_ends_with_2_and_no_traceback(toy: ToySite, arguments: tuple[str, ...], message: str) -> None:
     full = [str(toy.file) if a == "SITE" else a for a in arguments]
     result = subprocess.run(toy.command(*full), env=toy.env(), capture_output=True, text=True, check=False)
     assert result.returncode == 2
-    assert said in result.stderr
+    assert message in result.stderr
     assert "Traceback" not in result.stderr
 
 
-def test_an_old_name_in_the_site_file_is_told_on_screen_and_in_the_log(toy: ToySite) -> None:
+def test_an_old_name_in_the_site_file_is_reported_on_screen_and_in_the_log(toy: ToySite) -> None:
     site = json.loads(toy.file.read_text())
     site["stages"]["features"] = {"keypoints": 500}
     toy.file.write_text(json.dumps(site, indent=1))
-    said = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
-    assert said.count("'keypoints' is written 'max_keypoints' now") == 1
+    message = toy.wbflow("run", "--until", "frames", "--jobs", "1").stderr
+    assert message.count("'keypoints' is written 'max_keypoints' now") == 1
     log = toy.work / "runs" / "latest" / "log.jsonl"
     warnings = [event for line in log.read_text().splitlines() if (event := json.loads(line))["event"] == "warning"]
     assert [f"{toy.file}:" in event["what"] and "write max_keypoints" in event["remedy"] for event in warnings] == [True]
@@ -187,7 +187,7 @@ def test_nothing_to_do_costs_little(toy: ToySite, tmp_path: Path) -> None:
     assert (after.ru_utime + after.ru_stime) - (before.ru_utime + before.ru_stime) < 1.0
 
 
-def test_an_unwritable_work_folder_is_told_plainly(toy: ToySite) -> None:
+def test_an_unwritable_work_folder_is_reported_plainly(toy: ToySite) -> None:
     (toy.folder / "file").write_text("")
     result = toy.wbflow("run", "--work", str(toy.folder / "file" / "work"))
     assert result.returncode == 1

@@ -50,7 +50,7 @@ class Mirrored(ToySite):
     def machine(self, name: str) -> None:
         os.environ["WBFLOW_CACHE"] = str(self.caches / name)
 
-    def told(self, *arguments: str) -> tuple[int, str]:
+    def reported(self, *arguments: str) -> tuple[int, str]:
         """Exit code and words of a command in this process."""
         command = [arguments[0], str(self.file), *arguments[1:]]
         more = ["--backend", self.backend, "--jobs", "1"] if arguments[0] == "run" else []
@@ -119,7 +119,7 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 def on_disk(site: Mirrored, tmp_path: Path) -> bytes:
     """The cloud that the same site makes in an ordinary work folder."""
-    assert site.told("run", "--work", str(tmp_path / "disk"))[0] == 0
+    assert site.reported("run", "--work", str(tmp_path / "disk"))[0] == 0
     return (tmp_path / "disk" / "runs" / "latest" / "cloud.ply").read_bytes()
 
 
@@ -169,7 +169,7 @@ def test_a_night_is_killed_and_another_machine_goes_on_with_what_has_gone_up(
     assert 2 < len(there) < TASKS
     site.fault("slow", "0")
     site.machine("second")  # the first one's folder is gone with it
-    assert site.told("run")[0] == ExitCode.LOCKED
+    assert site.reported("run")[0] == ExitCode.LOCKED
     store.write(HELD, claim(minutes=61))
     record = site.run()
     assert record["tasks"] == {"cached": len(there), "ran": TASKS - len(there), "rejected": 0, "failed": 0, "skipped": 0}
@@ -201,7 +201,7 @@ def test_machines_take_turns(site: Mirrored) -> None:
     site.machine("first")
     third = site.run()
     assert third["tasks"]["ran"] == 0 and site.cloud == cloud
-    shown = [line.split()[0] for line in site.told("history")[1].splitlines()[1:]]
+    shown = [line.split()[0] for line in site.reported("history")[1].splitlines()[1:]]
     assert {first["run"], second["run"], third["run"]} <= set(shown) | {p.name for p in (site.work / "runs").iterdir()}
     assert (site.work / "runs" / "latest").readlink().name == third["run"]
     assert ObjectStore(site.url).read("runs/latest") == third["run"].encode()
@@ -236,8 +236,8 @@ def test_a_store_that_has_lost_everything_is_filled_again(site: Mirrored, tmp_pa
 
 def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Callable[[str], Mirrored], s3: str) -> None:
     site = made("s3://no-such-bucket/toy")
-    assert "only what this machine knows" in site.told("status")[1]
-    code, words = site.told("run")
+    assert "only what this machine knows" in site.reported("status")[1]
+    code, words = site.reported("run")
     assert code == ExitCode.FAILED
     assert "s3://no-such-bucket/toy" in words and "AWS_ENDPOINT_URL" in words
     assert not (site.work / "runs").exists()
@@ -245,7 +245,7 @@ def test_a_store_that_is_out_of_reach_is_said_before_anything_is_done(made: Call
 
 def test_an_extra_that_is_missing_is_named(site: Mirrored, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    code, words = site.told("run")
+    code, words = site.reported("run")
     assert code == ExitCode.USAGE and "pip install 'wbflow[cloud]'" in words
 
 
@@ -270,7 +270,7 @@ def test_two_machines_do_not_write_at_once(site: Mirrored, monkeypatch: pytest.M
     site.run("--until", "frames")
     store = ObjectStore(site.url)
     store.write(HELD, claim(minutes=59))
-    code, words = site.told("run")
+    code, words = site.reported("run")
     assert code == ExitCode.LOCKED and "crane-pc" in words and site.url in words and "--wait" in words
     assert json.loads(store.read(HELD) or b"")["token"] == "t"
     store.write(HELD, claim(minutes=61))
@@ -282,7 +282,7 @@ def test_who_waits_has_the_store_once_it_is_free(site: Mirrored, monkeypatch: py
     store = ObjectStore(site.url)
     store.write(HELD, claim(minutes=1))
     monkeypatch.setattr("wbflow.remote.time.sleep", lambda seconds: store.remove([HELD]))
-    assert site.told("run", "--wait")[0] == ExitCode.GOOD
+    assert site.reported("run", "--wait")[0] == ExitCode.GOOD
 
 
 def test_what_a_killed_run_of_this_machine_holds_is_taken_over_at_once(site: Mirrored) -> None:
@@ -323,8 +323,8 @@ def test_what_is_cleaned_away_goes_from_the_store_and_what_is_removed_by_hand_co
     site.capture("gate").write_text("another view from gate")
     site.run()
     assert before <= set((tmp_path / "store").rglob("*.wbf"))
-    assert site.told("pin", "--drop")[0] == 0
-    assert site.told("clean", "--keep", "1")[0] == 0
+    assert site.reported("pin", "--drop")[0] == 0
+    assert site.reported("clean", "--keep", "1")[0] == 0
     assert not before <= set((tmp_path / "store").rglob("*.wbf"))
     site.machine("second")
     assert site.run()["tasks"]["cached"] == TASKS

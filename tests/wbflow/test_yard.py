@@ -140,7 +140,7 @@ def test_one_task_of_each_stage_can_be_done_alone_and_gives_the_same_bytes(yard:
     scripts = [str(tmp_path / stage / "run.py") for stage in tasks]
     done = subprocess.run([sys.executable, "-c", code, *scripts], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told = [line for line in done.stdout.splitlines() if line.startswith(str(tmp_path))]
-    assert [line.rpartition(": ")[2] for line in told] == ["the same bytes as the cache has"] * len(tasks)
+    reported = [line for line in done.stdout.splitlines() if line.startswith(str(tmp_path))]
+    assert [line.rpartition(": ")[2] for line in reported] == ["the same bytes as the cache has"] * len(tasks)
     assert len(tasks) >= 12
     assert read_image(tmp_path / "features" / "inputs" / "frame.image.png").shape == (180, 320, 3)

@@ -56,7 +56,7 @@ def test_frames_that_differ_everywhere_say_nothing_of_what_moved() -> None:
     assert not merge([shot(0), as_bytes(scene(7)), as_bytes(scene(8))]).doubtful.any()
 
 
-def test_frames_that_are_the_same_to_the_last_level_are_told_from_noise() -> None:
+def test_frames_that_are_the_same_to_the_last_level_are_distinguished_from_noise() -> None:
     frame = shot(0)
     with_clock = frame.copy()
     with_clock[:12, :60] = 200

@@ -28,7 +28,7 @@ def test_a_sharp_picture_is_sharp(picture: np.ndarray, contrast: float, noise: f
 
 @pytest.mark.parametrize("contrast", [1.0, 0.4])
 @pytest.mark.parametrize("sigma", [1.5, 2.0])
-def test_blur_is_told_to_a_third(picture: np.ndarray, sigma: float, contrast: float) -> None:
+def test_blur_is_reported_to_a_third(picture: np.ndarray, sigma: float, contrast: float) -> None:
     blurred = cv2.GaussianBlur(picture, (0, 0), sigma).astype(np.float64)
     assert measured(100 * (1 - contrast) + contrast * blurred) == pytest.approx(sigma, rel=0.34)
 

@@ -61,14 +61,14 @@ def test_of_two_moments_one_is_used(scene: Uint8s) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "quality", "said"),
+    ("spoilt", "quality", "message"),
     [
         (lambda picture: picture, 8, "coded coarsely"),
         (lambda picture: np.repeat(picture[..., 1:2], 3, axis=2), 95, "without colour"),
         (lambda picture: (picture * [0.5, 0.95, 1.0]).astype(np.uint8), 95, "a cast of colour"),
     ],
 )
-def test_what_coding_and_sensor_did_is_named(scene: Uint8s, spoilt: object, quality: int, said: str) -> None:
+def test_what_coding_and_sensor_did_is_named(scene: Uint8s, spoilt: object, quality: int, message: str) -> None:
     assert callable(spoilt)
     notes = frame_of(spoilt(scene), quality).notes
-    assert len(notes) == 1 and said in notes[0]
+    assert len(notes) == 1 and message in notes[0]

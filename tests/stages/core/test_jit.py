@@ -121,8 +121,8 @@ def test_two_processes_compile_a_kernel_once_between_them(tmp_path: Path) -> Non
         assert process.stdin
         process.stdin.write("go\n")
         process.stdin.flush()
-    told = [process.communicate()[0].strip() for process in both]
-    assert sorted(told) == ["0", "1"]
+    reported = [process.communicate()[0].strip() for process in both]
+    assert sorted(reported) == ["0", "1"]
 
 
 def test_no_kernel_uses_anything_of_another_file_of_the_stages() -> None:

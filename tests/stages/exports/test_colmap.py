@@ -53,7 +53,7 @@ def test_points_and_colors_survive(tmp_path: Path) -> None:
     assert np.array_equal([p.color for p in read_back], cloud.colors)
 
 
-def test_distortion_left_in_a_frame_is_told(tmp_path: Path) -> None:
+def test_distortion_left_in_a_frame_is_reported(tmp_path: Path) -> None:
     model = read(colmap_files({"gate": camera([0.0, 0.0, 0.1], (-0.1, 0.02))}, {}, cloud_of(np.zeros((1, 3)))), tmp_path)
     assert model.cameras[1].model.name == "OPENCV"
     assert model.cameras[1].params == pytest.approx([500, 505, 310.75, 181.25, -0.1, 0.02, 0, 0])

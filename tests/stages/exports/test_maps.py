@@ -55,18 +55,18 @@ def test_cells_lie_on_each_other_from_night_to_night_and_points_on_the_horizon_d
 
 def test_png_and_pfm_tell_the_same_heights() -> None:
     found = height_map(hill(count=500), cell=0.5)
-    files, told = plain_files(found)
+    files, reported = plain_files(found)
     values = read_pfm(files["heights.pfm"], found.heights.shape)
     png = cv2.imdecode(np.frombuffer(files["heights.png"], np.uint8), cv2.IMREAD_UNCHANGED)
     assert png is not None
     known = np.asarray(png > 0)
     assert 0 < known.sum() < known.size
     assert np.array_equal(known, np.isfinite(values))
-    read = (png[known] - 1.0) / told["png_steps_per_unit"] + told["png_lowest"]
-    assert np.abs(read - values[known]).max() <= 0.51 / told["png_steps_per_unit"]
+    read = (png[known] - 1.0) / reported["png_steps_per_unit"] + reported["png_lowest"]
+    assert np.abs(read - values[known]).max() <= 0.51 / reported["png_steps_per_unit"]
     a, d, b, e, x, y = map(float, files["heights.pgw"].split())
     assert (a, d, b, e) == (0.5, 0.0, 0.0, -0.5)
-    assert (x, y) == (told["left"] + 0.25, told["top"] - 0.25), "the middle of the first cell"
+    assert (x, y) == (reported["left"] + 0.25, reported["top"] - 0.25), "the middle of the first cell"
 
 
 @pytest.mark.parametrize("span", [1e-3, 0.7, 65.0, 66.0, 12_345.0])

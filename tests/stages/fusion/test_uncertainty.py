@@ -13,7 +13,7 @@ ROWS, COLUMNS, DEPTH = 60, 80, 20.0
 EVERYWHERE = np.mgrid[0:ROWS, 0:COLUMNS].reshape(2, -1)
 
 
-def said(own: Float64s, others: Float64s, believed: float, of_others: float) -> float:
+def message(own: Float64s, others: Float64s, believed: float, of_others: float) -> float:
     """Standard deviation that is said of depths that err by `own` (h, w), a share, beside others (n, h, w) that agree; `believed`
     and `of_others`: what their models say."""
     apart = np.log(np.maximum(np.abs(others - own) / np.hypot(believed, of_others), 0.1)).sum(axis=0).astype(np.float32)
@@ -37,32 +37,32 @@ def views_of_pairs(noise: float, views: int) -> Float64s:
 def test_views_that_share_pairs_show_their_errors_all_the_same(noise: float, views: int) -> None:
     own, *others = views_of_pairs(noise, views)
     true = noise / np.sqrt(views - 1)
-    told = said(own, np.stack(others), 0.001, 0.001)  # what is believed, up to five times as much, counts a little
-    assert told / true == pytest.approx(1.0, abs=0.35)
+    reported = message(own, np.stack(others), 0.001, 0.001)  # what is believed, up to five times as much, counts a little
+    assert reported / true == pytest.approx(1.0, abs=0.35)
 
 
 def test_what_was_believed_counts_little_where_views_tell_another_thing() -> None:
     own, *others = views_of_pairs(0.001, 6)
-    low, high = (said(own, np.stack(others), believed, believed) for believed in (0.0003, 0.003))
+    low, high = (message(own, np.stack(others), believed, believed) for believed in (0.0003, 0.003))
     assert high / low < 1.6  # of ten
 
 
 def test_a_view_that_sees_finely_is_not_taken_for_one_that_errs_as_much_as_those_which_see_roughly() -> None:
     rng = np.random.default_rng(0)
     fine, rough = rng.normal(0, 0.0005, (ROWS, COLUMNS)), rng.normal(0, 0.004, (3, ROWS, COLUMNS))
-    assert said(fine, rough, 0.001, 0.008) == pytest.approx(0.0005, rel=0.3)  # both models fear twice too much
-    assert said(rough[0], fine[None], 0.008, 0.001) == pytest.approx(0.004, rel=0.4)
+    assert message(fine, rough, 0.001, 0.008) == pytest.approx(0.0005, rel=0.3)  # both models fear twice too much
+    assert message(rough[0], fine[None], 0.008, 0.001) == pytest.approx(0.004, rel=0.4)
 
 
 def test_pixels_that_were_laid_on_a_plane_say_nothing_of_how_right_it_is() -> None:
     others = np.random.default_rng(0).normal(0, 0.002, (4, ROWS, COLUMNS))
     plane = np.zeros((ROWS, COLUMNS))
-    assert said(plane, others, 0.001, 0.001) > 0.001, "not as exact as it is flat"
+    assert message(plane, others, 0.001, 0.001) > 0.001, "not as exact as it is flat"
 
 
 def test_where_no_other_view_agrees_the_pixels_around_and_the_model_are_left() -> None:
     own, nobody = np.random.default_rng(0).normal(0, 0.001, (ROWS, COLUMNS)), np.zeros((0, ROWS, COLUMNS))
-    assert 0.001 < said(own, nobody, 0.002, 0.0) < 0.002
+    assert 0.001 < message(own, nobody, 0.002, 0.0) < 0.002
 
 
 def test_of_a_point_it_is_said_along_the_ray_of_the_nearest_camera() -> None:

@@ -52,7 +52,7 @@ def test_one_rival_of_another_side_is_enough_among_few_pairs_and_not_among_many(
     assert why_ambiguous([side] * 6 + [plain] * 20, USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
 
 
-def test_a_row_of_the_same_house_is_told_from_other_sides() -> None:
+def test_a_row_of_the_same_house_is_distinguished_from_other_sides() -> None:
     plain, shifted = pair(0.02, 60.0), pair(0.4, 0.1)
     assert why_ambiguous([shifted] * 3 + [plain], USUAL.rivals) is Reason.SAME_ALONG_A_ROW
     assert why_ambiguous([plain] * 4, USUAL.rivals) is None

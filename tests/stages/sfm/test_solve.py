@@ -83,7 +83,7 @@ def test_unknown_focal_lengths_are_solved(know: str) -> None:
         assert camera.K[0, 0] == pytest.approx(900, rel=0.005)
 
 
-def test_lenses_that_differ_are_told_apart() -> None:
+def test_lenses_that_differ_are_distinguished() -> None:
     site = make_pair_site(6, know="K", noise_px=0.1, seed=3, degrees=12)
     zoomed = make_pair_site(6, know="K", noise_px=0.1, seed=3, degrees=12, focal=900)
     cameras = {name: (zoomed if k % 2 else site).cameras[name] for k, name in enumerate(site.cameras)}

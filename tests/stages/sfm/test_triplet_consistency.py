@@ -81,7 +81,7 @@ def test_a_pair_without_matches_confirms_nothing() -> None:
     assert sum(len(geometry.x1) for geometry in consistent_matches(geometries).values()) > 0
 
 
-def test_without_three_cameras_that_share_matches_nothing_is_told() -> None:
+def test_without_three_cameras_that_share_matches_nothing_is_reported() -> None:
     assert np.isnan(inconsistency(*solved(make_pair_site(2, noise_px=0.2))))
 
 

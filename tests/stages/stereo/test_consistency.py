@@ -37,7 +37,7 @@ def test_torn_places_must_agree_more_closely_than_flat_ones() -> None:
     assert kept[:4, 15:].all() and kept[8:, 15:].all()
 
 
-def test_a_disparity_that_lands_on_an_invalid_pixel_is_told() -> None:
+def test_a_disparity_that_lands_on_an_invalid_pixel_is_reported() -> None:
     valid = np.ones((6, 40), dtype=bool)
     valid[3, 10] = False
     landed = lands_on(valid, constant(5), -1)

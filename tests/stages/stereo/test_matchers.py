@@ -244,7 +244,7 @@ def test_images_without_texture_keep_the_range_of_the_matches() -> None:
 
 
 @pytest.mark.parametrize("level", [2.0, 6.0])
-def test_noise_is_told_from_texture(level: float) -> None:
+def test_noise_is_distinguished_from_texture(level: float) -> None:
     smooth = cv2.GaussianBlur(texture(240, 320), (0, 0), 3).astype(np.float32)
     valid = np.ones(smooth.shape, dtype=bool)
     assert noise_level(smooth, valid) < 0.5

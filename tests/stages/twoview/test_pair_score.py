@@ -92,11 +92,11 @@ def test_a_geometry_below_the_least_score_is_rejected_with_its_figures() -> None
 
 
 @pytest.mark.parametrize(
-    ("cells", "agreement", "angle_deg", "told"),
+    ("cells", "agreement", "angle_deg", "reported"),
     [(30, 0.45, 0.1, True), (6, 0.45, 0.1, False), (6, 0.9, 0.1, True), (30, 0.7, 9, False)],
 )
-def test_two_cameras_that_seem_to_stand_at_one_place_are_told_to_the_site(
-    cells: int, agreement: float, angle_deg: float, told: bool
+def test_two_cameras_that_seem_to_stand_at_one_place_are_reported_to_the_site(
+    cells: int, agreement: float, angle_deg: float, reported: bool
 ) -> None:
     """They do, or the scene looks the same from two sides: other pairs tell."""
-    assert tells_the_site(replace(GOOD, distinct_cells=cells, agreement=agreement, angle_deg=angle_deg)) is told
+    assert tells_the_site(replace(GOOD, distinct_cells=cells, agreement=agreement, angle_deg=angle_deg)) is reported

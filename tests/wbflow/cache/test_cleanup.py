@@ -79,8 +79,8 @@ def test_a_published_cloud_that_was_damaged_is_not_shared(toy: ToySite) -> None:
 
 def test_clean_leaves_what_is_published(small: ToySite) -> None:
     runs = [night(small, day) for day in (1, 2, 3)]
-    told = small.wbflow("clean", "--keep", "1").stdout
-    assert "and 0 runs" in told
+    reported = small.wbflow("clean", "--keep", "1").stdout
+    assert "and 0 runs" in reported
     assert all((small.work / "runs" / run / "cloud.ply").is_file() for run in runs)
     assert small.run("--date", "2026-11-03")["tasks"]["ran"] == 0
     assert small.wbflow("clean", "--keep", "1", "--clouds", "1", "--reports", "2").returncode == 0

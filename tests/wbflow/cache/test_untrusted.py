@@ -23,14 +23,14 @@ def test_what_is_no_file_is_named_and_nobody_waits_for_it(tmp_path: Path) -> Non
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "device").symlink_to("/dev/zero")
     (tmp_path / "loop").symlink_to("loop")
-    for name, said in (
+    for name, message in (
         ("pipe", "is a pipe"),
         ("device", "is a device"),
         (".", "is a folder"),
         ("loop", "links"),
         ("gone", "No such"),
     ):
-        with pytest.raises(Unreadable, match=said):
+        with pytest.raises(Unreadable, match=message):
             read_outside(tmp_path / name)
 
 

@@ -113,8 +113,8 @@ def test_quiet_says_what_went_wrong_and_json_is_nothing_else(toy: ToySite) -> No
 
 
 def test_v_says_every_task_with_its_seconds(toy: ToySite) -> None:
-    said = toy.wbflow("run", "--jobs", "1", "-v").stdout
-    assert re.search(r"gate +frames +ran +\d+\.\d s", said)
+    message = toy.wbflow("run", "--jobs", "1", "-v").stdout
+    assert re.search(r"gate +frames +ran +\d+\.\d s", message)
 
 
 def test_a_log_file_gets_a_line_from_time_to_time_while_a_stage_goes_on(

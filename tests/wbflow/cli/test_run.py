@@ -14,7 +14,7 @@ def test_what_many_cameras_have_in_common_is_said_in_a_few_lines(capsys: pytest.
     lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
     alone = Finding("fewer-points", (), "900 points, 50 % of the usual 1,800", remedy="compare")
     print_findings(made_up_run.record(ids, verdict=Verdict("degraded", (*lost, alone))))
-    said = capsys.readouterr().err.splitlines()
-    assert said[1:4] == [f"  {name}: no capture of {name}" for name in ids[:3]]
-    assert said[4] == f"  and 57 more like these: {', '.join(ids[3:])}"
-    assert said[5:] == ["    see that it delivers", "  900 points, 50 % of the usual 1,800", "    compare"]
+    message = capsys.readouterr().err.splitlines()
+    assert message[1:4] == [f"  {name}: no capture of {name}" for name in ids[:3]]
+    assert message[4] == f"  and 57 more like these: {', '.join(ids[3:])}"
+    assert message[5:] == ["    see that it delivers", "  900 points, 50 % of the usual 1,800", "    compare"]

@@ -40,7 +40,7 @@ def test_noise_is_no_difference(a: Any, b: Any, differs: bool) -> None:
     assert Row("figure", a, b).differs is differs
 
 
-def test_what_a_lost_camera_takes_along_is_told_with_percentages() -> None:
+def test_what_a_lost_camera_takes_along_is_reported_with_percentages() -> None:
     good = night("2026-11-19")
     poor = night(cameras=[*map(camera, NAMES[:3]), lost("roof")], pairs=without("roof"), points=55_000)
     lines = [str(row).split(maxsplit=1) for row in differing(compare(good, poor))]
@@ -110,8 +110,8 @@ def test_history_says_what_each_night_came_to(past: Callable[..., str]) -> None:
 def test_a_run_whose_folder_is_gone_says_so(toy: ToySite) -> None:
     runs = [toy.run()["run"] for _ in range(2)]
     shutil.rmtree(toy.work / "runs" / runs[0])
-    said = toy.wbflow("history").stdout.splitlines()
-    assert [line.split()[-1] for line in said[1:]] == ["cleaned", "good"]
+    message = toy.wbflow("history").stdout.splitlines()
+    assert [line.split()[-1] for line in message[1:]] == ["cleaned", "good"]
 
 
 def test_status_counts_and_estimates(toy: ToySite) -> None:
@@ -120,8 +120,8 @@ def test_status_counts_and_estimates(toy: ToySite) -> None:
     assert first["cpu_seconds"] is None
     record = toy.run()
     toy.capture("roof").write_text("another view")
-    said = json.loads(toy.wbflow("status", "--json").stdout)
-    assert sum(said["totals"].values()) == len(said["tasks"])
-    assert {task["task"] for task in said["tasks"] if task["state"] == "would run"} >= {"frames roof"}
-    assert said["cpu_seconds"] is not None
+    message = json.loads(toy.wbflow("status", "--json").stdout)
+    assert sum(message["totals"].values()) == len(message["tasks"])
+    assert {task["task"] for task in message["tasks"] if task["state"] == "would run"} >= {"frames roof"}
+    assert message["cpu_seconds"] is not None
     assert toy.wbflow("status").stdout.splitlines()[-1].startswith(f"night of {record['date']}: ")

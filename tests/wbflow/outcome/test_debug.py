@@ -29,8 +29,8 @@ def alone(toy: ToySite) -> str:
 
 def test_the_script_gives_the_bytes_that_the_cache_has(toy: ToySite) -> None:
     toy.run()
-    said = debug(toy, "fuse")
-    assert f"now try  python {toy.folder / 'look' / 'run.py'}" in said
+    message = debug(toy, "fuse")
+    assert f"now try  python {toy.folder / 'look' / 'run.py'}" in message
     assert "the same bytes as the cache has" in alone(toy)
     assert (toy.folder / "look" / "result.ply").read_bytes() == toy.cloud
 
@@ -38,8 +38,8 @@ def test_the_script_gives_the_bytes_that_the_cache_has(toy: ToySite) -> None:
 def test_a_changed_parameter_gives_other_bytes(toy: ToySite) -> None:
     toy.run()
     debug(toy, "disparity", "gate--roof")
-    told = toy.folder / "look" / "task.json"
-    told.write_text(told.read_text().replace('"tolerance": 1.0', '"tolerance": 2.0'))
+    reported = toy.folder / "look" / "task.json"
+    reported.write_text(reported.read_text().replace('"tolerance": 1.0', '"tolerance": 2.0'))
     assert "other bytes than the cache has" in alone(toy)
 
 
@@ -52,7 +52,7 @@ def test_a_task_that_failed_fails_again_where_it_can_be_looked_at(toy: ToySite) 
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("frames", "rof"), "did you mean 'frames roof'?"),
         (("coffee",), "there is no stage 'coffee'"),
@@ -61,18 +61,18 @@ def test_a_task_that_failed_fails_again_where_it_can_be_looked_at(toy: ToySite) 
         ((), "name a task"),
     ],
 )
-def test_what_cannot_be_written_is_told_with_what_to_type(toy: ToySite, words: tuple[str, ...], said: str) -> None:
+def test_what_cannot_be_written_is_reported_with_what_to_type(toy: ToySite, words: tuple[str, ...], message: str) -> None:
     toy.run("--until", "frames")
-    assert said in debug(toy, *words, code=2)
+    assert message in debug(toy, *words, code=2)
 
 
 def test_runs_say_where_everything_lies(toy: ToySite) -> None:
     record = toy.run()
     result = CliRunner().invoke(main, ["runs", str(toy.file), "--json"])
-    (told,) = json.loads(result.stdout)
-    assert (told["site"], told["run"], told["level"]) == ("toy", record["run"], "good")
-    assert Path(told["cloud"]).read_bytes() == toy.cloud
-    assert Path(told["report"]).is_file()
+    (reported,) = json.loads(result.stdout)
+    assert (reported["site"], reported["run"], reported["level"]) == ("toy", record["run"], "good")
+    assert Path(reported["cloud"]).read_bytes() == toy.cloud
+    assert Path(reported["report"]).is_file()
 
 
 def test_one_page_shows_all_sites_of_a_folder_the_worst_first(toy: ToySite) -> None:

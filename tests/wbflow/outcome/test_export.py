@@ -74,10 +74,10 @@ def test_colmap_reads_the_cameras_where_they_stand(site: Path, exported: Path) -
 
 
 def test_depth_maps_are_close_to_the_truth(site: Path, exported: Path) -> None:
-    told = json.loads((exported / "depth" / "depth.json").read_text())
-    assert told["unit"] == "m"
-    assert len(told["cameras"]) == 4
-    for name, entry in told["cameras"].items():
+    reported = json.loads((exported / "depth" / "depth.json").read_text())
+    assert reported["unit"] == "m"
+    assert len(reported["cameras"]) == 4
+    for name, entry in reported["cameras"].items():
         truth = np.load(site / "truth" / "depth" / f"{name}.npz")["depth"]
         png = read_image(exported / "depth" / f"{name}.png", cv2.IMREAD_UNCHANGED)
         known = (png > 0) & (truth > 0)
@@ -95,11 +95,11 @@ def test_the_mesh_lies_on_the_cloud(site: Path, exported: Path) -> None:
 
 
 def test_heights_agree_with_the_cloud(site: Path, exported: Path) -> None:
-    told = json.loads((exported / "heights.json").read_text())
+    reported = json.loads((exported / "heights.json").read_text())
     png = read_image(exported / "heights.png", cv2.IMREAD_UNCHANGED)
     cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
-    heights = np.where(png > 0, (png - 1.0) / told["png_steps_per_unit"] + told["png_lowest"], np.nan)
-    row, column = (told["top"] - cloud["y"]) / told["cell"], (cloud["x"] - told["left"]) / told["cell"]
+    heights = np.where(png > 0, (png - 1.0) / reported["png_steps_per_unit"] + reported["png_lowest"], np.nan)
+    row, column = (reported["top"] - cloud["y"]) / reported["cell"], (cloud["x"] - reported["left"]) / reported["cell"]
     assert 0.88 < share_below(heights, row, column, cloud["z"]) < 0.97
 
 
@@ -194,15 +194,15 @@ def test_a_camera_that_was_not_refined_gives_the_depth_of_its_pairs(site: Path, 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "said"),
+    ("arguments", "code", "message"),
     [
         ((), 2, "name what to export: --laz"),
         (("19990101T000000Z", "--laz"), 2, "there is no run"),
     ],
 )
-def test_wrong_usage(site: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, said: str) -> None:
+def test_wrong_usage(site: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str) -> None:
     result = wbflow_export(site, tmp_path / "out", *arguments)
-    assert (result.exit_code, said in result.output) == (code, True)
+    assert (result.exit_code, message in result.output) == (code, True)
     assert not (tmp_path / "out").exists()
 
 

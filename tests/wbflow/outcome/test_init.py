@@ -98,19 +98,19 @@ def test_a_site_file_is_never_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("files", "said"),
+    ("files", "message"),
     [
         ([], "holds no photographs"),
         (["gate.jpg"], "holds one camera only (gate)"),
         (["gate.jpg", "roof/1.jpg"], "keep one kind"),
     ],
 )
-def test_what_cannot_be_a_site_is_said_and_nothing_written(tmp_path: Path, files: list[str], said: str) -> None:
+def test_what_cannot_be_a_site_is_said_and_nothing_written(tmp_path: Path, files: list[str], message: str) -> None:
     for name in files:
         photograph(tmp_path / name)
     result = init(tmp_path)
     assert result.exit_code == 2
-    assert said in result.output
+    assert message in result.output
     assert not (tmp_path / "site.yaml").exists()
 
 

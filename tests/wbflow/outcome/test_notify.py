@@ -41,7 +41,7 @@ class Site:
         return notify(self.how, self.folder, self.work, self.work.run(record.run), record)
 
     @property
-    def told(self) -> list[dict[str, Any]]:
+    def reported(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.file.read_text().splitlines()] if self.file.exists() else []
 
 
@@ -55,15 +55,15 @@ def all_down(date: str = "2026-11-20") -> RunRecord:
     return night(date, [lost(name) for name in NAMES], [], points=0)
 
 
-def test_each_state_is_told_once_and_so_is_recovery(tmp_path: Path) -> None:
+def test_each_state_is_reported_once_and_so_is_recovery(tmp_path: Path) -> None:
     site = Site(tmp_path)
     nights = [night(), down("roof"), down("roof"), down("roof", "mast"), all_down(), all_down(), night(), night()]
     occasions = [site.tell(record) for record in nights]
     assert occasions == [None, "degraded", None, "degraded", "failed", None, "recovered", None]
-    assert [entry["stdin"]["event"] for entry in site.told] == ["degraded", "degraded", "failed", "recovered"]
+    assert [entry["stdin"]["event"] for entry in site.reported] == ["degraded", "degraded", "failed", "recovered"]
 
 
-def test_each_sort_of_bad_night_is_told_in_its_own_words(tmp_path: Path) -> None:
+def test_each_sort_of_bad_night_is_reported_in_its_own_words(tmp_path: Path) -> None:
     site = Site(tmp_path)
     knocked = replace(camera("crane"), health=Health("moved", "turned by 1.9 degrees", remedy="look at its mount"))
     foreign = replace(camera("mast"), health=Health("wrong-scene", "it shows another place", remedy="look at its picture"))
@@ -77,7 +77,7 @@ def test_each_sort_of_bad_night_is_told_in_its_own_words(tmp_path: Path) -> None
     ]
     for record in [*nights[:2], *nights[1:]]:  # the second one twice
         site.tell(record)
-    assert [entry["env"]["WBFLOW_SUMMARY"] for entry in site.told] == [
+    assert [entry["env"]["WBFLOW_SUMMARY"] for entry in site.reported] == [
         "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight",
         "yard 2026-11-20: degraded: crane: turned by 1.9 degrees (and 1 more)",
         "yard 2026-11-20: failed: no cloud: only camera gate has a usable capture (and 4 more)",
@@ -86,17 +86,17 @@ def test_each_sort_of_bad_night_is_told_in_its_own_words(tmp_path: Path) -> None
     ]
 
 
-def test_what_is_told(tmp_path: Path) -> None:
+def test_what_is_reported(tmp_path: Path) -> None:
     site = Site(tmp_path)
     record = down("roof")
     site.tell(record)
-    (told,) = site.told
+    (reported,) = site.reported
     assert record.verdict
-    assert told["stdin"]["findings"] == record.verdict.to_json()["findings"]
-    assert told["stdin"]["report"] == told["env"]["WBFLOW_REPORT"] == str(site.work.run(record.run).report)
+    assert reported["stdin"]["findings"] == record.verdict.to_json()["findings"]
+    assert reported["stdin"]["report"] == reported["env"]["WBFLOW_REPORT"] == str(site.work.run(record.run).report)
     words = "yard 2026-11-20: degraded: roof: roof.jpg is empty (0 bytes); left out tonight"
-    assert told["env"]["WBFLOW_SUMMARY"] == words
-    assert (told["env"]["WBFLOW_EVENT"], told["env"]["WBFLOW_EXIT_CODE"]) == ("degraded", "3")
+    assert reported["env"]["WBFLOW_SUMMARY"] == words
+    assert (reported["env"]["WBFLOW_EVENT"], reported["env"]["WBFLOW_EXIT_CODE"]) == ("degraded", "3")
 
 
 def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
@@ -106,23 +106,23 @@ def test_a_heartbeat_is_heard_every_night(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "message"),
     [
         ("echo no route to host >&2; exit 7", "ended with 7: no route to host"),
         ("sleep 60", "had not ended after 0.2 s, and was killed"),
         (["no-such-program"], "could not be started"),
     ],
 )
-def test_what_could_not_be_told_is_told_the_next_night(tmp_path: Path, command: str | list[str], said: str) -> None:
+def test_what_could_not_be_reported_is_reported_the_next_night(tmp_path: Path, command: str | list[str], message: str) -> None:
     site = Site(tmp_path)
-    how, site.how = site.how, Notify(command=command, seconds=0.2 if said.startswith("had") else 30)
-    with pytest.raises(NotifyFailed, match=said):
+    how, site.how = site.how, Notify(command=command, seconds=0.2 if message.startswith("had") else 30)
+    with pytest.raises(NotifyFailed, match=message):
         site.tell(down("roof"))
     site.how = how
     assert site.tell(down("roof")) == "degraded"
 
 
-def test_where_nobody_knows_what_was_told_it_is_told_once_more(tmp_path: Path) -> None:
+def test_where_nobody_knows_what_was_reported_it_is_reported_once_more(tmp_path: Path) -> None:
     site = Site(tmp_path)
     site.tell(down("roof"))
     memo = site.work.notified
@@ -145,9 +145,9 @@ def test_a_failing_command_costs_the_night_nothing_and_stands_in_the_log(toy: To
     assert not (toy.folder / "told.json").exists()
     toy.capture("roof").write_text("broken")
     record = toy.run(code=3)
-    told = json.loads((toy.folder / "told.json").read_text())
-    assert told["findings"] == record["verdict"]["findings"]
-    assert Path(told["cloud"]).is_file()
+    reported = json.loads((toy.folder / "told.json").read_text())
+    assert reported["findings"] == record["verdict"]["findings"]
+    assert Path(reported["cloud"]).is_file()
     last = json.loads((toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()[-1])
     assert "ended with 1: no output" in last["what"]
 

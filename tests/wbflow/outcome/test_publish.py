@@ -69,7 +69,7 @@ def test_files_and_figures_stand_beside_the_cloud(toy_with_files: ToySite) -> No
     assert "href='toy.txt'" in page
 
 
-def test_what_cannot_be_made_is_told_and_the_night_is_not_lost(toy_with_files: ToySite) -> None:
+def test_what_cannot_be_made_is_reported_and_the_night_is_not_lost(toy_with_files: ToySite) -> None:
     write(toy_with_files, "third", fails=True)
     toy_with_files.run()
     assert (latest(toy_with_files) / "toy.txt").is_file()

@@ -75,13 +75,13 @@ def test_a_name_that_is_in_no_table_is_refused_with_those_that_are(reader: Funct
         bound(reader, how="magic")
 
 
-def test_a_method_that_asks_for_what_is_not_there_is_told(reader: FunctionReader) -> None:
+def test_a_method_that_asks_for_what_is_not_there_is_reported(reader: FunctionReader) -> None:
     assert bound(reader).faults() == []
     (fault,) = bound(reader, how="beside:wrong").faults()
     assert "asks for 'picture', which is not there; toy can hand over frame, left, right" in fault
 
 
-def test_who_reads_a_parameter_can_be_told(reader: FunctionReader) -> None:
+def test_who_reads_a_parameter_can_be_reported(reader: FunctionReader) -> None:
     readers = method_parameters(ROW, reader)
     assert {name: list(parameters) for name, parameters in readers.items()} == {"plain": ["ratio"], "rich": ["depth"]}
 

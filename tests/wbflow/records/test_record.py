@@ -108,11 +108,11 @@ def with_verdict() -> RunRecord:
 
 def test_the_verdict_of_the_contract() -> None:
     data = json.loads(json.dumps(with_verdict().to_json()))
-    told = {"figures": {"shared": 0.0212}, "expected": {"shared": 0.6}, "remedy": "look where it points"}
-    finding = {"kind": "camera-wrong-scene", "subject": ["quay"], "text": "shows another place", **told}
+    reported = {"figures": {"shared": 0.0212}, "expected": {"shared": 0.6}, "remedy": "look where it points"}
+    finding = {"kind": "camera-wrong-scene", "subject": ["quay"], "text": "shows another place", **reported}
     finding["alias"] = "camera-foreign"
     assert data["verdict"] == {"level": "degraded", "findings": [finding]}
-    assert data["cameras"][0]["health"] == {"state": "wrong-scene", "text": "shows another place", **told}
+    assert data["cameras"][0]["health"] == {"state": "wrong-scene", "text": "shows another place", **reported}
     assert json.loads(json.dumps(RunRecord.from_json(data).to_json())) == data
 
 

@@ -142,10 +142,10 @@ def test_what_happens_later_can_be_added_to_the_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [(None, "has no runs yet"), ("19990101T000000Z", "has no runs yet"), ("latest", "has no runs yet")]
+    ("name", "message"), [(None, "has no runs yet"), ("19990101T000000Z", "has no runs yet"), ("latest", "has no runs yet")]
 )
-def test_there_is_no_run(tmp_path: Path, name: str | None, said: str) -> None:
-    with pytest.raises(NoSuchRun, match=said):
+def test_there_is_no_run(tmp_path: Path, name: str | None, message: str) -> None:
+    with pytest.raises(NoSuchRun, match=message):
         RunFolder.of(WorkFolder(tmp_path), name)
 
 

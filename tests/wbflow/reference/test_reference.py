@@ -301,9 +301,9 @@ def test_what_single_nights_have_too_little_of_many_have_enough_of(tmp_path: Pat
     for date, state in ((SECOND, "ok"), (THIRD, "moved"), ("2026-11-04", "ok")):
         toy.night(date, c=state)
         toy.run("--date", date, code=3)
-    said = toy.wbflow("pin", "--refine").stdout
-    assert "matches a--c: pooled from 3 nights" in said, "what c saw from elsewhere is no evidence"
-    assert "geometry b--c: pooled from 3 nights" in said
+    message = toy.wbflow("pin", "--refine").stdout
+    assert "matches a--c: pooled from 3 nights" in message, "what c saw from elsewhere is no evidence"
+    assert "geometry b--c: pooled from 3 nights" in message
     for date, state, matches in (("2026-11-05", "ok", 3), ("2026-11-06", "moved", 1)):
         toy.night(date, c=state)
         record = toy.run("--date", date, code=None)

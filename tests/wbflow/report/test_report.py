@@ -204,10 +204,10 @@ def test_every_camera_pair_and_finding_stands_there_as_text(browser: Any, night:
     assert texts("#map .dot > text") == ids
     assert texts("table.pairs tbody td:first-child") == [pair.name for pair in night.pairs]
     assert len(texts("#map line.pair")) == len(night.pairs)
-    told = "\n".join(texts(".finding"))
+    reported = "\n".join(texts(".finding"))
     assert night.verdict
     for finding in night.verdict.findings:
-        assert finding.text in told and finding.remedy in told
+        assert finding.text in reported and finding.remedy in reported
     assert texts(".verdict strong") == ["2 cameras to look at"]
     assert texts(".tried li") == ["geometry rejected: 12 inliers, 30 needed"]
     assert browser.execute_script("return view.scene.cameras.map(c => c.id)") == ids
@@ -242,8 +242,8 @@ def test_pairs_are_sorted_by_any_figure(browser: Any) -> None:
 def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
     size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    told = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", told)
+    reported = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", reported)
     browser.execute_script("for (const fold of document.querySelectorAll('details')) fold.open = true")
     out = """return [...document.querySelectorAll('body *')].filter(e => !e.closest('svg'))
         .filter(e => e.getBoundingClientRect().right > 390.5).map(e => e.outerHTML.slice(0, 80))"""
@@ -257,23 +257,23 @@ def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
 def test_a_hundred_cameras_have_room(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(100))
     file = made_up_run.page(tmp_path, night, points=20_000, pictures=(480, 270), nights=1)
-    told = file.read_text()
+    reported = file.read_text()
     assert file.stat().st_size < 15_000_000
-    assert told.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
-    assert told.count('<g class="dot') == 100
-    assert all(html.escape(pair.name) in told for pair in night.pairs)
-    assert "98 cameras as they should be" in told, "two to look at stand before them"
-    assert 'class="elsewhere" href="../../cache/' in told, "what has no room is led to"
+    assert reported.count('<article class="card') == 100 + sum(pair.ok for pair in night.pairs)
+    assert reported.count('<g class="dot') == 100
+    assert all(html.escape(pair.name) in reported for pair in night.pairs)
+    assert "98 cameras as they should be" in reported, "two to look at stand before them"
+    assert 'class="elsewhere" href="../../cache/' in reported, "what has no room is led to"
 
 
 def test_a_night_without_any_camera_says_so_and_shows_where_they_stood(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(3), cloud=None, pairs=(), verdict=None, exit_code=1)
-    told = made_up_run.page(tmp_path, night, nights=1).read_text()
-    assert told.count('<g class="dot') == 3
-    assert "stood here on 2026-11-01" in told
-    assert "No cloud this night" in told
-    assert "No two cameras were matched." in told
-    assert '<script type="application/octet-stream"' not in told
+    reported = made_up_run.page(tmp_path, night, nights=1).read_text()
+    assert reported.count('<g class="dot') == 3
+    assert "stood here on 2026-11-01" in reported
+    assert "No cloud this night" in reported
+    assert "No two cameras were matched." in reported
+    assert '<script type="application/octet-stream"' not in reported
 
 
 def test_a_night_without_a_cloud_lies_as_the_night_before(tmp_path: Path) -> None:
@@ -289,15 +289,15 @@ def test_a_night_without_a_cloud_lies_as_the_night_before(tmp_path: Path) -> Non
         assert one == pytest.approx(other, abs=0.05)
 
 
-def test_what_is_wrong_with_all_cameras_is_told_once_and_what_compares_nothing_shows_nothing(tmp_path: Path) -> None:
+def test_what_is_wrong_with_all_cameras_is_reported_once_and_what_compares_nothing_shows_nothing(tmp_path: Path) -> None:
     ids = made_up_run.names(5)
     lost = [Finding("camera-lost", (name,), f"no capture of {name}", remedy="see that it delivers") for name in ids]
     night = made_up_run.record(ids, cloud=None, pairs=(), verdict=Verdict("failed", tuple(lost)), exit_code=1)
     night = replace(night, results={"changes": ChangesSummary(compared=False, count=0, noise=1.0)})
-    told = made_up_run.page(tmp_path, night, nights=0).read_text()
-    assert "The same is wrong with every camera." in told
-    assert f"4 more like these: {', '.join(ids[1:])}" in told
-    assert "There was nothing to compare this night with." in told and "<dt>noise</dt>" not in told
+    reported = made_up_run.page(tmp_path, night, nights=0).read_text()
+    assert "The same is wrong with every camera." in reported
+    assert f"4 more like these: {', '.join(ids[1:])}" in reported
+    assert "There was nothing to compare this night with." in reported and "<dt>noise</dt>" not in reported
 
 
 def test_a_good_night_with_changes_names_their_number_and_kinds_first(tmp_path: Path) -> None:

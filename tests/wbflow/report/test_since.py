@@ -16,7 +16,7 @@ VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
 STACK = Change("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8)
 
 
-def told(record: RunRecord, things: dict[str, Change], reference: str = "20261101T031500Z") -> RunRecord:
+def reported(record: RunRecord, things: dict[str, Change], reference: str = "20261101T031500Z") -> RunRecord:
     return replace(record, reference=reference, results={"changes": ChangesSummary(compared=True, changes=things)})
 
 
@@ -27,11 +27,11 @@ def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
     return since_last_good(data, "changes")
 
 
-def test_what_was_there_on_the_last_good_night_is_told_from_what_is_new_and_what_is_over() -> None:
+def test_what_was_there_on_the_last_good_night_is_distinguished_from_what_is_new_and_what_is_over() -> None:
     nudged = replace(CONTAINER, x=9.5, volume=38.7)
-    good = told(night("2026-11-18"), {"1": nudged, "2": STACK})
-    bad = replace(told(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
-    tonight = told(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
+    good = reported(night("2026-11-18"), {"1": nudged, "2": STACK})
+    bad = replace(reported(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
+    tonight = reported(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
     since = compared(tonight, bad, good)
     assert since is not None
     assert since.date == "2026-11-18", "the night before was not good"
@@ -41,14 +41,14 @@ def test_what_was_there_on_the_last_good_night_is_told_from_what_is_new_and_what
 
 def test_since_the_reference_s_own_night_everything_is_new() -> None:
     first = replace(night("2026-11-01"), reference=None)
-    tonight = told(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
+    tonight = reported(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
     since = compared(tonight, first)
     assert since is not None
     assert (since.known, since.gone) == ({}, {})
 
 
 def test_nothing_is_said_where_another_reference_was_compared_with_or_there_was_no_good_night() -> None:
-    other = told(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
-    tonight = told(night("2026-11-20"), {"1": CONTAINER})
+    other = reported(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
+    tonight = reported(night("2026-11-20"), {"1": CONTAINER})
     assert compared(tonight, other) is None
     assert compared(tonight) is None

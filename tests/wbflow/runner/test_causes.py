@@ -19,7 +19,7 @@ from wbflow.runner.spec import Cause
 from wbflow.site import captures
 
 
-def told(toy: ToySite) -> list[dict[str, Any]]:
+def reported(toy: ToySite) -> list[dict[str, Any]]:
     """The events of the newest run."""
     newest = max(p for p in (toy.work / "runs").iterdir() if not p.is_symlink())
     return [json.loads(line) for line in (newest / "log.jsonl").read_text().splitlines()]
@@ -39,7 +39,7 @@ def test_a_camera_says_as_one_word_why_it_is_lost(toy: ToySite) -> None:
     toy.capture("crane").unlink()
     record = toy.run(code=3)
     assert codes(record["cameras"], "id") == {"gate": None, "roof": Cause.BAD_INPUT, "crane": Cause.NO_CAPTURE, "mast-1": None}
-    assert codes(told(toy), "task")["features roof"] == Cause.BAD_INPUT
+    assert codes(reported(toy), "task")["features roof"] == Cause.BAD_INPUT
 
 
 def test_a_run_without_a_cloud_says_as_one_word_why(toy: ToySite) -> None:
@@ -63,11 +63,11 @@ def test_a_camera_that_is_not_placed(toy: ToySite) -> None:
     assert codes(toy.run(code=3)["cameras"], "id")["gate"] == Cause.UNSOLVED
 
 
-def test_a_function_that_is_wrong_is_told_from_one_that_refuses_its_input(toy: ToySite) -> None:
+def test_a_function_that_is_wrong_is_distinguished_from_one_that_refuses_its_input(toy: ToySite) -> None:
     toy.parameters = {"poses": {"worlds": 0}}  # divides by it
     toy.write()
     assert toy.run(code=1)["code"] == Cause.FAULT
-    assert codes(told(toy), "task")["poses"] == Cause.FAULT
+    assert codes(reported(toy), "task")["poses"] == Cause.FAULT
 
 
 def test_no_reason_stands_without_its_code(toy: ToySite) -> None:
@@ -76,7 +76,7 @@ def test_no_reason_stands_without_its_code(toy: ToySite) -> None:
     toy.parameters = {"poses": {"worlds": 2}}
     toy.write()
     record = toy.run(code=3)
-    rows = [record, *record["cameras"], *record["pairs"], *(event for event in told(toy) if event["event"] == "task")]
+    rows = [record, *record["cameras"], *record["pairs"], *(event for event in reported(toy) if event["event"] == "task")]
     assert len([row for row in rows if row["reason"]]) > 5
     assert [row for row in rows if (row["reason"] is None) != (row["code"] is None)] == []
 
@@ -117,7 +117,7 @@ def test_whatever_a_stage_raises_is_its_fault_with_class_stage_and_remedy(toy: T
     site["stages"]["features"] = {"use": "raising:detect", "raises": raises}
     toy.file.write_text(json.dumps(site))
     toy.run("--until", "features", code=None)
-    (event,) = (event for event in told(toy) if event.get("task") == "features roof")
+    (event,) = (event for event in reported(toy) if event.get("task") == "features roof")
     assert (event["outcome"], event["code"]) == ("failed", Cause.FAULT)
     assert words in event["reason"] and "the function of features" in event["reason"]
     assert "wbflow debug SITE.yaml 'features roof' --out DIR" in event["reason"]

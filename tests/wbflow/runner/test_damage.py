@@ -81,10 +81,10 @@ def test_receipts_of_two_nights_exchanged_are_found(toy: ToySite) -> None:
     subjects = {"frames/roof", "matches/gate--roof", "fuse/site"}
     for subject in subjects:
         exchange(*sorted((toy.work / "cache" / subject).glob("*.json")))
-    told = [what for what in repaired(toy) if "belongs to" in what]
-    assert {subject for what in told for subject in subjects if f"/{subject}/" in what} == subjects
-    assert all(any(f"/{subject}/" in what for subject in subjects) for what in told)  # and nothing else
-    assert len(told) == len(set(told)) <= 2 * len(subjects)  # a receipt that was exchanged is told once
+    reported = [what for what in repaired(toy) if "belongs to" in what]
+    assert {subject for what in reported for subject in subjects if f"/{subject}/" in what} == subjects
+    assert all(any(f"/{subject}/" in what for subject in subjects) for what in reported)  # and nothing else
+    assert len(reported) == len(set(reported)) <= 2 * len(subjects)  # a receipt that was exchanged is told once
     assert toy.cloud == cloud
 
 

@@ -38,7 +38,7 @@ def test_three_worker_processes_of_a_cluster_make_the_same_cloud_though_one_is_k
     assert toy.cloud == cloud
 
 
-def test_a_cluster_without_workers_and_one_that_is_not_there_are_told_apart() -> None:
+def test_a_cluster_without_workers_and_one_that_is_not_there_are_distinguished() -> None:
     with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as cluster:
         with pytest.raises(WbflowError, match="has no workers"):
             Cluster(cluster.scheduler_address)

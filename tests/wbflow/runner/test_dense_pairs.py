@@ -29,9 +29,9 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
 def share(site: ToySite, **stated: Any) -> None:
     """Have what placed cameras share told, or not."""
     site.write()
-    told = json.loads(site.file.read_text())
-    told["stages"]["shared"] = {"use": "toy_stages:share", **stated}
-    site.file.write_text(json.dumps(told))
+    reported = json.loads(site.file.read_text())
+    reported["stages"]["shared"] = {"use": "toy_stages:share", **stated}
+    site.file.write_text(json.dumps(reported))
 
 
 def ran(site: ToySite, stage: str) -> set[str]:
@@ -42,10 +42,10 @@ def test_a_pair_that_was_never_matched_is_made_dense(toy: ToySite) -> None:
     record = toy.run()
     assert ran(toy, "matches") == NEIGHBOURS
     assert ran(toy, "disparity") == ALL
-    told = {f"{pair['left']}--{pair['right']}": pair for pair in record["pairs"]}
-    assert list(told) == sorted(ALL)
-    assert {name for name, pair in told.items() if pair["matched"]} == NEIGHBOURS
-    assert all(pair["dense"] and pair["outcome"] == "ok" and pair["density"] == 1.0 for pair in told.values())
+    reported = {f"{pair['left']}--{pair['right']}": pair for pair in record["pairs"]}
+    assert list(reported) == sorted(ALL)
+    assert {name for name, pair in reported.items() if pair["matched"]} == NEIGHBOURS
+    assert all(pair["dense"] and pair["outcome"] == "ok" and pair["density"] == 1.0 for pair in reported.values())
     assert record["cloud"]["points"] == 2 * len(ALL)
 
 
@@ -69,8 +69,8 @@ def test_a_pair_of_a_camera_that_is_not_placed_stays_as_it_was_matched(toy: ToyS
     toy.parameters["poses"] = {"leave_out": "d"}
     share(toy)
     record = toy.run(code=None)
-    told = {f"{pair['left']}--{pair['right']}" for pair in record["pairs"] if pair["dense"]}
-    assert told == {"a--b", "b--c", "a--c", "c--d"}
+    reported = {f"{pair['left']}--{pair['right']}" for pair in record["pairs"] if pair["dense"]}
+    assert reported == {"a--b", "b--c", "a--c", "c--d"}
 
 
 def test_with_every_pose_given_nothing_is_chosen_anew(toy: ToySite) -> None:
@@ -78,8 +78,8 @@ def test_with_every_pose_given_nothing_is_chosen_anew(toy: ToySite) -> None:
     rows = [
         {"id": name, "intrinsics": lens, "pose": {"position": [k, 0, 2], "look_at": [k, 9, 0]}} for k, name in enumerate("abcd")
     ]
-    told = json.loads(toy.file.read_text()) | {"cameras": rows}
-    toy.file.write_text(json.dumps(told))
+    reported = json.loads(toy.file.read_text()) | {"cameras": rows}
+    toy.file.write_text(json.dumps(reported))
     record = toy.run(code=None)
     assert not {"shared", "dense_pairs"} & set(record["seconds"]["stages"])
     assert ran(toy, "disparity") == NEIGHBOURS

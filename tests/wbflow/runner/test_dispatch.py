@@ -77,7 +77,7 @@ def reason_of(record: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("what", "said", "options"),
+    ("what", "message", "options"),
     [
         ("hang", "took longer than 20 s", ("--jobs", "1", "--time-limit", "20")),  # a busy machine takes seconds for an import
         ("leave", "exit code 3, twice", ("--jobs", "1")),
@@ -87,10 +87,10 @@ def reason_of(record: dict[str, Any]) -> str:
     ],
 )
 def test_a_task_at_fault_costs_itself_and_the_reason_is_said(
-    wicked: ToySite, what: str, said: str, options: tuple[str, ...]
+    wicked: ToySite, what: str, message: str, options: tuple[str, ...]
 ) -> None:
     behave(wicked, what)
-    assert said in reason_of(wicked.run(*options, code=3))
+    assert message in reason_of(wicked.run(*options, code=3))
 
 
 def test_of_quick_chains_handed_out_together_one_loses_its_worker_and_the_others_are_done_once(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_a_night_with_nothing_to_do_starts_no_worker(toy: ToySite, monkeypatch: 
     assert toy.run()["tasks"]["ran"] == 0
 
 
-def test_a_tasks_time_is_told_by_what_its_stage_took_before() -> None:
+def test_a_tasks_time_is_reported_by_what_its_stage_took_before() -> None:
     past = TaskCosts({"quick": 0.1, "slow": 300.0, "endless": 1e5})
     known = Limits(past=past)
     assert known.seconds_for("quick") == dispatch.SHORTEST

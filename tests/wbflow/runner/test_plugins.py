@@ -162,7 +162,7 @@ def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (
             "left, right, depth",
@@ -173,13 +173,13 @@ def test_a_method_of_one_s_own_gets_the_frames_through_the_stage(toy: ToySite) -
         ("left, right, *, shift", "has 'shift' without a default"),
     ],
 )
-def test_a_wrong_signature_is_refused_at_its_place(toy: ToySite, arguments: str, said: str) -> None:
+def test_a_wrong_signature_is_refused_at_its_place(toy: ToySite, arguments: str, message: str) -> None:
     write(toy, arguments)
     matcher(toy)
-    told = problem(toy)
-    assert said in told
-    assert "site.yaml:" in told
-    assert "stages.matches.use: " in told
+    reported = problem(toy)
+    assert message in reported
+    assert "site.yaml:" in reported
+    assert "stages.matches.use: " in reported
 
 
 def test_a_function_that_is_missing_and_a_module_that_is_no_python_are_named(toy: ToySite) -> None:

@@ -231,9 +231,9 @@ def test_dry_run_writes_nothing_and_says_why(toy: ToySite) -> None:
     toy.run()
     toy.parameters = {"disparity": {"tolerance": 2.0}}
     toy.write()
-    told = toy.wbflow("status").stdout
-    assert "parameter disparity.tolerance 1.0 → 2.0" in told
-    assert "fuse                             would run: 4 of" in told
+    reported = toy.wbflow("status").stdout
+    assert "parameter disparity.tolerance 1.0 → 2.0" in reported
+    assert "fuse                             would run: 4 of" in reported
 
 
 def test_a_second_run_at_the_same_time_is_refused_with_code_4(toy: ToySite) -> None:
@@ -322,9 +322,9 @@ def test_compare_shows_what_differs(toy: ToySite) -> None:
     b = toy.run(code=3)["run"]
     runs = toy.work / "runs"
     command = toy.command("compare", str(runs / a), str(runs / b))
-    told = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
-    assert "roof" in told
-    assert "not an image" in told
+    reported = subprocess.run(command, env=toy.env(), capture_output=True, text=True, check=True).stdout
+    assert "roof" in reported
+    assert "not an image" in reported
 
 
 def _first_pixel(data: bytes) -> int:

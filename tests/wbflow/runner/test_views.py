@@ -29,7 +29,7 @@ def latest(site: ToySite, name: str) -> Any:
     return json.loads((site.work / "runs" / "latest" / name).read_text())
 
 
-def test_one_camera_is_told_of_and_views_are_worked_on(tmp_path: Path) -> None:
+def test_one_camera_is_reported_of_and_views_are_worked_on(tmp_path: Path) -> None:
     site = toy(tmp_path)
     record = site.run()
     assert [camera["id"] for camera in record["cameras"]] == ["gate", "wide", "roof"]
@@ -62,7 +62,7 @@ def test_a_wide_camera_without_a_capture_is_one_lost_camera(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("states", "said", "used"),
+    ("states", "message", "used"),
     [
         ("ok/obscured/ok", "ok", {"wide@1", "wide@3"}),
         ("shifted/ok/ok", "shifted", set(VIEWS)),
@@ -70,13 +70,13 @@ def test_a_wide_camera_without_a_capture_is_one_lost_camera(tmp_path: Path) -> N
         ("obscured/ok/shifted", "shifted", {"wide@2", "wide@3"}),
     ],
 )
-def test_a_camera_is_as_its_views_that_see_anything(tmp_path: Path, states: str, said: str, used: set[str]) -> None:
+def test_a_camera_is_as_its_views_that_see_anything(tmp_path: Path, states: str, message: str, used: set[str]) -> None:
     site = toy(tmp_path, watched=True, dated=True)
     site.night("2026-11-01")
     site.run("--date", "2026-11-01")
     site.night("2026-11-02", wide=states)
-    record = site.run("--date", "2026-11-02", code=0 if said == "ok" else 3)
-    assert [camera["health"]["state"] for camera in record["cameras"]] == ["ok", said, "ok"]
+    record = site.run("--date", "2026-11-02", code=0 if message == "ok" else 3)
+    assert [camera["health"]["state"] for camera in record["cameras"]] == ["ok", message, "ok"]
     there = {view for pair in record["pairs"] if pair["outcome"] == "ok" for view in (pair["left"], pair["right"])}
     assert there & set(VIEWS) == used
 

@@ -44,14 +44,14 @@ def test_a_sigma_of_nothing_or_that_is_none_is_refused(tmp_path: Path, key: str,
 
 
 @pytest.mark.parametrize(
-    ("camera", "image", "said"),
+    ("camera", "image", "message"),
     [
         ("1 MIRROR 640 480 1 2 3 4", "1 1 0 0 0 0 0 0 1 a.jpg", "cameras.txt:2: camera model MIRROR"),
         ("1 PINHOLE 640 480 500 500 320 240", "1 1 0 0 0 0 0 a.jpg", "images.txt:2: not an image line"),
     ],
 )
-def test_a_colmap_model_that_cannot_be_used_says_where(tmp_path: Path, camera: str, image: str, said: str) -> None:
-    with pytest.raises(CalibrationError, match=said):
+def test_a_colmap_model_that_cannot_be_used_says_where(tmp_path: Path, camera: str, image: str, message: str) -> None:
+    with pytest.raises(CalibrationError, match=message):
         read_calibration(colmap(tmp_path, camera, image))
 
 

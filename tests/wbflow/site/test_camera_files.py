@@ -123,13 +123,13 @@ roi: {{x_offset: {x}, y_offset: {y}, height: {height}, width: {width}, do_rectif
 """
 
 
-@pytest.mark.parametrize("said", ["", "roi reaches beyond"])
-def test_a_message_that_ros_echoes_with_a_part_of_the_sensor(tmp_path: Path, said: str) -> None:
+@pytest.mark.parametrize("message", ["", "roi reaches beyond"])
+def test_a_message_that_ros_echoes_with_a_part_of_the_sensor(tmp_path: Path, message: str) -> None:
     whole = np.add(K, [[0, 0, 100], [0, 0, 50], [0, 0, 0]]).ravel().tolist()
-    text = ECHO.format(D=BROWN, K=whole, x=200 if said else 100, y=50, width=WIDTH, height=HEIGHT)
+    text = ECHO.format(D=BROWN, K=whole, x=200 if message else 100, y=50, width=WIDTH, height=HEIGHT)
     (tmp_path / "gate.yaml").write_text(text)
-    if said:
-        with pytest.raises(CalibrationError, match=said):
+    if message:
+        with pytest.raises(CalibrationError, match=message):
             read_calibration(tmp_path / "gate.yaml")
         return
     camera = read_calibration(tmp_path / "gate.yaml")["gate"]
@@ -353,7 +353,7 @@ def test_colmaps_binary_model_is_read_as_its_text(tmp_path: Path, binary: Path) 
 
 
 @pytest.mark.parametrize(
-    ("name", "spoilt", "said"),
+    ("name", "spoilt", "message"),
     [
         ("cameras.bin", lambda data: data[:100], "cameras.bin: ends too early"),
         ("cameras.bin", lambda data: data[:12] + b"\x63" + data[13:], "camera model number 99 is not supported"),
@@ -365,12 +365,12 @@ def test_colmaps_binary_model_is_read_as_its_text(tmp_path: Path, binary: Path) 
     ],
 )
 def test_a_damaged_binary_model_is_named(
-    tmp_path: Path, binary: Path, name: str, spoilt: Callable[[bytes], bytes], said: str
+    tmp_path: Path, binary: Path, name: str, spoilt: Callable[[bytes], bytes], message: str
 ) -> None:
     for file in ("cameras.bin", "images.bin"):
         data = (binary / file).read_bytes()
         (tmp_path / file).write_bytes(spoilt(data) if file == name else data)
-    with pytest.raises(CalibrationError, match=said):
+    with pytest.raises(CalibrationError, match=message):
         read_calibration(tmp_path)
 
 
@@ -381,7 +381,7 @@ def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         (("image_width: 640\n", ""), r"gate.yaml:2:1: lacks the size of the pictures"),
         (("plumb_bob", "equidistant"), r"gate.yaml:7:\d+: .*a fisheye lens has 1 or 2 or 3 or 4 coefficients"),
@@ -391,12 +391,12 @@ def test_opencvs_whole_model_with_thin_prism_and_a_tilted_sensor(tmp_path: Path)
         (("camera_matrix", "matrix"), "holds no calibration"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, changed: tuple[str, str], said: str) -> None:
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, changed: tuple[str, str], message: str) -> None:
     text = ROS.format(width=WIDTH, height=HEIGHT, K=K.ravel().tolist(), model="plumb_bob", count=5, D=BROWN)
     (tmp_path / "gate.yaml").write_text(text.replace(*changed))
     with pytest.raises(CalibrationError) as error:
         read_calibration(tmp_path / "gate.yaml")
-    assert re.search(said, f"{error.value.where}: {error.value.what}")
+    assert re.search(message, f"{error.value.where}: {error.value.what}")
 
 
 def test_a_site_takes_a_file_for_each_camera_or_a_folder_of_them(tmp_path: Path) -> None:

@@ -55,11 +55,11 @@ def test_what_once_crashed_is_refused_at_its_place_and_the_good_file_is_not(host
     assert hostile.load(file) == "", "else all others are refused for nothing of their own"
     left = dict(SAID)
     for case in (*hostile.site_cases(), *hostile.calibration_cases()):
-        if said := left.pop(case.name, None):
+        if message := left.pop(case.name, None):
             hostile.write_base(tmp_path)
             for name, data in case.files.items():
                 (tmp_path / name).write_bytes(data)
-            assert said in hostile.load(file), case.name
+            assert message in hostile.load(file), case.name
     assert not left
 
 

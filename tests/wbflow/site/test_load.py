@@ -48,7 +48,7 @@ def test_a_folder_stands_for_the_site_file_in_it(tmp_path: Path) -> None:
     assert load_site(tmp_path).name == "yard"
 
 
-def test_a_view_takes_so_many_pairs_and_the_site_file_is_told(tmp_path: Path) -> None:
+def test_a_view_takes_so_many_pairs_and_the_site_file_is_reported(tmp_path: Path) -> None:
     assert not load_site(site_at(tmp_path, GOOD + "pairs: {degree: 32}\n")).notes
     (note,) = load_site(site_at(tmp_path, GOOD + "pairs: {degree: 40}\n")).notes
     assert "pairs.degree: a view takes 32 pairs at most, its best, not 40" in str(note)
@@ -168,17 +168,17 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_mistake_is_placed_named_and_remedied(tmp_path: Path, name: str) -> None:
-    line, said = CASES[name]
+    line, message = CASES[name]
     if line.startswith("captures"):
         text = GOOD.replace('captures: {root: images, pattern: "{camera}.jpg"}', line)
     elif line.startswith("  -"):
         text = GOOD[: GOOD.index("  - gate")] + line + "\n"
     else:
         text = GOOD.replace("site: yard\n", f"site: yard\n{line}\n")
-    assert any(problem.startswith(f"site.yaml:{said}") for problem in problems(tmp_path, text)), problems(tmp_path, text)
+    assert any(problem.startswith(f"site.yaml:{message}") for problem in problems(tmp_path, text)), problems(tmp_path, text)
 
 
-def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
+def test_all_mistakes_are_reported_at_once(tmp_path: Path) -> None:
     text = "site: yard\ncaptures: {patern: x}\ncameras: [gate, gate]\nresolution: 3\nstages: {mtches: {}}\n"
     found = problems(tmp_path, text)
     assert len(found) == 4, "a misspelt key is one mistake: the right one is not missing besides"
@@ -186,7 +186,7 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("site: {a: b: c}", "1:12: not valid YAML"),
         ("site: a\nsite: b\n", "2:1: site: 'site' stands here and on line 1"),
@@ -195,11 +195,11 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
         ("site: !!python/object:os.system {}\n", "1:7: not valid YAML"),
     ],
 )
-def test_what_is_no_site_file_at_all(tmp_path: Path, text: str, said: str) -> None:
-    assert any(problem.startswith(f"site.yaml:{said}") for problem in problems(tmp_path, text))
+def test_what_is_no_site_file_at_all(tmp_path: Path, text: str, message: str) -> None:
+    assert any(problem.startswith(f"site.yaml:{message}") for problem in problems(tmp_path, text))
 
 
-def test_a_missing_file_is_told_plainly(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_plainly(tmp_path: Path) -> None:
     with pytest.raises(SiteError, match="cannot be read"):
         load_site(tmp_path / "none.yaml")
 
@@ -291,7 +291,7 @@ def test_local_and_geodetic_positions_do_not_mix(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("entries", "said"),
+    ("entries", "message"),
     [
         (
             {"roof.jpg": {"K": [[5, 0, 3], [0, 5, 2], [0, 0, 1]], "width": 6, "height": 4}},
@@ -306,10 +306,10 @@ def test_local_and_geodetic_positions_do_not_mix(tmp_path: Path) -> None:
         ([], "must map image names"),
     ],
 )
-def test_a_calibration_that_cannot_be_used_says_why(tmp_path: Path, entries: object, said: str) -> None:
+def test_a_calibration_that_cannot_be_used_says_why(tmp_path: Path, entries: object, message: str) -> None:
     with pytest.raises(SiteError, match=r"cameras\.json") as caught:
         calibrated(tmp_path, entries)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
@@ -328,7 +328,7 @@ def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("site: s\ncaptures:\n\troot: .\n", "indent with spaces: YAML allows no tabs there"),
         ("site: s\ncaptures: {root: ., pattern: {camera}.jpg}\n", "pattern: '{camera}.jpg'"),
@@ -337,11 +337,11 @@ def test_the_template_names_every_key_and_is_valid_yaml(tmp_path: Path) -> None:
         ("site: s\ncaptures: {pattern: x}\ncameras: [a: b\n", "check indentation, colons and quotes"),
     ],
 )
-def test_what_people_often_write_wrong_is_told_with_what_to_write(tmp_path: Path, text: str, said: str) -> None:
+def test_what_people_often_write_wrong_is_reported_with_what_to_write(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "site.yaml").write_text(text)
     with pytest.raises(SiteError) as error:
         load_site(tmp_path)
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 def test_a_folder_of_captures_that_is_called_nearly_so_is_named(tmp_path: Path) -> None:
@@ -351,7 +351,7 @@ def test_a_folder_of_captures_that_is_called_nearly_so_is_named(tmp_path: Path) 
         load_site(tmp_path)
 
 
-def test_a_folder_without_a_site_file_is_told_how_to_get_one(tmp_path: Path) -> None:
+def test_a_folder_without_a_site_file_is_reported_how_to_get_one(tmp_path: Path) -> None:
     with pytest.raises(SiteError, match=f"wbflow init {tmp_path}"):
         load_site(tmp_path)
 

@@ -34,9 +34,9 @@ def problem(folder: Path, section: str) -> str:
 
 
 def test_a_parameter_that_the_chosen_method_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
-    told = problem(tmp_path, "matches: {ratio: 0.7}")
-    assert "site.yaml:6:20: stages.matches.ratio: 'ratio' is not read by the chosen matcher" in told
-    assert "leave it out, or choose matcher: hao2011-dominance or mutual or kdtree" in told
+    reported = problem(tmp_path, "matches: {ratio: 0.7}")
+    assert "site.yaml:6:20: stages.matches.ratio: 'ratio' is not read by the chosen matcher" in reported
+    assert "leave it out, or choose matcher: hao2011-dominance or mutual or kdtree" in reported
     assert loaded(tmp_path, "matches: {matcher: mutual, ratio: 0.7}").stages["matches"].parameters["ratio"] == 0.7
 
 
@@ -46,9 +46,9 @@ def test_a_wrong_value_of_a_method_s_parameter_is_an_error(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("stage", ["matches: {matcher: magic}", "rectify: {method: magic}", "disparity: {matcher: magic}"])
 def test_an_unknown_method_is_an_error_that_lists_the_known_ones(tmp_path: Path, stage: str) -> None:
-    told = problem(tmp_path, stage)
-    assert "'magic' is not one of " in told
-    assert "package.module:function" in told
+    reported = problem(tmp_path, stage)
+    assert "'magic' is not one of " in reported
+    assert "package.module:function" in reported
 
 
 def test_a_method_of_one_s_own_lies_beside_the_site_file(tmp_path: Path) -> None:
@@ -107,21 +107,21 @@ def test_every_new_name_is_a_parameter(tmp_path: Path) -> None:
 
 
 def test_a_matcher_that_needs_a_model_says_so_and_where_it_is_given(tmp_path: Path) -> None:
-    told = problem(tmp_path, "matches: {matcher: onnx}")
-    assert "site.yaml:6:29: stages.matches.matcher: " in told and "needs a file: model" in told
-    assert "give its path, relative to the site file: model: models/matcher.onnx" in told
+    reported = problem(tmp_path, "matches: {matcher: onnx}")
+    assert "site.yaml:6:29: stages.matches.matcher: " in reported and "needs a file: model" in reported
+    assert "give its path, relative to the site file: model: models/matcher.onnx" in reported
     assert "stages.matches.model: 5 is no path" in problem(tmp_path, "matches: {matcher: onnx, model: 5}")
 
 
 def test_a_model_that_is_not_there_is_an_error_that_names_what_is_nearly_called_so(tmp_path: Path) -> None:
     (tmp_path / "glue.onnx").write_bytes(b"weights")
-    told = problem(tmp_path, "matches: {matcher: onnx, model: glu.onnx}")
-    assert "site.yaml:6:42: stages.matches.model: there is no file" in told and "did you mean 'glue.onnx'?" in told
+    reported = problem(tmp_path, "matches: {matcher: onnx, model: glu.onnx}")
+    assert "site.yaml:6:42: stages.matches.model: there is no file" in reported and "did you mean 'glue.onnx'?" in reported
     settings = loaded(tmp_path, "matches: {matcher: onnx, model: glue.onnx, min_score: 0.3}").stages["matches"]
     assert settings.files == {"model": tmp_path / "glue.onnx"}
     assert settings.parameters == {"matcher": "onnx", "min_score": 0.3}
 
 
 def test_a_model_that_the_chosen_matcher_does_not_read_is_an_error_that_names_who_does(tmp_path: Path) -> None:
-    told = problem(tmp_path, "matches: {model: glue.onnx}")
-    assert "'model' is not read by the chosen matcher" in told and "choose matcher: onnx" in told
+    reported = problem(tmp_path, "matches: {model: glue.onnx}")
+    assert "'model' is not read by the chosen matcher" in reported and "choose matcher: onnx" in reported
